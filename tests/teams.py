@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from assist.person.pomdp import Later
+from assist.person.policy import Later
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate

@@ -35,15 +35,15 @@ ROOMS = {
     "planner": "engine",
     "assist.people": """arguments choices misconception decision terms memory choice_model human belief
         influence_kernels trust_rules user_code action_names signals""",
-    "assist.person": """pomdp archive problem_arrays belief_filter qmdp alpha_vectors hsvi upper_hull solver
+    "assist.person": """pomdp policy archive problem_arrays belief_filter qmdp alpha_vectors hsvi upper_hull solver
         suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
         fit goals comparison trust_log trust_fit""",
-    "assist.team": "travel state settings attention attention_subproblem policy_on_part priority policies",
+    "assist.team": "travel state settings attention attention_subproblem priority policies",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates compliance_relaxation truncated_bound
         truncated_policy person_problem""",
-    "assist.simulation": """pool schedule common_random_numbers episodes dynamics task_view truncated_view run simulate
+    "assist.simulation": """pool schedule common_random_numbers episodes dynamics task_view run simulate
         belief_trace illustration""",
     "assist.coupled": "agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",

@@ -44,7 +44,8 @@ def made(
 ) -> InformationRelaxation:
     pool = pool or pool_of(*COSTS[0])
     lattices = []
-    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), with_outer=pool.truncated):
+    with_outer = pool.policies[0].size == np.inf
+    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), with_outer=with_outer):
         visits = kind.at(price)
         lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
     return InformationRelaxation(lattices, price, workers=workers, options=options)

@@ -227,5 +227,5 @@ def test_prices_of_steps_are_for_whole_tasks_and_people_who_begin_together(pool:
     with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
         simulate(pool, policy, humans=3, episodes=4, seed=0, presence=late)
     part = Pool.sample(tiny, 3, seed=0, states=1)
-    with pytest.raises(ValueError, match="prices of 4 steps: expected one price where tasks are truncated"):
+    with pytest.raises(ValueError, match="prices of 4 steps: expected an enumerated task"):
         Priority.of(part.policies, travel, np.full(4, 0.2))

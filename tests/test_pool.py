@@ -13,7 +13,8 @@ from teams import reachable, run
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
 from assist.people.human import Population
-from assist.person.pomdp import AssistPOMDP, Policy, work_out
+from assist.person.policy import Policy
+from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.simulation.episodes import Trace
 from assist.simulation.pool import Pool
@@ -54,8 +55,6 @@ def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
     large = Pool.sample(tiny, 2, seed=0, states=5)
     with pytest.raises(ValueError, match=r"'attention-never': expected an enumerated task"):
         large.policy("attention-never")
-    with pytest.raises(ValueError, match="expected one kind"):
-        simulate(Pool.joined([large, Pool.sample(tiny, 2, seed=0)]), "none", humans=2, episodes=1, seed=0)
 
 
 @pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"execute": True}, {"knowledge": "exact"}])
@@ -95,7 +94,7 @@ def test_only_people_who_are_drawn_are_solved_and_results_are_the_same(tiny_choi
     assert told[-1] == (f"simulating {policy}", 3, 3)
     eager = Pool.sample(tiny_choices, 12, seed=0, setting=setting)
     for one in eager.policies:
-        work_out(one)
+        one.prepare()
     assert list(simulate(eager, policy, humans=2, episodes=3, seed=4)) == list(found)
 
 
@@ -111,7 +110,7 @@ def test_people_of_large_tasks_are_solved_when_they_are_drawn(tiny: Table) -> No
 
 def test_a_pool_survives_pickling_solved_or_not(tiny_choices: Choices) -> None:
     pool = Pool.sample(tiny_choices, 3, seed=0)
-    work_out(pool.policies[0])
+    pool.policies[0].prepare()
     again = pickle.loads(pickle.dumps(pool))
     for name in ("attention", "none"):
         kept, other = (simulate(one, name, humans=2, episodes=4, seed=2) for one in (pool, again))

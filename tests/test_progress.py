@@ -25,7 +25,6 @@ from assist.cli.output.solve_progress import solving
 from assist.learning import Log, compare
 from assist.people.choices import Choices
 from assist.person import qmdp, solve
-from assist.person.pomdp import work_out
 from assist.study.runner import run_study
 from assist.team.settings import Setting
 from planner import Instance, Table, cost_to_go, sweep
@@ -221,7 +220,7 @@ def test_a_person_who_is_solved_when_first_asked_is_shown(tiny: Table, monkeypat
     monkeypatch.setattr(progress, "AFTER", 0.0)
     whole, part = (Pool.sample(tiny, 1, seed=0, **options).policies[0] for options in ({}, {"states": 5, "region": 9}))
     for policy in (whole, part):
-        assert "solving a person's POMDP" in on_terminal(monkeypatch, lambda policy=policy: work_out(policy))
+        assert "solving a person's POMDP" in on_terminal(monkeypatch, policy.prepare)
 
 
 def test_worker_processes_show_nothing_by_themselves() -> None:

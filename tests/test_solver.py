@@ -14,7 +14,8 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, perceived_value, trust
 from assist.people.human import Human, HumanModel, Population
-from assist.person.pomdp import AssistPOMDP, Policy
+from assist.person.policy import Policy
+from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import Solution, SolverOptions, _Search, relative_gap, solve
 from planner import LimitError, Table

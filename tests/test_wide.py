@@ -21,7 +21,6 @@ from assist.simulation.episodes import Episodes, Trace
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
-from assist.team.policy_on_part import is_for_one_step, is_on_part, on_parts
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
 from planner import CostToGo, Instance, OnDemand, Table
@@ -74,13 +73,46 @@ def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dic
     assert_same(whole, episodes(table, policy, states=len(table) - 1, region=EVERYTHING, **options))
 
 
-def test_a_policy_on_a_part_is_told_apart_before_it_is_solved(tiny: Table) -> None:
-    whole, part = Pool.sample(tiny, 2, seed=1), Pool.sample(tiny, 2, seed=1, states=len(tiny) - 1)
-    assert on_parts([*whole.policies, *part.policies]) == list(part.policies)
-    assert not any("region" in vars(policy) or policy.solved for policy in part.policies)
-    around = part.policies[0].around(np.array([tiny.initial]))
-    assert is_for_one_step(around)
-    assert not is_on_part(around)
+def test_policies_answer_without_being_solved(tiny: Table) -> None:
+    whole, part = Pool.sample(tiny, 2, seed=1).policies[0], Pool.sample(tiny, 2, seed=1, states=0).policies[0]
+    assert (whole.size, part.size) == (len(tiny), np.inf)
+    assert whole.cheapest == part.cheapest == 1
+    assert whole.task.initial == part.task.initial
+    whole.require_enumerated("this")
+    with pytest.raises(ValueError, match="this: expected an enumerated task"):
+        part.require_enumerated("this")
+    assert not whole._solved  # type: ignore[attr-defined]
+    assert not part.solved  # type: ignore[attr-defined]
+    assert "region" not in vars(part)
+
+
+def test_the_next_step_is_the_same_by_either_policy(tiny: Table) -> None:
+    whole, part = Pool.sample(tiny, 2, seed=1).policies[0], Pool.sample(tiny, 2, seed=1, states=0).policies[0]
+    states = np.array([tiny.initial, *np.flatnonzero(tiny.h == 2)[:3]])
+    states.sort()
+    assert whole.local(states) is whole
+    local = part.local(states)
+    for policy in (whole, local):
+        rows = policy.rows(states)
+        assert rows is not None
+        belief = np.repeat(policy.pomdp.prior[None], len(states), axis=0)
+        np.testing.assert_allclose(policy.q_values(rows, belief), whole.q_values(states, belief), atol=0.01)
+        task_states = rows if policy.states is None else policy.states[rows]
+        np.testing.assert_array_equal(task_states, states)
+    assert local.rows(np.array([int(np.flatnonzero(tiny.h == 5)[0])])) is None
+    assert local.states is not None
+
+
+def test_people_of_enumerated_tasks_and_of_others_are_in_one_team(tiny: Table) -> None:
+    setting = Setting(c_suggest=0.2)
+    whole, part = (
+        Pool.sample(tiny, 2, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
+    )
+    for policy in ("attention", "priority"):
+        same, mixed = (
+            simulate(Pool.joined([whole, other]), policy, humans=3, episodes=8, seed=2) for other in (whole, part)
+        )
+        assert_same(same, mixed)
 
 
 @pytest.mark.parametrize("knowledge", ["own", "exact"])
@@ -161,7 +193,7 @@ def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> Non
     values = []
     for pool in pools:
         kinds = kinds_of(pool, team, setting.travel(3), len(price), with_outer=True)
-        assert all((kind.between is not None) == pool.truncated for kind in kinds)
+        assert all((kind.between is not None) == (pool is pools[0]) for kind in kinds)
         parts = [(visits := kind.at(price), kind.best(visits)) for kind in kinds]
         solved = [solve(visits.pomdp, gap=1e-4, best=best) for visits, best in parts]
         assert all(one.lower <= one.upper for one in solved)

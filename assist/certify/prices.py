@@ -19,7 +19,6 @@ from planner import LimitError
 from planner.system.progress import Progress
 
 from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, likely
-from ..large_tasks.truncated_policy import TruncatedPolicy
 from ..people.arguments import positive
 from ..people.decision import Floats
 from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
@@ -172,11 +171,10 @@ def _alone(
     An upper bound on this problem is an upper bound on that of the whole task (`large_tasks.truncated_bound`).
     """
     policy = pool.policies[model]
-    if isinstance(policy, TruncatedPolicy):
-        return policy.bounded(
-            entry, with_outer=with_outer, until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb
-        )
-    return TruncatedProblem(policy.pomdp)
+    beyond: TruncatedProblem | None = policy.bounded(
+        entry, with_outer=with_outer, until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb
+    )
+    return beyond or TruncatedProblem(policy.pomdp)
 
 
 def _allow(problems: list[TruncatedProblem], entry_steps: list[int], window: int, limit_mb: float) -> None:

@@ -42,6 +42,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -52,9 +53,9 @@ from planner.system.arrays import outline
 from planner.system.machine import processors
 from planner.system.progress import Progress, Wanted, shows_progress
 
-from ..large_tasks.truncated_policy import TruncatedPolicy
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
+from ..person.policy import Policy
 from ..person.solver import Solution, solve
 from ..simulation.pool import MEMORY_LIMIT_MB, Pool
 from ..team.attention_subproblem import AttentionSubproblem
@@ -151,8 +152,8 @@ class TeamBound:
         Optimal policies of the relaxed problem have at least this value, and the bound is at least theirs. So the part
         of a certificate's gap below this mean is due to the relaxation and the team policy, not to the solver.
         """
-        if self.pool.truncated:
-            raise ValueError("relaxed: expected an enumerated task")
+        for policy in self.pool.policies:
+            policy.require_enumerated("relaxed")
         episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
         gamma = self.pool.setting.gamma
         total, variance = float(self.price @ gamma ** np.arange(len(self.price))), 0.0
@@ -261,85 +262,23 @@ def upper_bound(
         The subproblems would exceed the memory limit.
     """
     assert callable(progress)
-    start, options = time.perf_counter(), options or BoundOptions()
+    start = time.perf_counter()
     limit = math.inf if time_limit is None else positive("time_limit", time_limit)
     members = _members(pool, team)
     travel = travel or pool.setting.travel(len(members))
     if len(travel) != len(members):
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")
-    paths = whole("paths", paths, 0)
-    workers = whole("jobs", jobs or processors(), 1)
-    seed_number = entropy(seed)
-    for_people = limit / 2 if paths else limit
-
-    def kinds_with(steps: int, with_outer: bool) -> list[SubproblemKind]:
-        return kinds_of(
-            pool, members, travel, steps, with_outer=with_outer, memory_limit_mb=memory_limit_mb,
-            until=start + 0.3 * for_people, tell=progress,
-        )  # fmt: skip
-
-    priced = (
-        window is not None
-        or not pool.truncated
-        or _worth_prices(pool, members, memory_limit_mb, options.price_memory_mb)
-    )
-    if window is not None:
-        together = whole("window", window)
-    else:
-        together = window_of(pool, members, seed_number) if priced or paths else 0
-    if pool.truncated:
-        most = together if window is not None else min(together, options.priced_steps)
-        kinds, steps = _timed(kinds_with, most if priced and len(members) > 1 else 0, window is not None, paths > 0)
-    else:
-        kinds, steps = kinds_with(together, False), together
-    price = np.zeros(0)
-    if len(members) > 1 and steps:
-        # On truncated tasks the outer relaxations have had 30 % of the time, and the solver needs more of the rest.
-        for_prices = 0.3 + 0.25 if pool.truncated else 0.4
-        price = search(
-            kinds, steps, rounds=options.price_rounds, episodes=options.price_episodes, seed=seed_number,
-            deadline=start + for_prices * for_people, tell=progress,
-        )  # fmt: skip
-        if pool.truncated and not len(price):
-            kinds = kinds_with(0, paths > 0)
-    recorder = (
-        _recorded(
-            pool,
-            members,
-            travel,
-            kinds,
-            price,
-            together + options.relaxation.free_steps,
-            seed_number,
-            options.belief_episodes,
-        )
-        if paths and not pool.truncated
-        else None
-    )
-    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, progress, recorder)
-    sampled = None
-    if paths and len(members) > 1:
-        # Without prices, states need no step. The much smaller subproblems may have lower bounds if time was short.
-        if len(price) and not relaxed.done:
-            free, begun = kinds_with(0, paths > 0), time.perf_counter()
-            until = begun + 0.3 * (start + limit - begun)
-            relaxed = min(
-                relaxed,
-                _relax(free, price[:0], gap, until, memory_limit_mb, workers, progress, recorder),
-                key=lambda one: one.upper,
-            )
-
-        begun = time.perf_counter()
-
-        def left(done: int) -> float:
-            progress("drawing sample paths", done, paths)
-            return 1.0 - (time.perf_counter() - begun) / max(1e-9, start + limit - begun)
-
-        with suppress(OutOfTimeError):
-            robot = InformationRelaxation(
-                relaxed.belief_nodes(), relaxed.price, together, left, workers, options.relaxation
-            )
-            sampled = robot.sampled(paths, seed_number)
+    run = _Computation(
+        pool, members, travel, gap=gap, start=start, limit=limit, memory_limit_mb=memory_limit_mb,
+        paths=whole("paths", paths, 0), workers=whole("jobs", jobs or processors(), 1), seed=entropy(seed),
+        options=options or BoundOptions(), tell=progress,
+    )  # fmt: skip
+    together, kinds, price = run.prices(window)
+    recorder = run.recorder(kinds, price, together) if run.paths and not run.needs_outer else None
+    relaxed, sampled = run.relaxed(kinds, price, start + run.for_people, recorder), None
+    if run.paths and len(members) > 1:
+        relaxed = run.without_prices(relaxed, recorder)
+        sampled = run.sampled(relaxed, together)
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper
     return TeamBound(
         pool, members, travel, upper, relaxed.slack, relaxed.upper_seen, relaxed.price,
@@ -347,32 +286,164 @@ def upper_bound(
     )  # fmt: skip
 
 
-def _worth_prices(pool: Pool, team: tuple[int, ...], memory_limit_mb: float, needed_mb: float) -> bool:
-    """Return whether prices are optimised on truncated tasks: not if states are solved on demand or memory is short."""
-    models = set(pool.model[list(team)].tolist())
-    searches = any(
-        isinstance(pool.policies[m], TruncatedPolicy) and pool.policies[m].ground.known.searches for m in models
-    )
-    return not searches and memory_limit_mb / len(models) >= needed_mb
+@dataclass(frozen=True, kw_only=True)
+class _Computation:
+    """The computation of a bound: its team, its limits, and its steps; other attributes as in `upper_bound`.
 
-
-def _timed(
-    kinds_with: Callable[[int, bool], list[SubproblemKind]], steps: int, wanted: bool, with_outer: bool
-) -> tuple[list[SubproblemKind], int]:
-    """Return a team's kinds on truncated tasks, and the number of steps with prices that the memory allows.
-
-    The number is 0 if the effect of prices at a frontier is unknown, unless prices are requested.
+    Attributes
+    ----------
+    start : float
+        Time at which it began, on the clock of `time.perf_counter()`.
+    limit : float
+        Seconds in total; infinite without a limit.
     """
-    while steps:
-        try:
-            kinds = kinds_with(steps, True)
-        except LimitError:
-            steps //= 2
-            continue
-        if wanted or all(kind.between is not None for kind in kinds):
-            return kinds, steps
-        break
-    return kinds_with(0, with_outer), 0
+
+    pool: Pool = field(kw_only=False)
+    team: tuple[int, ...] = field(kw_only=False)
+    travel: Travel = field(kw_only=False)
+    gap: float
+    start: float
+    limit: float
+    memory_limit_mb: float
+    paths: int
+    workers: int
+    seed: int
+    options: BoundOptions
+    tell: Progress
+
+    @property
+    def for_people(self) -> float:
+        """Seconds for people's problems; sample paths get the rest."""
+        return self.limit / 2 if self.paths else self.limit
+
+    @cached_property
+    def policies(self) -> list[Policy]:
+        """The policies of the team's people, each once."""
+        return [self.pool.policies[model] for model in sorted(set(self.pool.model[list(self.team)].tolist()))]
+
+    @property
+    def needs_outer(self) -> bool:
+        """Whether prices need the outer relaxation, as values of some states are not kept."""
+        return any(math.isinf(policy.size) for policy in self.policies)
+
+    def kinds(self, steps: int, with_outer: bool) -> list[SubproblemKind]:
+        """Return the kinds of subproblems with prices on some steps."""
+        return kinds_of(
+            self.pool, self.team, self.travel, steps, with_outer=with_outer, memory_limit_mb=self.memory_limit_mb,
+            until=self.start + 0.3 * self.for_people, tell=self.tell,
+        )  # fmt: skip
+
+    def prices(self, window: int | None) -> tuple[int, list[SubproblemKind], Floats]:
+        """Optimise the prices; return the number of steps in which people are at work, the subproblems and the prices.
+
+        `window` is the requested number of steps with prices, if any.
+        """
+        priced = window is not None or not self.needs_outer or self._worth_prices()
+        if window is not None:
+            together = whole("window", window)
+        else:
+            together = window_of(self.pool, self.team, self.seed) if priced or self.paths else 0
+        if self.needs_outer:
+            most = together if window is not None else min(together, self.options.priced_steps)
+            kinds, steps = self._with_outer(most if priced and len(self.team) > 1 else 0, window is not None)
+        else:
+            kinds, steps = self.kinds(together, False), together
+        if len(self.team) == 1 or not steps:
+            return together, kinds, np.zeros(0)
+        # On truncated tasks the outer relaxations have had 30 % of the time, and the solver needs more of the rest.
+        for_prices = 0.3 + 0.25 if self.needs_outer else 0.4
+        price = search(
+            kinds, steps, rounds=self.options.price_rounds, episodes=self.options.price_episodes, seed=self.seed,
+            deadline=self.start + for_prices * self.for_people, tell=self.tell,
+        )  # fmt: skip
+        if self.needs_outer and not len(price):
+            kinds = self.kinds(0, self.paths > 0)
+        return together, kinds, price
+
+    def _worth_prices(self) -> bool:
+        """Return whether prices are optimised on truncated tasks: not if states need searches or memory is short."""
+        searches = any(policy.searches for policy in self.policies)
+        return not searches and self.memory_limit_mb / len(self.policies) >= self.options.price_memory_mb
+
+    def _with_outer(self, steps: int, wanted: bool) -> tuple[list[SubproblemKind], int]:
+        """Return the kinds on truncated tasks, and the number of steps with prices that the memory allows.
+
+        The number is 0 if the effect of prices at a frontier is unknown, unless prices are requested.
+        """
+        while steps:
+            try:
+                kinds = self.kinds(steps, True)
+            except LimitError:
+                steps //= 2
+                continue
+            if wanted or all(kind.between is not None or kind.visits.pomdp.frontier is None for kind in kinds):
+                return kinds, steps
+            break
+        return self.kinds(0, self.paths > 0), 0
+
+    def recorder(self, kinds: list[SubproblemKind], price: Floats, together: int) -> BeliefRecorder:
+        """Simulate the priority policy at these prices, and return the recorder of visited beliefs.
+
+        A robot with one person rarely leaves them alone for long, so that the solver rarely visits beliefs that arise
+        then. In a team such beliefs are frequent. Where bounds are loose, the information relaxation divides them among
+        known types, which tells the robot too much.
+        """
+        priority = Priority.of(self.policies, self.travel, price if len(price) else None)
+        meeting = BeliefRecorder(priority, len(self.team), together + self.options.relaxation.free_steps)
+        each = math.ceil(self.options.belief_episodes / max(kind.count for kind in kinds))
+        returns(self.pool, meeting, self.team, self.travel, episodes=each, seed=self.seed)
+        return meeting
+
+    def relaxed(
+        self, kinds: list[SubproblemKind], price: Floats, until: float, recorder: BeliefRecorder | None
+    ) -> _Relaxed:
+        """Return the relaxation at these prices, with bounds computed by a time on the clock."""
+
+        def one(number: int, kind: SubproblemKind) -> tuple[AttentionSubproblem, Solution]:
+            visits = kind.at(price)
+            best = kind.best(visits)
+            still = math.ceil((len(kinds) - number) / self.workers)  # rounds that remain, including this one
+            share = (until - time.perf_counter()) / still
+            return visits, solve(
+                visits.pomdp, gap=self.gap, time_limit=None if until == math.inf else max(0.0, share),
+                memory_limit_mb=self.memory_limit_mb, best=best,
+                further_beliefs=None if recorder is None else _beliefs(kind, visits, recorder),
+            )  # fmt: skip
+
+        parts: list[tuple[AttentionSubproblem, Solution]] = []
+        self.tell("bounding people's problems", 0, len(kinds))
+        with ThreadPoolExecutor(self.workers) as threads:
+            for part in threads.map(one, range(len(kinds)), kinds):
+                parts.append(part)
+                self.tell("bounding people's problems", len(parts), len(kinds))
+        return _Relaxed(kinds, parts, price)
+
+    def without_prices(self, relaxed: _Relaxed, recorder: BeliefRecorder | None) -> _Relaxed:
+        """Return the relaxation without prices if its bound is lower, as it may be if the time was short.
+
+        Without prices, states need no step, so that the subproblems are much smaller.
+        """
+        if relaxed.done or not len(relaxed.price):
+            return relaxed
+        kinds, begun = self.kinds(0, self.paths > 0), time.perf_counter()
+        until = begun + 0.3 * (self.start + self.limit - begun)
+        free = self.relaxed(kinds, relaxed.price[:0], until, recorder)
+        return min(relaxed, free, key=lambda one: one.upper)
+
+    def sampled(self, relaxed: _Relaxed, together: int) -> SampledBound | None:
+        """Return the bound from sample paths; None if there was no time for any."""
+        begun = time.perf_counter()
+
+        def left(done: int) -> float:
+            self.tell("drawing sample paths", done, self.paths)
+            return 1.0 - (time.perf_counter() - begun) / max(1e-9, self.start + self.limit - begun)
+
+        with suppress(OutOfTimeError):
+            robot = InformationRelaxation(
+                relaxed.belief_nodes(), relaxed.price, together, left, self.workers, self.options.relaxation
+            )
+            return robot.sampled(self.paths, self.seed)
+        return None
 
 
 @dataclass(frozen=True)
@@ -416,23 +487,6 @@ class _Relaxed:
         return [one for kind, one in zip(self.kinds, belief_nodes, strict=True) for _ in range(kind.count)]
 
 
-def _recorded(
-    pool: Pool, team: tuple[int, ...], travel: Travel, kinds: list[SubproblemKind], price: Floats, steps: int,
-    seed: int, episodes: int,
-) -> BeliefRecorder:  # fmt: skip
-    """Simulate the priority policy at these prices for `steps` steps, and return the recorder of visited beliefs.
-
-    A robot with one person rarely leaves them alone for long, so that the solver rarely visits beliefs that arise then.
-    In a team such beliefs are frequent. Where bounds are loose, the information relaxation divides them among known
-    types, which tells the robot too much.
-    """
-    policies = [pool.policies[model] for model in sorted(set(pool.model[list(team)].tolist()))]
-    meeting = BeliefRecorder(Priority.of(policies, travel, price if len(price) else None), len(team), steps)
-    each = math.ceil(episodes / max(kind.count for kind in kinds))
-    returns(pool, meeting, team, travel, episodes=each, seed=seed)
-    return meeting
-
-
 def _beliefs(
     kind: SubproblemKind, visits: AttentionSubproblem, recorder: BeliefRecorder
 ) -> tuple[NDArray[np.int64], Floats]:
@@ -449,33 +503,6 @@ def _beliefs(
     first = first[(states[first] >= 0) & ~visits.pomdp.final[states[first]]]
     first = first[np.argsort(-steps[first], kind="stable")]
     return states[first], beliefs[first]
-
-
-def _relax(
-    kinds: list[SubproblemKind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int,
-    tell: Progress,
-    recorder: BeliefRecorder | None = None,
-) -> _Relaxed:  # fmt: skip
-    """Return the relaxation at these prices, with bounds computed by a time on the clock of `time.perf_counter()`."""
-
-    def one(number: int, kind: SubproblemKind) -> tuple[AttentionSubproblem, Solution]:
-        visits = kind.at(price)
-        best = kind.best(visits)
-        still = math.ceil((len(kinds) - number) / workers)  # rounds of subproblems that remain, including this one
-        share = (until - time.perf_counter()) / still
-        return visits, solve(
-            visits.pomdp, gap=gap, time_limit=None if until == math.inf else max(0.0, share),
-            memory_limit_mb=memory_limit_mb, best=best,
-            further_beliefs=None if recorder is None else _beliefs(kind, visits, recorder),
-        )  # fmt: skip
-
-    parts: list[tuple[AttentionSubproblem, Solution]] = []
-    tell("bounding people's problems", 0, len(kinds))
-    with ThreadPoolExecutor(workers) as threads:
-        for part in threads.map(one, range(len(kinds)), kinds):
-            parts.append(part)
-            tell("bounding people's problems", len(parts), len(kinds))
-    return _Relaxed(kinds, parts, price)
 
 
 def _members(pool: Pool, team: Sequence[int] | None) -> tuple[int, ...]:

@@ -69,8 +69,8 @@ class Teams:
         world: World = "people",
         filters: bool = True,
     ) -> None:
-        if pool.truncated:
-            raise ValueError("pool: expected people on an enumerated task (Pool.sample, `states`)")
+        for policy in pool.policies:
+            policy.require_enumerated("pool")
         self.pool, self.on_grid = pool, world == "model"
         self.travel = pool.setting.travel(places, distance)
         self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}

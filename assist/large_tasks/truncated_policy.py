@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +24,13 @@ from planner import CostToGo
 from planner.system.progress import told
 
 from ..people.belief import Grid
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
 from ..people.human import Human, Mixture, Population
+from ..person.policy import Policy, VisitingRobot
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, SOLVING, look_ahead
 from ..team.attention_subproblem import AttentionSubproblem
+from ..team.priority import SolvedSubproblem
 from ..team.settings import Setting
 from .leaf_estimates import LeafEstimates
 from .state_cache import NONE, StateCache
@@ -66,7 +67,7 @@ class SharedTask:
 
 
 @dataclass(frozen=True, eq=False)
-class TruncatedPolicy:
+class TruncatedPolicy(Policy):
     """One person's policy on a task of any size; states have the numbers of the task's cost-to-go.
 
     Attributes
@@ -89,17 +90,37 @@ class TruncatedPolicy:
     like: TruncatedPolicy | None = None
     solved: dict[tuple[float, ...], LeafEstimates] = field(default_factory=dict, repr=False)
     bounds: dict[tuple[float, bool], TruncatedProblem] = field(default_factory=dict, repr=False)
-    on_part: ClassVar[bool] = True
 
     @property
-    def known(self) -> CostToGo:
+    def task(self) -> CostToGo:
         """The cost-to-go of the whole task."""
         return self.ground.known
+
+    @property
+    def size(self) -> float:
+        """Infinity: values of other states than those of the truncated task are not kept."""
+        return math.inf
+
+    @property
+    def searches(self) -> bool:
+        """Whether a state that was not visited before takes a slow search."""
+        return self.task.searches
+
+    @property
+    def cheapest(self) -> float:
+        """The cost of the cheapest action, in cost units."""
+        return min(self.task.task.costs, default=1)
+
+    def require_enumerated(self, what: str) -> None:
+        """Raise a `ValueError`, since values of all states are not kept."""
+        raise ValueError(
+            f"{what}: expected an enumerated task, and this one is too large: it has {len(self.task):,} states or more"
+        )
 
     @cached_property
     def pomdp(self) -> AssistPOMDP:
         """The local problem of the initial state, which is its state 0."""
-        return self.around(np.array([self.ground.known.initial])).pomdp
+        return self.local(np.array([self.task.initial]), deep=False).pomdp
 
     @cached_property
     def region(self) -> TruncatedTask:
@@ -112,10 +133,7 @@ class TruncatedPolicy:
         beyond = region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
         return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=beyond)
 
-    def bounded(
-        self, entry: float, *, with_outer: bool = False, until: float = math.inf, memory_limit_mb: float = math.inf,
-        kept_mb: float = math.inf,
-    ) -> TruncatedProblem:  # fmt: skip
+    def bounded(self, entry: float, *, with_outer: bool = False, **limits: float) -> TruncatedProblem:
         """Return the problem for an upper bound, computed once; arguments as in `truncated_bound.bounded`."""
         if (entry, True) in self.bounds:  # the problem with the outer relaxation includes everything
             return self.bounds[entry, True]
@@ -123,7 +141,7 @@ class TruncatedPolicy:
             ground = self.ground
             self.bounds[entry, with_outer] = bounded(
                 ground.known, self.setting, self.human, ground.prior, entry=entry, size=ground.size,
-                with_outer=with_outer, until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb,
+                with_outer=with_outer, **limits,
             )  # fmt: skip
         return self.bounds[entry, with_outer]
 
@@ -132,8 +150,18 @@ class TruncatedPolicy:
         """The grid of beta and theta of the robot's belief."""
         return Grid.regular(self.ground.prior)
 
-    def around(self, states: NDArray[np.int64], *, then: NDArray[np.int64] = NONE, deep: bool = False) -> LocalProblem:
-        """Return the problem of the next step of people in some states; arguments as in `StateCache.around`."""
+    def local(self, states: NDArray[np.int64], *, deep: bool = True, then: NDArray[np.int64] = NONE) -> LocalProblem:
+        """Return the problem of the next step of people in some states, with its policy.
+
+        Parameters
+        ----------
+        states : int array, shape (N,)
+            States of the task. Each has a row of its own, in this order; `LocalProblem.rows` needs ascending states.
+        deep : bool
+            As in `Policy.local`.
+        then : int array, shape (M,)
+            Successors to which suggestions lead, unless `deep`.
+        """
         optimal = self.setting.suggestions == "optimal"
         region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
         return LocalProblem(self, self.problem(region), region, len(states), deep)
@@ -147,41 +175,24 @@ class TruncatedPolicy:
                 self.solved[()] = LeafEstimates.of(self.problem(region), region, like=like, progress=tell)
         return self.solved[()]
 
-    def prepare_visits(self, entry: float, entry_steps: int, longest: int, price: float) -> LeafEstimates:
-        """Return value estimates for a robot that comes and goes, for each position, computed once.
-
-        Parameters
-        ----------
-        entry, entry_steps, longest
-            As in `AttentionSubproblem.of`.
-        price : float
-            Price of each step of attention, in cost units.
-        """
-        key = (entry, entry_steps, longest, price)
-        if key not in self.solved:
+    def with_robot(self, robot: VisitingRobot) -> LeafEstimates:
+        """Return value estimates for a robot that comes and goes, for each of its positions, computed once."""
+        if (key := _key(robot)) not in self.solved:
             region = self.region
-            like = self.prepare() if self.like is None else self.like.prepare_visits(*key)
-            visits = AttentionSubproblem.of(self.problem(region), entry, entry_steps, longest=longest)
+            like = self.prepare() if self.like is None else self.like.with_robot(robot)
+            visits = _visits(self.problem(region), robot)
             rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
-            self.solved[key] = LeafEstimates.of(visits.at_price(price), region, rows, like=like)
+            self.solved[key] = LeafEstimates.of(visits.at_price(key[-1]), region, rows, like=like)
         return self.solved[key]
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
-        return self.around(x, deep=True).q_values(np.arange(len(x)), belief)
-
-    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Return the value of each person's problem, shape (N,)."""
-        return np.asarray(self.q_values(x, belief).max(axis=1))
-
-    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Return the best robot action for each person, shape (N,)."""
-        return np.asarray(self.q_values(x, belief).argmax(axis=1))
+        return self.local(x).q_values(np.arange(len(x)), belief)
 
 
 @dataclass(frozen=True, eq=False)
-class LocalProblem:
-    """The problem of the next step of people in some states, with its policy; it is a `Policy` itself.
+class LocalProblem(Policy):
+    """The problem of the next step of people in some states, with its policy.
 
     Attributes
     ----------
@@ -195,7 +206,7 @@ class LocalProblem:
     deep : bool
         Whether the effect on trust is known for every suggestion in these states.
     solved : dict
-        Cached problems with a robot that comes and goes, by the arguments of `visits`.
+        Cached problems with a robot that comes and goes, by its costs and its number of steps.
     """
 
     source: TruncatedPolicy
@@ -203,8 +214,12 @@ class LocalProblem:
     region: TruncatedTask
     count: int
     deep: bool
-    solved: dict[tuple[float, ...], tuple[AttentionSubproblem, QMDP]] = field(default_factory=dict, repr=False)
-    for_one_step: ClassVar[bool] = True
+    solved: dict[tuple[float, ...], SolvedSubproblem] = field(default_factory=dict, repr=False)
+
+    @property
+    def states(self) -> NDArray[np.int64]:
+        """The task state of each row of the problem, shape (n,)."""
+        return self.region.states
 
     @cached_property
     def _policy(self) -> QMDP:
@@ -212,30 +227,45 @@ class LocalProblem:
         value = estimates.at(self.region.states, self.region.choices.h)[:, 0]
         return self._look_ahead(self.pomdp, value, np.arange(self.count))
 
-    def visits(self, entry: float, entry_steps: int, longest: int, price: float) -> tuple[AttentionSubproblem, QMDP]:
-        """Return the problem with a robot that comes and goes, and its policy; arguments as in `TruncatedPolicy`."""
-        key = (entry, entry_steps, longest, price)
-        if key not in self.solved:
-            estimates = self.source.prepare_visits(*key)
-            visits = AttentionSubproblem.of(self.pomdp, entry, entry_steps, longest=longest)
+    def with_robot(self, robot: VisitingRobot) -> SolvedSubproblem:
+        """Return the solution with a robot that comes and goes, computed once."""
+        if (key := _key(robot)) not in self.solved:
+            estimates = self.source.with_robot(robot)
+            visits = _visits(self.pomdp, robot)
             layout = visits.layout
             value = estimates.at(self.region.states, self.region.choices.h)[layout.x, layout.position]
             here = np.flatnonzero(layout.x < self.count)
-            self.solved[key] = visits, self._look_ahead(visits.at_price(price), value, here)
+            policy = self._look_ahead(visits.at_price(key[-1]), value, here)
+            self.solved[key] = SolvedSubproblem.of(visits, policy)
         return self.solved[key]
 
     def _look_ahead(self, pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64]) -> QMDP:
         value[pomdp.model.choices.goal] = 0.0
         return look_ahead(pomdp, value, states)
 
+    def rows(self, states: NDArray[np.int64], *, deep: bool = True) -> NDArray[np.int64] | None:
+        """Return the row of each state, shape (N,); None if the problem does not cover all of them."""
+        own = self.states[: self.count]
+        row = np.minimum(np.searchsorted(own, states), self.count - 1)
+        return row if (self.deep or not deep) and (own[row] == states).all() else None
+
+    def after_suggestions(self, x: NDArray[np.int64], robot: NDArray[np.int64]) -> LocalProblem:
+        """Return the problem with the effects on trust of robot actions in some rows, both of shape (N,)."""
+        if self.deep:
+            return self
+        slot = self.pomdp.suggested[x, robot]
+        then = self.states[self.pomdp.model.choices.targets[x, slot][slot != NOTHING]]
+        return self.source.local(self.states[: self.count], deep=False, then=then)
+
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R), for people in rows `x`."""
         return self._policy.q_values(x, belief)
 
-    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Return the value of each person's problem, shape (N,)."""
-        return np.asarray(self.q_values(x, belief).max(axis=1))
 
-    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Return the best robot action for each person, shape (N,)."""
-        return self._policy.choose(x, belief)
+def _key(robot: VisitingRobot) -> tuple[float, ...]:
+    """Return the parameters of the problem with a robot that comes and goes; the last is its only price."""
+    return robot.entry, robot.entry_steps, robot.longest, float(robot.price[0])
+
+
+def _visits(pomdp: AssistPOMDP, robot: VisitingRobot) -> AttentionSubproblem:
+    return AttentionSubproblem.of(pomdp, robot.entry, robot.entry_steps, longest=robot.longest)

@@ -34,7 +34,7 @@ from ..people.belief import Spread
 from ..people.decision import NOTHING, Floats
 from ..people.human import Mixture, Population, advice_takers
 from ..person.belief_filter import update
-from ..person.pomdp import Policy
+from ..person.policy import Policy
 from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState

@@ -17,7 +17,6 @@ from planner import CostToGo
 
 from ..explain.contrast import Contrast, contrast
 from ..explain.explanation import Explanation, Prospect, WhyNothing, WhyPerson, WhyStep
-from ..large_tasks.truncated_policy import TruncatedPolicy
 from ..people.choices import Choices
 from ..people.decision import Floats
 from ..team.state import by_model, worth_of_actions
@@ -200,9 +199,7 @@ class DecisionPoint:
     def _known(self, place: int) -> tuple[Choices | CostToGo, int]:
         """Return all choices of a person's task, and their state there."""
         problem, part, row = self._at(place)
-        if isinstance(problem.policy, TruncatedPolicy):
-            return problem.policy.known, part.state(row)
-        return part.choices, row
+        return problem.policy.task, problem.place(part, row)
 
     def _contrast(self, place: int, step: str, alternative: str, probability: float) -> Contrast:
         say = self.problems[place].say

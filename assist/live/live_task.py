@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeGuard, cast
+from typing import Any, cast
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -27,7 +27,7 @@ from ..people.action_names import Matcher, UnmatchedError, words_of
 from ..people.choices import Choices, require_goal
 from ..people.human import Mixture, Population
 from ..people.memory import choices_of
-from ..person.pomdp import Policy
+from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..person.qmdp import qmdp
 from ..team.settings import Setting
@@ -97,15 +97,14 @@ class LiveTask:
 
     def __init__(self, task: CostToGo | Policy, setting: Setting, prior: Population | Mixture) -> None:
         self.task, self.prior = task, prior
-        self.policy = task if is_policy(task) else _policy_for(cast(CostToGo, task), setting, prior)
-        if isinstance(self.policy, TruncatedPolicy):
-            self.initial, self._whole = self.policy.ground.known.initial, None
-        else:
-            self.initial = self.policy.pomdp.model.choices.initial
-            self._whole = TaskPart(self.policy, ProblemArrays.of(self.policy.pomdp))
+        self.policy = task if isinstance(task, Policy) else _policy_for(task, setting, prior)
+        self.initial = self.policy.task.initial
         # Local problems exist only while a person is in their state.
         self._around: WeakValueDictionary[int, TaskPart] = WeakValueDictionary()
+        self._whole: TaskPart | None = None
         part, row = self.at(self.initial)
+        if part.states is None:
+            self._whole, row = part, self.initial
         require_goal(part.choices.h[row])
         self.matcher = Matcher(part.choices.names)
 
@@ -115,9 +114,8 @@ class LiveTask:
             return self._whole, place
         part = self._around.get(place)
         if part is None:
-            assert isinstance(self.policy, TruncatedPolicy)
-            around = self.policy.around(np.array([place]), deep=True)
-            self._around[place] = part = TaskPart(around, ProblemArrays.of(around.pomdp), around.region.states)
+            local = self.policy.local(np.array([place]))
+            self._around[place] = part = TaskPart(local, ProblemArrays.of(local.pomdp), local.states)
         return part, 0
 
     def place(self, part: TaskPart, row: int) -> int:
@@ -175,8 +173,8 @@ class LiveTask:
 
     @cached_property
     def _artist(self) -> Artist | None:
-        task = self.policy.known if isinstance(self.policy, TruncatedPolicy) else self.task
-        return None if is_policy(task) else Artist(cast(CostToGo, task).task)
+        task = _known(self.task)
+        return None if isinstance(task, Choices) else Artist(task.task)
 
 
 def _policy_for(known: CostToGo, setting: Setting, prior: Population | Mixture) -> Policy:
@@ -188,18 +186,17 @@ def _policy_for(known: CostToGo, setting: Setting, prior: Population | Mixture) 
     return TruncatedPolicy(SharedTask(known, prior), setting)
 
 
-def is_policy(task: CostToGo | Policy) -> TypeGuard[Policy]:
-    """Return whether this is a policy for one person, not a task's cost-to-go."""
-    return isinstance(task, TruncatedPolicy) or hasattr(task, "pomdp")
+def _known(task: CostToGo | Policy) -> CostToGo | Choices:
+    """Return a task's cost-to-go; of a policy for an enumerated task, the choices."""
+    return task.task if isinstance(task, Policy) else task
 
 
 def digest(task: CostToGo | Policy) -> str:
     """Return a hash of a task, independent of where it was loaded; for a policy, of all that beliefs depend on."""
     content = hashlib.sha256()
-    if isinstance(task, TruncatedPolicy):
-        task = task.ground.known
-    if is_policy(task):
-        pomdp, choices = task.pomdp, task.pomdp.model.choices
+    known = _known(task)
+    if isinstance(known, Choices):
+        pomdp, choices = cast(Policy, task).pomdp, known
         content.update("\n".join(choices.names).encode())
         for array in (
             choices.h, choices.actions, choices.targets, pomdp.model.q, pomdp.chosen, pomdp.suggested, pomdp.low,
@@ -207,7 +204,7 @@ def digest(task: CostToGo | Policy) -> str:
         ):  # fmt: skip
             content.update(np.ascontiguousarray(array).tobytes())
     else:
-        content.update(cast(CostToGo, task).task.sas.encode())
+        content.update(known.task.sas.encode())
     return content.hexdigest()[:32]
 
 

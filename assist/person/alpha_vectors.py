@@ -20,12 +20,13 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from .belief_filter import child, split
+from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 
 
 @dataclass(frozen=True)
-class VectorPolicy:
+class VectorPolicy(Policy):
     """The policy of a set of alpha vectors for one person's problem.
 
     Attributes

@@ -3,18 +3,16 @@
 The task state x is observed; the pair (beta, theta) is hidden and lies on a `Grid`. In each step the robot does
 nothing, suggests an action, or executes an action of the task. Then the person acts, and x changes. An `AssistPOMDP`
 holds the arrays of the model. It also has the two functions of a belief filter: the likelihood of a person's action,
-and the posterior belief. Every solver returns a `Policy`.
+and the posterior belief. Every solver returns a `Policy` (`person.policy`).
 
 The robot actions of a state are numbered from 0: nothing, then the suggestions, then the executions.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -329,88 +327,3 @@ class AssistPOMDP:
             return None
         suggestions = (int(self.robot_actions[x]) - 1) // 2  # executions follow the suggestions in the same order
         return self.model.choices.name(x, int(self.suggested[x, robot - suggestions]))
-
-
-class Policy(Protocol):
-    """A policy for one person's problem. Its methods take N people at a time."""
-
-    @property
-    def pomdp(self) -> AssistPOMDP:
-        """The problem."""
-        ...
-
-    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding.
-
-        Parameters
-        ----------
-        x : int array, shape (N,)
-        belief : float array, shape (N, B, T)
-        """
-        ...
-
-    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Return the value of each person's problem, shape (N,), in cost units."""
-        ...
-
-    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Return the best robot action for each person, shape (N,)."""
-        ...
-
-
-class Later:
-    """A policy that is solved on first use.
-
-    The problem is available without solving. Any other attribute is that of the solved policy. All methods are
-    thread-safe.
-
-    Parameters
-    ----------
-    pomdp : AssistPOMDP
-    solver : callable
-        Returns the policy for a problem.
-    """
-
-    def __init__(self, pomdp: AssistPOMDP, solver: Callable[[AssistPOMDP], Policy]) -> None:
-        self.pomdp, self.solver = pomdp, solver
-        self._lock, self._solved = threading.Lock(), list[Policy]()
-
-    def __repr__(self) -> str:
-        return f"Later({self._solved[0] if self._solved else self.pomdp!r})"
-
-    def prepare(self) -> Policy:
-        """Return the solved policy; the solver is called once."""
-        with self._lock:
-            if not self._solved:
-                self._solved.append(self.solver(self.pomdp))
-            return self._solved[0]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_lock"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state, _lock=threading.Lock())
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self.prepare(), name)
-
-    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
-        return self.prepare().q_values(x, belief)
-
-    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Return the value of each person's problem, shape (N,)."""
-        return self.prepare().value(x, belief)
-
-    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Return the best robot action for each person, shape (N,)."""
-        return self.prepare().choose(x, belief)
-
-
-def work_out(policy: Policy) -> None:
-    """Solve a policy now that would otherwise be solved on first use."""
-    prepare = getattr(policy, "prepare", None)
-    if prepare is not None:
-        prepare()

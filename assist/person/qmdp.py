@@ -31,6 +31,7 @@ from planner.system.machine import processors
 from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
+from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 
@@ -43,7 +44,7 @@ SOLVING = "solving a person's POMDP: sweeps"
 
 
 @dataclass(frozen=True)
-class QMDP:
+class QMDP(Policy):
     """The QMDP policy of one person's problem.
 
     Attributes
@@ -85,10 +86,6 @@ class QMDP:
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""
         return np.einsum("nbt,nbt->n", self.value_mdp[x], belief)
-
-    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Return the best robot action for each person, shape (N,). Ties favour 0, doing nothing."""
-        return self.q_values(x, belief).argmax(axis=1)
 
 
 @shows_progress

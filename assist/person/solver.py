@@ -40,6 +40,7 @@ from planner.system.progress import Wanted, shows_progress
 from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
 from .alpha_vectors import VectorPolicy
+from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 from .qmdp import QMDP, ROUNDING, evaluate, load_compiled, qmdp, sweep_order
@@ -69,7 +70,7 @@ class SolverOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Solution:
+class Solution(Policy):
     """A policy for one person's problem with certified bounds on its value.
 
     The policy is greedy with respect to the alpha vectors, by one exact Bellman backup. Its value is at least that of
@@ -174,10 +175,6 @@ class Solution:
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the lower bound on the policy's value, shape (N,); arguments as in `q_values`."""
         return self.policy.value(x, belief)
-
-    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Return the robot action for each person, shape (N,). Ties favour 0, doing nothing."""
-        return self.q_values(x, belief).argmax(axis=1)
 
     def upper_bound(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the upper bound on the value of any policy, shape (N,), convex in the belief.

@@ -18,11 +18,11 @@ from ..people.arguments import Seed, entropy, positive, whole
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
 from ..people.memory import choices_of
-from ..person.pomdp import AssistPOMDP, Later, Policy
+from ..person.policy import Later, Policy
+from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import qmdp
 from ..team.attention_subproblem import policy_bytes
 from ..team.policies import named
-from ..team.policy_on_part import is_on_part
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
@@ -208,18 +208,12 @@ class Pool:
 
     def priced(self, c_suggest: float) -> Pool:
         """Return the same people with another cost of a suggestion; the task must be enumerated."""
+        for policy in self.policies:
+            policy.require_enumerated("priced")
         policies = tuple(
             Later(policy.pomdp.priced(c_suggest), getattr(policy, "solver", qmdp)) for policy in self.policies
         )
         return replace(self, setting=replace(self.setting, c_suggest=c_suggest), policies=policies)
-
-    @property
-    def truncated(self) -> bool:
-        """Whether the policies are for truncated tasks, in place of enumerated ones."""
-        kinds = {is_on_part(policy) for policy in self.policies}
-        if len(kinds) > 1:
-            raise ValueError("pools of enumerated tasks and of truncated ones: expected one kind")
-        return kinds.pop()
 
     def choices(self, person: int) -> Choices:
         """Return the choices of a person's task."""

@@ -17,7 +17,7 @@ from .dynamics import PeopleArrays
 from .episodes import Episodes, Trace
 from .pool import Pool
 from .schedule import Schedule
-from .task_view import Ints, StepView, TaskView, World
+from .task_view import StepView, TaskParts, TaskView, World
 
 
 class Run:
@@ -37,7 +37,7 @@ class Run:
         world: World,
         trace: Trace | None,
         progress: Callable[[int], None],
-        view_of: Callable[[Ints, Ints, Ints], TaskView],
+        parts: TaskParts,
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
         self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
@@ -57,7 +57,7 @@ class Run:
         self.sigma = np.array([human.sigma for human in pool.people])[self.people]
         self.first_theta = self.theta.copy()
 
-        self.task_view = view_of(self.model, self.people, self.mind)
+        self.task_view = TaskView(parts, self.model, self.people, self.mind)
         self.x = self.task_view.initial.copy()
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]

@@ -9,10 +9,10 @@ depend on how episodes are divided among processes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -32,8 +32,7 @@ from .episodes import Episodes, Trace
 from .pool import MEMORY_LIMIT_MB, Pool
 from .run import Run
 from .schedule import Schedule
-from .task_view import ModelGroup, TaskView, WholeTaskView, World
-from .truncated_view import TruncatedTaskView
+from .task_view import TaskParts, World
 
 SOLVING = "solving people's POMDPs"
 PEOPLE_AT_A_TIME = 16_384
@@ -131,12 +130,7 @@ def simulate(
     together = max(1, PEOPLE_AT_A_TIME // (places * BLOCK)) * BLOCK
     jobs = 1 if trace is not None else whole("jobs", jobs, 1)  # a trace has the order of the episodes
     seed_number = entropy(seed)
-    if pool.truncated:
-        jobs = 1  # the cache of truncated problems is not thread-safe
-        view_of: Callable[..., TaskView] = partial(TruncatedTaskView, pool, world, {})
-    else:
-        view_of = partial(WholeTaskView, pool, cache(lambda number: ModelGroup.of_model(pool, number, world)), world)
-
+    parts = TaskParts(pool, world)
     assert callable(progress)
     chunks = [slice(start, start + together) for start in range(0, count, together)]
     if hasattr(policy, "prepare"):
@@ -148,7 +142,7 @@ def simulate(
     def run(chunk: slice) -> Episodes:
         return Run(
             pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=seed_number,
-            name=called, travel=travel, presence=presence, world=world, trace=trace, progress=advance, view_of=view_of,
+            name=called, travel=travel, presence=presence, world=world, trace=trace, progress=advance, parts=parts,
         ).run()  # fmt: skip
 
     with ThreadPoolExecutor(jobs) as workers:
@@ -187,16 +181,11 @@ class _UntilFirstSuggestion:
 def _few(pool: Pool, episodes: Episodes) -> int:
     """Return how many episodes, from the first on, involve problems of at most `SEARCHED_STATES` states in total."""
     count = min(len(episodes), BLOCK)
-    if pool.truncated:
-        return 0
-    while (
-        count
-        and sum(
-            len(pool.policies[model].pomdp.robot_actions)
-            for model in np.unique(pool.model[episodes.people[:count]]).tolist()
-        )
-        > SEARCHED_STATES
-    ):
+
+    def states() -> float:
+        return sum(pool.policies[model].size for model in np.unique(pool.model[episodes.people[:count]]).tolist())
+
+    while count and states() > SEARCHED_STATES:
         count //= 2
     return count
 

@@ -1,15 +1,16 @@
-"""The people's tasks as a step of a simulation sees them: enumerated tasks, or local problems.
+"""The people's tasks as a step of a simulation sees them.
 
-For an enumerated task, all data are computed once, and array rows correspond to states. For a task that is not
-enumerated (`large_tasks.truncated_policy`), a step builds a local problem of the people's states. A limited number of
-these are cached, so that the memory consists mostly of visited states.
+For an enumerated task, all data are computed once, and array rows correspond to states. Otherwise a step builds a local
+problem of the people's states (`Policy.local`). A limited number of these are cached, so that the memory consists
+mostly of visited states.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,10 @@ from ..people.choices import Choices
 from ..people.decision import Floats, perceived_cost
 from ..people.human import Human
 from ..people.trust_rules import PerceivedSuggestions, TrustRule
-from ..person.pomdp import AssistPOMDP, Policy
+from ..person.policy import Policy
+from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only
+from ..team.state import by_model
 from .dynamics import Minds, PeopleArrays, act
 from .pool import Pool
 
@@ -150,13 +153,98 @@ class StepView:
     who: Ints
 
 
-class TaskView(Protocol):
-    """The view of people's tasks in a number of episodes."""
+@dataclass(eq=False)
+class CachedPart:
+    """A policy for some or all states of a task, with the choices of some people there.
 
-    @property
-    def initial(self) -> Ints:
-        """The initial state of each person, shape (N, K)."""
-        ...
+    Attributes
+    ----------
+    policy : Policy
+    group : ModelGroup
+    states : int array, shape (m,)
+        Ascending states in which people may be, if the policy does not cover all.
+    spent : int
+        Number of other states for which local problems have been built since, for one step each.
+    """
+
+    policy: Policy
+    group: ModelGroup
+    states: Ints
+    spent: int = 0
+
+    def has(self, states: Ints, people: Ints, deep: bool) -> bool:
+        """Return whether it covers these states and people."""
+        return self.policy.rows(states, deep=deep) is not None and bool(np.isin(people, self.group.people).all())
+
+
+class TaskParts:
+    """The parts of people's tasks that are in use, for all episodes of a simulation. It is thread-safe.
+
+    A policy for an enumerated task covers all states. A local problem is used again while all people are in its states:
+    in a small task, people soon visit no new states. It is rebuilt with more states if these are not many more than are
+    needed, or if as many have been built for single steps since.
+
+    Parameters
+    ----------
+    pool : Pool
+    world : World
+    """
+
+    def __init__(self, pool: Pool, world: World) -> None:
+        self.pool, self.world = pool, world
+        self._kept: dict[int, CachedPart] = {}
+        self._lock = threading.Lock()
+
+    def of(self, number: int, states: Ints, people: Ints, deep: bool) -> CachedPart:
+        """Return a part with some ascending states and some of the people of a policy.
+
+        A rebuilt local problem has at most four times the needed number of states, unless many were built for single
+        steps. All cached problems together have about 20,000 rows, of some kilobytes each.
+        """
+        with self._lock:
+            kept = self._kept.get(number)
+            if kept is None:
+                return self._kept.setdefault(number, self._built(number, states, people, deep))
+            if kept.has(states, people, deep):
+                return kept
+            more, everybody = np.union1d(kept.states, states), np.union1d(kept.group.people, people)
+            size, most = len(kept.policy.pomdp.robot_actions), 20_000 // len(self.pool.policies)
+            if len(more) <= max(4 * len(states), kept.spent) and size * len(more) <= most * len(kept.states):
+                self._kept[number] = self._built(number, more, everybody, deep)
+                return self._kept[number]
+            kept.spent += len(states)
+            return self._built(number, states, people, deep)
+
+    def _built(self, number: int, states: Ints, people: Ints, deep: bool) -> CachedPart:
+        policy = self.pool.policies[number]
+        # Where no state takes a search, the states after suggestions are included from the beginning.
+        local = policy.local(states, deep=deep or not policy.searches)
+        if local.states is None:  # it is built once, for everybody
+            people = np.flatnonzero(self.pool.model == number)
+        return CachedPart(local, self.group(local, people), states)
+
+    def group(self, policy: Policy, people: Ints) -> ModelGroup:
+        """Return the group of some people of a policy."""
+        return ModelGroup.of(self.pool, policy.pomdp, people, self.world, policy.states)
+
+
+class TaskView:
+    """The view of people's tasks in a number of episodes.
+
+    Parameters
+    ----------
+    parts : TaskParts
+    model, people, mind : int arrays, shape (N, K)
+        Each person's model, their number in the pool, and, in the robot's model, the index of their beta.
+    """
+
+    def __init__(self, parts: TaskParts, model: Ints, people: Ints, mind: Ints) -> None:
+        self.parts, self.model, self.people, self.mind = parts, model, people, mind
+        policies = parts.pool.policies
+        self.initial = np.array([policy.task.initial for policy in policies])[model]
+        self._whole: StepView | None = None
+        if all(np.isfinite(policies[number].size) for number in np.unique(model)):
+            self._whole = self._view(self.initial, np.arange(model.size), deep=True)
 
     def view(self, x: Ints, active: Ints, *, deep: bool) -> StepView:
         """Return the view of all people.
@@ -170,39 +258,27 @@ class TaskView(Protocol):
         deep : bool
             Whether the effect of every suggestion on trust must be known.
         """
-        ...
+        return self._view(x, active, deep) if self._whole is None else replace(self._whole, x=x)
+
+    def _view(self, x: Ints, active: Ints, deep: bool) -> StepView:
+        policies, groups = list(self.parts.pool.policies), dict[int, ModelGroup]()
+        rows, who = np.zeros((2, x.size), dtype=np.int64)
+        for number, flat in by_model(self.model.reshape(-1), active, len(policies)):
+            states, people = x.reshape(-1)[flat], self.people.reshape(-1)[flat]
+            part = self.parts.of(number, np.unique(states), np.unique(people), deep)
+            own = part.policy.rows(states, deep=deep)
+            assert own is not None
+            policies[number], groups[number], rows[flat] = part.policy, part.group, own
+            who[flat] = self.mind.reshape(-1)[flat] if self.parts.world == "model" else part.group.row[people]
+        return StepView(policies, groups, rows.reshape(x.shape), self.model, who.reshape(x.shape))
 
     def after_suggestions(self, view: StepView, robot: Ints) -> StepView:
         """Return the view with the effects of suggestions on trust, given robot actions of shape (N, K)."""
-        ...
-
-
-class WholeTaskView:
-    """The view of enumerated tasks.
-
-    Parameters
-    ----------
-    pool : Pool
-    group_of : callable
-        Returns the group of a model.
-    world : World
-    model, people, mind : int arrays, shape (N, K)
-        Each person's model, their number in the pool, and, in the robot's model, the index of their beta.
-    """
-
-    def __init__(
-        self, pool: Pool, group_of: Callable[[int], ModelGroup], world: World, model: Ints, people: Ints, mind: Ints
-    ) -> None:
-        self.initial = np.array([pool.choices(number).initial for number in range(len(pool.people))])[people]
-        groups = {number: group_of(number) for number in np.unique(model).tolist()}
-        # Each person belongs to one group, and has row 0 in the others.
-        who = mind if world == "model" else np.sum([group.row for group in groups.values()], axis=0)[people]
-        self._view = StepView(pool.policies, groups, self.initial, model, who)
-
-    def view(self, x: Ints, active: Ints, *, deep: bool) -> StepView:  # noqa: ARG002
-        """Return the view; states are rows."""
-        return replace(self._view, x=x)
-
-    def after_suggestions(self, view: StepView, robot: Ints) -> StepView:  # noqa: ARG002
-        """Return the same view, which contains the effects of all suggestions."""
-        return view
+        if self._whole is not None:
+            return view
+        groups, policies = dict(view.groups), list(view.policies)
+        for number, flat in by_model(view.model.reshape(-1), np.flatnonzero(robot), len(policies)):
+            again = policies[number].after_suggestions(view.x.reshape(-1)[flat], robot.reshape(-1)[flat])
+            if again is not policies[number]:
+                groups[number], policies[number] = self.parts.group(again, groups[number].people), again
+        return replace(view, groups=groups, policies=policies)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..person.pomdp import Policy, work_out
+from ..person.policy import Policy
 from ..person.qmdp import evaluate
 from .state import NOBODY, ByPolicy, TeamAction, TeamState
 from .travel import Travel
@@ -86,7 +86,7 @@ class AttentionSwitching:
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""
-        work_out(policy)
+        policy.prepare()
         if self.never is not None:
             self.never[policy]
 

@@ -13,9 +13,8 @@ from pathlib import Path
 from planner.system.errors import expected
 
 from ..people import user_code
-from ..person.pomdp import Policy
+from ..person.policy import Policy
 from .attention import AttentionSwitching, NoAssistance, Reactive
-from .policy_on_part import on_parts
 from .priority import Priority
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
 from .travel import Travel
@@ -50,12 +49,8 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
     if name == "attention":
         return AttentionSwitching()
     if name == "attention-never":
-        on_part = on_parts(policies)
-        if on_part:
-            raise ValueError(
-                f"policy {name!r}: expected an enumerated task, and this one is too large: it has "
-                f"{len(on_part[0].known):,} states or more"
-            )
+        for policy in policies:
+            policy.require_enumerated(f"policy {name!r}")
         return AttentionSwitching.against_never(policies)
     if name == "priority":
         return Priority.of(policies, travel)

@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
-from ..person.pomdp import Policy
+from ..person.policy import Policy
 from ..person.qmdp import QMDP, qmdp
 from .attention_subproblem import HERE, AttentionSubproblem, backwards
-from .policy_on_part import is_for_one_step, is_on_part, on_parts
 from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
 from .travel import Travel
 
@@ -62,8 +61,7 @@ class Priority:
 
     The value of presence for a person is the Q-value with the robot there, minus that without it in this step. Presence
     means to make a suggestion, to stay without one, or to arrive after the travel and continue from there. The cost of
-    moving is subtracted. The robot acts on the largest difference. On truncated tasks (`PolicyOnPart`), the values of
-    the next states are those of the truncated task, by one Bellman backup.
+    moving is subtracted. The robot acts on the largest difference.
 
     Attributes
     ----------
@@ -75,7 +73,7 @@ class Priority:
         Price of the robot's attention at each step, in cost units; the last applies to all later steps. It counts from
         the next step on, since the needs of the present step are observed.
     known : ByPolicy of SolvedSubproblem
-        Solutions for people on enumerated tasks.
+        Solutions for people on enumerated tasks; others keep theirs (`Policy.with_robot`).
     """
 
     entry: float
@@ -113,16 +111,12 @@ class Priority:
         ValueError
             Prices of several steps are given for truncated tasks.
         """
-        on_part = on_parts(policies)
-        whole = [policy for policy in policies if not is_on_part(policy)]
         if price is None:
-            tasks = [policy.pomdp.model.choices for policy in whole]
-            cheapest = [float(task.costs[task.applicable].min()) for task in tasks]
-            price = 0.15 * min(cheapest + [min(policy.known.task.costs, default=1) for policy in on_part])
+            price = 0.15 * min(policy.cheapest for policy in policies)
         entry, steps, longest = coming(travel)
         each = np.asarray(price, dtype=float)
-        if each.ndim and on_part:
-            raise ValueError(f"prices of {each.size} steps: expected one price where tasks are truncated")
+        for policy in policies if each.ndim else ():
+            policy.require_enumerated(f"prices of {each.size} steps")
 
         def presence(policy: Policy) -> SolvedSubproblem:
             free = AttentionSubproblem.of(policy.pomdp, entry, steps, longest=longest)
@@ -132,7 +126,7 @@ class Priority:
             return SolvedSubproblem.of(visits, backwards(visits, qmdp(free.pomdp).value_mdp))
 
         prices = np.append(each, 0.0) if each.ndim else each.reshape(1)
-        return cls(entry, steps, longest, prices, ByPolicy(whole, presence))
+        return cls(entry, steps, longest, prices, ByPolicy(policies, presence))
 
     def with_policies(self, policies: Sequence[Policy], travel: Travel) -> Priority:
         """Return the same team policy, at the same prices, with other policies for single people."""
@@ -140,10 +134,7 @@ class Priority:
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""
-        if is_on_part(policy):
-            policy.prepare_visits(self.entry, self.entry_steps, self.longest, float(self.price[0]))
-        else:
-            self.presence(policy)
+        policy.with_robot(self)
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return the action of going to the best person, or of staying, in every team."""
@@ -184,15 +175,13 @@ class Priority:
         """The question about people at each step; one object each, as a live team caches answers by the question."""
         return tuple(partial(self._values, step) for step in range(len(self.price)))
 
-    def presence(self, policy: Policy) -> SolvedSubproblem:
-        """Return the solved problem of the people of a policy with a robot that comes and goes."""
-        if is_for_one_step(policy):
-            return SolvedSubproblem.of(*policy.visits(self.entry, self.entry_steps, self.longest, float(self.price[0])))
+    def solved(self, policy: Policy, /) -> SolvedSubproblem:
+        """Return the solved problem of the people of a policy for an enumerated task."""
         return self.known[policy]
 
     def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the values of an arrival in 1, 2, ... steps, followed by the Q-values with the robot present."""
-        solved = self.presence(policy)
+        solved: SolvedSubproblem = policy.with_robot(self)
         states = solved.states[step][:, x]
         if (states < 0).any():
             raise ValueError(

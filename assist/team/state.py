@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planner.system.arrays import outline
 
 from ..people.decision import Floats
-from ..person.pomdp import Policy
+from ..person.policy import Policy
 from .travel import Travel
 
 T = TypeVar("T")

@@ -19,7 +19,7 @@ from ..live.header import files_of
 from ..live.live_task import LiveTask, digest
 from ..live.session import Session
 from ..people.user_code import parse
-from ..person.pomdp import Policy
+from ..person.policy import Policy
 from ..team.policies import UserPolicy
 from ..team.state import TeamPolicy
 from .cohort import Cohort
