@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,32 +116,44 @@ class PersonProblem:
         """
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
-        states, rule = None if states is None else whole("states", states, 1), trust_rule(trust, eta, utility_scale)
+        states = None if states is None else whole("states", states, 1)
+        robot: dict[str, Any] = {
+            "gamma": gamma, "c_suggest": c_suggest, "suggestions": suggestions,
+            "trust": trust_rule(trust, eta, utility_scale),
+        }  # fmt: skip
+        person: dict[str, Any] = {"eta": eta, "lapse": lapse, "utility_scale": utility_scale}
         if is_whole(known, states):
-            people = population or Population()
-            choices = choices_of(known, people.weights)
-            h = perceived_cost_to_go(choices, sigma, np.random.default_rng(seed)) if sigma else choices.h
-            model = HumanModel(choices, perceived_cost(choices, h), eta=eta, lapse=lapse, utility_scale=utility_scale)
+            model = _model(known, population or Population(), sigma, seed, **person)
             pomdp = AssistPOMDP.of(
-                model, chooses=people.typical, population=people, gamma=gamma, c_suggest=c_suggest,
-                suggestions=suggestions, execute=execute, c_execute=c_execute, trust=rule,
+                model, chooses=(population or Population()).typical, population=population, execute=execute,
+                c_execute=c_execute, **robot,
             )  # fmt: skip
-            return cls(known, pomdp, choices.of_task(np.arange(len(known))))
+            return cls(known, pomdp, model.choices.of_task(np.arange(len(known))))
         if states is None:
             states = 200 if known.searches else WHOLE
-        own = population is not None and (population.weights or population.chooses is not None)
-        for name, given in (
-            ("sigma", sigma > 0),
-            ("execute", execute),
-            ("people who do not choose by cost alone", own),
-        ):
-            if given:
-                raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")
+        _require_plain(states, sigma, execute, population)
         region = TruncatedTask.of(
             known, start=start, states=states, population=population, time_limit=time_limit, progress=progress
         )
-        pomdp = region.problem(
-            population=population, eta=eta, lapse=lapse, utility_scale=utility_scale, gamma=gamma,
-            c_suggest=c_suggest, suggestions=suggestions, trust=rule,
-        )  # fmt: skip
-        return cls(known, pomdp, region.states)
+        return cls(known, region.problem(population=population, **person, **robot), region.states)
+
+
+def _model(
+    known: Table, people: Population | Mixture, sigma: float, seed: int | np.random.Generator, **person: float
+) -> HumanModel:
+    """Return the model of a person on an enumerated task, with a misconception that the robot knows."""
+    choices = choices_of(known, people.weights)
+    h = perceived_cost_to_go(choices, sigma, np.random.default_rng(seed)) if sigma else choices.h
+    return HumanModel(choices, perceived_cost(choices, h), **person)
+
+
+def _require_plain(states: int, sigma: float, execute: bool, population: Population | Mixture | None) -> None:
+    """Raise a `ValueError` if a truncated task is combined with an option that needs an enumerated one."""
+    own = population is not None and (population.weights or population.chooses is not None)
+    for name, given in (
+        ("sigma", sigma > 0),
+        ("execute", execute),
+        ("people who do not choose by cost alone", own),
+    ):
+        if given:
+            raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")

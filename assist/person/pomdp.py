@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from planner.system.arrays import outline
 from ..people import belief as beliefs
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, chances, value
+from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from ..people.human import HumanModel, Mixture, Population
 from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule
@@ -201,54 +202,22 @@ class AssistPOMDP:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
         grid = grid or Grid.regular(population)
-        choices = model.choices
-        offered = choices.optimal if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
-        offered = offered & ~choices.goal[:, None]
-        count = offered.sum(axis=1)
-        robot_actions = 1 + count * (2 if execute else 1)
-        here = np.arange(len(choices))
-        shape = (len(choices), int(robot_actions.max(initial=1)))
-        suggested = np.full(shape, NOTHING, dtype=np.int64)
-        afterstate = np.repeat(here[:, None], shape[1], axis=1)
-        robot_costs = np.zeros(shape)
-        state, slot = np.nonzero(offered)
-        column = np.cumsum(offered, axis=1)[state, slot]
-        suggested[state, column] = slot
-        robot_costs[state, column] = c_suggest
-        if execute:
-            afterstate[state, column + count[state]] = choices.targets[state, slot]
-            robot_costs[state, column + count[state]] = c_execute
-
-        chosen = np.stack(list(chances(chooses, choices, model.q, grid.beta)), axis=-1)
-        # Such probabilities count as 0: the influence (equation 6) at theta = 0 or 1 divides by them.
-        chosen[chosen < 1e-290] = 0.0
-        slots = np.arange(choices.applicable.shape[1])
-        unsuggested = np.stack(
-            [np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1
-        )
-        v = value(chooses, choices, model.q)
+        robots = _RobotActions.of(model.choices, suggestions, c_suggest, c_execute if execute else None)
+        chosen, unsuggested = _choice_probabilities(model, chooses, grid, robots.suggested)
+        v = value(chooses, model.choices, model.q)
         if frontier is not None:  # no choices are known at the leaves, hence no value of the next state
-            v[frontier.states] = -choices.h[frontier.states] if frontier.value is None else frontier.value
+            leaves = frontier.states
+            v[leaves] = -model.choices.h[leaves] if frontier.value is None else frontier.value
         rule = EquationSeven(model.eta, model.utility_scale) if trust is None else trust
-        slot = np.maximum(suggested, 0)
-        perceived = PerceivedSuggestions.of(
-            np.take_along_axis(model.q, slot, axis=1)[:, :, None], model.q.min(axis=1)[:, None, None],
-            v[:, None, None], v[np.take_along_axis(choices.targets, slot, axis=1)][:, :, None],
-            np.take_along_axis(choices.optimal, slot, axis=1)[:, :, None],
-        )  # fmt: skip
-
-        def shares(followed: bool) -> tuple[NDArray[np.int64], Floats]:
-            theta = rule.update(grid.theta, perceived.event(followed, rule.feedback))
-            # Without a suggestion theta does not move.
-            return grid.shares(np.where(suggested[:, :, None] == NOTHING, grid.theta, theta))
-
-        low, weight = shares(followed=False)
-        followed_low, followed_weight = shares(followed=True) if rule.uses_answer else (None, None)
+        low, weight = _trust_shares(model, grid, rule, v, robots.suggested, followed=False)
+        followed_low = followed_weight = None
+        if rule.uses_answer:
+            followed_low, followed_weight = _trust_shares(model, grid, rule, v, robots.suggested, followed=True)
         return cls(
             model=model, grid=grid, gamma=gamma, c_suggest=c_suggest, c_execute=c_execute, prior=grid.prior(population),
-            robot_actions=robot_actions, suggested=suggested, afterstate=afterstate, robot_costs=robot_costs,
-            chosen=chosen, unsuggested=unsuggested, low=low, weight=weight, frontier=frontier,
-            followed_low=followed_low, followed_weight=followed_weight,
+            robot_actions=robots.number, suggested=robots.suggested, afterstate=robots.afterstate,
+            robot_costs=robots.costs, chosen=chosen, unsuggested=unsuggested, low=low, weight=weight,
+            frontier=frontier, followed_low=followed_low, followed_weight=followed_weight,
         )  # fmt: skip
 
     def priced(self, c_suggest: float) -> AssistPOMDP:
@@ -327,3 +296,60 @@ class AssistPOMDP:
             return None
         suggestions = (int(self.robot_actions[x]) - 1) // 2  # executions follow the suggestions in the same order
         return self.model.choices.name(x, int(self.suggested[x, robot - suggestions]))
+
+
+class _RobotActions(NamedTuple):
+    """The robot actions of each state; attributes as in `AssistPOMDP`."""
+
+    number: NDArray[np.int64]
+    suggested: NDArray[np.int64]
+    afterstate: NDArray[np.int64]
+    costs: Floats
+
+    @classmethod
+    def of(cls, choices: Choices, suggestions: Suggestions, c_suggest: float, c_execute: float | None) -> _RobotActions:
+        """Number the robot actions of each state: nothing, the suggestions, and the executions if they have a cost."""
+        execute = c_execute is not None
+        offered = choices.optimal if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
+        offered = offered & ~choices.goal[:, None]
+        count = offered.sum(axis=1)
+        robot_actions = 1 + count * (2 if execute else 1)
+        shape = (len(choices), int(robot_actions.max(initial=1)))
+        suggested = np.full(shape, NOTHING, dtype=np.int64)
+        afterstate = np.repeat(np.arange(len(choices))[:, None], shape[1], axis=1)
+        costs = np.zeros(shape)
+        state, slot = np.nonzero(offered)
+        column = np.cumsum(offered, axis=1)[state, slot]
+        suggested[state, column] = slot
+        costs[state, column] = c_suggest
+        if execute:
+            afterstate[state, column + count[state]] = choices.targets[state, slot]
+            costs[state, column + count[state]] = c_execute
+        return cls(robot_actions, suggested, afterstate, costs)
+
+
+def _choice_probabilities(
+    model: HumanModel, chooses: ChoiceModel, grid: Grid, suggested: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Return `AssistPOMDP.chosen` and `AssistPOMDP.unsuggested`."""
+    chosen = np.stack(list(chances(chooses, model.choices, model.q, grid.beta)), axis=-1)
+    # Such probabilities count as 0: the influence (equation 6) at theta = 0 or 1 divides by them.
+    chosen[chosen < 1e-290] = 0.0
+    slots = np.arange(chosen.shape[1])
+    columns = [np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T]
+    return chosen, np.stack(columns, axis=1)
+
+
+def _trust_shares(
+    model: HumanModel, grid: Grid, rule: TrustRule, v: Floats, suggested: NDArray[np.int64], *, followed: bool
+) -> tuple[NDArray[np.int64], Floats]:
+    """Return the grid's shares of theta after each robot action, where the person expects the values `v`."""
+    slot = np.maximum(suggested, 0)
+    perceived = PerceivedSuggestions.of(
+        np.take_along_axis(model.q, slot, axis=1)[:, :, None], model.q.min(axis=1)[:, None, None],
+        v[:, None, None], v[np.take_along_axis(model.choices.targets, slot, axis=1)][:, :, None],
+        np.take_along_axis(model.choices.optimal, slot, axis=1)[:, :, None],
+    )  # fmt: skip
+    theta = rule.update(grid.theta, perceived.event(followed, rule.feedback))
+    # Without a suggestion theta does not move.
+    return grid.shares(np.where(suggested[:, :, None] == NOTHING, grid.theta, theta))

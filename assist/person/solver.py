@@ -260,58 +260,29 @@ def solve(
     load_compiled(pomdp)
     progress(SOLVING, 0, None)
     start = time.perf_counter()
-    x0 = pomdp.model.choices.initial
-    prior = pomdp.prior.reshape(-1)
     until = math.inf if time_limit is None else start + time_limit
     best = best or qmdp(pomdp, deadline=until)
     work = _Search(pomdp, best, options)
-    never = np.zeros(len(pomdp.robot_actions), dtype=np.int64)
-    value_never = work.begin(never)
-    value_always = work.begin(_informed(best, pomdp.prior, pomdp.suggests_optimal), until)
-    trusting = np.zeros_like(pomdp.prior)
-    trusting[:, -1] = pomdp.prior.sum(axis=1)
-    for belief in (pomdp.prior, trusting):
-        work.begin(_informed(best, belief), until)
-
-    # A value of 0 is only approached from below, and the relative gap stays 1; so an absolute limit applies too.
-    smallest = ROUNDING * (pomdp.robot_costs.max() + pomdp.model.choices.costs.max()) / (1 - pomdp.gamma)
+    never, always = work.first_policies(best, until)
+    start += work.load()
     # A third of the time is kept for the further beliefs.
-    searching = None if time_limit is None else time_limit * (2 / 3 if further_beliefs is not None else 1)
-    stopped, backups = "gap", 0
-    lower, upper = -np.inf, np.inf
-    begun = time.perf_counter()
-    work.trials(x0, prior, np.inf)  # runs no trial, but compiles the code
-    work.renew(0.0)
-    start += time.perf_counter() - begun
-    while True:
-        # A certified bound remains valid, even if a later evaluation of the search is looser.
-        below, above = work.bounds(x0, prior)
-        lower, upper = max(lower, below), min(upper, above)
+    searching = math.inf if time_limit is None else time_limit * (2 / 3 if further_beliefs is not None else 1)
+
+    def tell(lower: float, upper: float) -> float:
         seconds = time.perf_counter() - start
-        progress(SOLVING, backups, None)
+        progress(SOLVING, work.backups, None)
         if bounds is not None:
             bounds(seconds, lower, upper)
-        if relative_gap(lower, upper) <= gap:
-            break
-        if searching is not None and seconds >= searching:
-            stopped = "time"
-            break
-        if not work.make_room(memory_limit_mb):
-            stopped = "memory"
-            break
-        going_on = work.fineness[0] >= options.finest and upper - lower > smallest
-        done = work.improve(x0, prior, gap * abs(lower), upper - lower) if going_on else 0
-        if not done:
-            stopped = "stalled"
-            break
-        backups += done
+        return seconds
+
+    stopped = work.run(gap, searching, memory_limit_mb, tell)
     if further_beliefs is not None and len(further_beliefs[0]):
         work.widen(*further_beliefs, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
-        below, above = work.bounds(x0, prior)
-        lower, upper = max(lower, below), min(upper, above)
+        work.tighten()
+    x0 = pomdp.model.choices.initial
     return work.solution(
-        lower=lower, upper=upper, value_qmdp=float((best.value_mdp[x0] * pomdp.prior).sum()), value_never=value_never,
-        value_always=value_always, seconds=time.perf_counter() - start, backups=backups, stopped=stopped,
+        value_qmdp=float((best.value_mdp[x0] * pomdp.prior).sum()), value_never=never, value_always=always,
+        seconds=time.perf_counter() - start, stopped=stopped,
     )  # fmt: skip
 
 
@@ -344,6 +315,59 @@ class _Search:
         self.tried = 0  # backups of trials since the last renewal began
         self.fineness = np.array([0.001, 0.01])  # as in `hsvi.trials`, which refines it
         self.rng = np.random.default_rng(0)  # fixed: the same number of backups gives the same result
+        self.root, self.prior = pomdp.model.choices.initial, pomdp.prior.reshape(-1)
+        self.lower, self.upper = -np.inf, np.inf  # certified bounds at the root
+        self.backups = 0
+
+    def first_policies(self, best: QMDP, until: float) -> tuple[float, float]:
+        """Add the vectors of policies that depend on x only; return the values of never and of always suggesting."""
+        pomdp = self.pomdp
+        never = self.begin(np.zeros(len(pomdp.robot_actions), dtype=np.int64))
+        always = self.begin(_informed(best, pomdp.prior, pomdp.suggests_optimal), until)
+        trusting = np.zeros_like(pomdp.prior)
+        trusting[:, -1] = pomdp.prior.sum(axis=1)
+        for belief in (pomdp.prior, trusting):
+            self.begin(_informed(best, belief), until)
+        return never, always
+
+    def load(self) -> float:
+        """Compile the search, without a trial or a backup; return the seconds that it took."""
+        begun = time.perf_counter()
+        self.trials(self.root, self.prior, np.inf)
+        self.renew(0.0)
+        return time.perf_counter() - begun
+
+    def run(self, gap: float, seconds: float, memory_limit_mb: float, tell: Callable[[float, float], float]) -> str:
+        """Search until a gap, a time or a memory limit is reached; return why it ended, as in `Solution.stopped`.
+
+        `tell` receives both bounds at each check, and returns the elapsed seconds.
+        """
+        pomdp = self.pomdp
+        # A value of 0 is only approached from below, and the relative gap stays 1; so an absolute limit applies too.
+        smallest = ROUNDING * (pomdp.robot_costs.max() + pomdp.model.choices.costs.max()) / (1 - pomdp.gamma)
+        while True:
+            self.tighten()
+            elapsed = tell(self.lower, self.upper)
+            if relative_gap(self.lower, self.upper) <= gap:
+                return "gap"
+            if elapsed >= seconds:
+                return "time"
+            if not self.make_room(memory_limit_mb):
+                return "memory"
+            apart = self.upper - self.lower
+            going_on = self.fineness[0] >= self.options.finest and apart > smallest
+            done = self.improve(self.root, self.prior, gap * abs(self.lower), apart) if going_on else 0
+            if not done:
+                return "stalled"
+            self.backups += done
+
+    def tighten(self) -> None:
+        """Update the bounds at the root.
+
+        A certified bound remains valid, even if a later evaluation of the search is looser.
+        """
+        below, above = self.bounds(self.root, self.prior)
+        self.lower, self.upper = max(self.lower, below), min(self.upper, above)
 
     def begin(self, robot: NDArray[np.int64], deadline: float = math.inf) -> float:
         """Add the vectors of a policy that depends on x only; return its value at the root, or a lower bound on it."""
@@ -478,7 +502,8 @@ class _Search:
         kept, first = _sorted(self.hull.state, states)
         return Solution(
             policy=policy, corner=self.hull.corner.reshape(shape), point=self.hull.belief[kept].reshape(shape),
-            drop=self.hull.drop[kept], first=first, **facts,  # type: ignore[arg-type]
+            drop=self.hull.drop[kept], first=first, lower=self.lower, upper=self.upper, backups=self.backups,
+            **facts,  # type: ignore[arg-type]
         )  # fmt: skip
 
 

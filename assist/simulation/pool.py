@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, LimitError
+from planner import CostToGo, LimitError, Table
 from planner.system.arrays import frozen, outline
-from planner.system.progress import Wanted, adding, shows_progress
+from planner.system.progress import Progress, Wanted, adding, shows_progress
 
 from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
@@ -146,38 +146,22 @@ class Pool:
         setting = setting or Setting()
         population = population or Population()
         prior = prior or population
-        models = size if setting.knowledge == "own" else 1
         rng = np.random.default_rng(np.random.SeedSequence(entropy(seed), spawn_key=(0,)))
         needed = {"weights": population.weights or prior.weights, "execute": setting.execute, "solver": solver != qmdp}
-        if not isinstance(table, Choices) and not is_whole(table, MAX_ENUMERATED if any(needed.values()) else states):
+        people: Sequence[Human]
+        if isinstance(table, Choices) or is_whole(table, MAX_ENUMERATED if any(needed.values()) else states):
+            choices = _choices(table, setting, population, prior, size, memory_limit_mb)
+            people = population.sample(choices, size, rng)
+            policies = _enumerated(choices, people, setting, prior, solver, progress)
+        else:
             for name, given in needed.items():
                 if given:
                     raise ValueError(f"{name}: expected an enumerated task, of at most {MAX_ENUMERATED:,} states")
             require_goal(float(table.lookup([table.initial])[0]))
             _allow_people(size, 0, memory_limit_mb)
             people = population.sample(None, size, rng)
-            shared = SharedTask(table, prior, region)
-            of_task = TruncatedPolicy(shared, setting)
-            own = tuple(TruncatedPolicy(shared, setting, human, of_task) for human in people)
-            if setting.knowledge == "exact":
-                own = (of_task,)
-            return cls(setting, tuple(people), own, np.arange(size) if models > 1 else np.zeros(size, np.int64))
-        _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # checked before the choices are built
-        choices = choices_of(table, (*population.weights, *prior.weights))
-        require_goal(choices.h[choices.initial])
-        offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
-        robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.execute)
-        one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
-        _allow(one, len(choices), models, memory_limit_mb)
-        _allow_people(size, choices.h.nbytes, memory_limit_mb)
-        people = population.sample(choices, size, rng)
-        known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
-        advance = adding(progress, "setting up people's POMDPs", len(known))
-        policies = []
-        for human in known:
-            policies.append(Later(setting.problem(choices, human, prior), solver))
-            advance(1)
-        number = np.arange(size) if models > 1 else np.zeros(size, dtype=np.int64)
+            policies = _truncated(SharedTask(table, prior, region), people, setting)
+        number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number)
 
     @classmethod
@@ -231,6 +215,45 @@ class Pool:
         """
         # All distances are equal, so that travel between two places has the same costs as between more.
         return named(name, self.policies, travel or self.setting.travel(2))
+
+
+def _choices(
+    table: Table | Choices, setting: Setting, population: Population | Mixture, prior: Population | Mixture,
+    size: int, memory_limit_mb: float,
+) -> Choices:  # fmt: skip
+    """Return the choices in an enumerated task, unless policies and people would exceed the memory limit."""
+    models = size if setting.knowledge == "own" else 1
+    _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # checked before the choices are built
+    choices = choices_of(table, (*population.weights, *prior.weights))
+    require_goal(choices.h[choices.initial])
+    offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
+    robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.execute)
+    one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
+    _allow(one, len(choices), models, memory_limit_mb)
+    _allow_people(size, choices.h.nbytes, memory_limit_mb)
+    return choices
+
+
+def _enumerated(
+    choices: Choices, people: Sequence[Human], setting: Setting, prior: Population | Mixture,
+    solver: Callable[[AssistPOMDP], Policy], progress: Progress,
+) -> list[Policy]:  # fmt: skip
+    """Return a policy for each model of people on an enumerated task, solved on first use."""
+    known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
+    advance = adding(progress, "setting up people's POMDPs", len(known))
+    policies: list[Policy] = []
+    for human in known:
+        policies.append(Later(setting.problem(choices, human, prior), solver))
+        advance(1)
+    return policies
+
+
+def _truncated(shared: SharedTask, people: Sequence[Human], setting: Setting) -> list[Policy]:
+    """Return a policy for each model of people on a task that is too large to enumerate."""
+    of_task = TruncatedPolicy(shared, setting)
+    if setting.knowledge == "exact":
+        return [of_task]
+    return [TruncatedPolicy(shared, setting, human, of_task) for human in people]
 
 
 def _allow(one: int, states: int, models: int, limit_mb: float) -> None:

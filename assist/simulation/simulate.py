@@ -9,7 +9,7 @@ depend on how episodes are divided among processes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import LimitError
-from planner.system.progress import Wanted, adding, shows_progress
+from planner.system.progress import Progress, Wanted, adding, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole, wholes
 from ..person.suggestion_threshold import SEARCHED_STATES, search_threshold
@@ -113,12 +113,7 @@ def simulate(
         raise ValueError(f"world {world!r}: expected {' or '.join(map(repr, get_args(World)))}")
     count = _count(episodes)
     places, given = _team(humans, len(pool.people), count)
-    needed = count * (57 * places + 40) / 1e6
-    if needed > positive("memory_limit_mb", memory_limit_mb):
-        raise LimitError(
-            f"{count:,} episodes of {places} people take {needed:,.0f} MB of memory, and {memory_limit_mb:,.0f} MB are "
-            f"allowed; expected at most {int(memory_limit_mb / needed * count):,} episodes, or a higher memory limit"
-        )
+    _allow(count, places, memory_limit_mb)
     numbers = np.arange(count) if np.ndim(episodes) == 0 else wholes("episodes", episodes)
     teams = None if given is None else np.broadcast_to(given, (count, places))
     travel = travel or pool.setting.travel(places)
@@ -129,8 +124,8 @@ def simulate(
     policy = pool.policy(policy, travel) if isinstance(policy, str) else policy
     together = max(1, PEOPLE_AT_A_TIME // (places * BLOCK)) * BLOCK
     jobs = 1 if trace is not None else whole("jobs", jobs, 1)  # a trace has the order of the episodes
-    seed_number = entropy(seed)
-    parts = TaskParts(pool, world)
+    seed_number, parts = entropy(seed), TaskParts(pool, world)
+
     assert callable(progress)
     chunks = [slice(start, start + together) for start in range(0, count, together)]
     if hasattr(policy, "prepare"):
@@ -147,8 +142,31 @@ def simulate(
 
     with ThreadPoolExecutor(jobs) as workers:
         found = Episodes.joined(list(map(run, chunks) if jobs == 1 else workers.map(run, chunks)))
-    with_policies = getattr(policy, "with_policies", None)  # policies that weigh costs have this method
-    if not explain or with_policies is None or found.interventions.any() or not found.actions.any():
+    if not explain or found.interventions.any() or not found.actions.any():
+        return found
+    again = partial(simulate, seed=seed_number, travel=travel, presence=presence, world=world)
+    return _with_threshold(found, pool, policy, travel, again, progress)
+
+
+def _allow(count: int, places: int, memory_limit_mb: float) -> None:
+    """Raise a `LimitError` if the records of some episodes would exceed the memory limit."""
+    needed = count * (57 * places + 40) / 1e6
+    if needed > positive("memory_limit_mb", memory_limit_mb):
+        raise LimitError(
+            f"{count:,} episodes of {places} people take {needed:,.0f} MB of memory, and {memory_limit_mb:,.0f} MB are "
+            f"allowed; expected at most {int(memory_limit_mb / needed * count):,} episodes, or a higher memory limit"
+        )
+
+
+def _with_threshold(
+    found: Episodes, pool: Pool, policy: TeamPolicy, travel: Travel, again: Callable[..., Episodes], progress: Progress
+) -> Episodes:
+    """Return episodes without a suggestion, with the cost of suggestions at which the policy would make one.
+
+    `again` simulates a policy in the same setting. Policies that weigh costs have a method `with_policies`.
+    """
+    with_policies = getattr(policy, "with_policies", None)
+    if with_policies is None:
         return found
     few = _few(pool, found)
 
@@ -156,10 +174,7 @@ def simulate(
         progress(f"trying c_suggest {c_suggest:g}", 0, None)
         other = pool.priced(c_suggest)
         until_first = _UntilFirstSuggestion(with_policies(other.policies, travel))
-        simulate(
-            other, until_first, humans=found.people[:few], episodes=numbers[:few], seed=seed_number, travel=travel,
-            presence=presence, world=world, explain=False,
-        )  # fmt: skip
+        again(other, until_first, humans=found.people[:few], episodes=found.episode[:few], explain=False)
         return until_first.suggested
 
     return replace(found, suggestion_threshold=search_threshold(pool.setting.c_suggest, suggests if few else None))
