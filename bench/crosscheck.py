@@ -32,7 +32,8 @@ import numpy as np
 from graphs import graph_task
 from tables import Columns, cell, record_option, write_record
 
-from assist.certify.team_bound import BoundOptions, TeamBound, upper_bound
+from assist.certify.computation import BoundOptions
+from assist.certify.team_bound import TeamBound, upper_bound
 from assist.large_tasks import truncated_bound
 from assist.people.choice_model import ChoiceModel, boltzmann
 from assist.people.choices import Choices, mix

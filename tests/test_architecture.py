@@ -51,7 +51,7 @@ ROOMS = {
     "assist.live": """live_task roster advice decision_point assistant old_journal store course event_sourced header
         session simulated_person""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
-    "assist.certify": "prices certificate team_bound",
+    "assist.certify": "prices certificate computation team_bound",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",
     "assist.study": "study protocol tasks cells runner",

@@ -13,10 +13,11 @@ from conftest import graph_task, kit, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.certify import certificate, prices, team_bound
+from assist.certify import certificate, computation, prices, team_bound
 from assist.certify.certificate import Certificate, horizon, returns
+from assist.certify.computation import BoundOptions
 from assist.certify.prices import SubproblemKind, kinds_of, search
-from assist.certify.team_bound import BoundOptions, TeamBound
+from assist.certify.team_bound import TeamBound
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
@@ -360,16 +361,18 @@ def test_time_is_shared(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
     now, asked = [1000.0], []
 
     def taking(seconds: float, name: str, limited: str) -> None:
-        real = getattr(team_bound, name)
+        module = team_bound if name == "returns" else computation
+        real = getattr(module, name)
 
         def run(*arguments: object, **options: object) -> object:
             asked.append((name, options.get(limited)))
             now[0] += seconds
             return real(*arguments, **{**options, limited: math.inf if name == "search" else None})
 
-        monkeypatch.setattr(team_bound, name, run)
+        monkeypatch.setattr(module, name, run)
 
-    monkeypatch.setattr(team_bound, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    for module in (team_bound, computation):
+        monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: now[0]))
     for seconds, name, limited in (
         (4, "search", "deadline"),
         (26, "solve", "time_limit"),

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from conftest import KITTING, table_of
 
+from assist.certify.computation import BoundOptions
 from assist.certify.information_relaxation.belief_nodes import BeliefNodes
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
 from assist.certify.prices import kinds_of
-from assist.certify.team_bound import BoundOptions, TeamBound, upper_bound
+from assist.certify.team_bound import TeamBound, upper_bound
 from assist.large_tasks import truncated_bound
 from assist.large_tasks.truncated_task import never_erring
 from assist.people.human import Population

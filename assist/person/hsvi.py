@@ -268,75 +268,111 @@ def _pivot(belief, first, best, count, hull, room):
 
     The basic columns are the beliefs `basis`, and all slack variables but those of the entries `row`.
     """
-    basis, row, weight, dual, direction, matrix = (
-        room.basis, room.row, room.weight, room.dual, room.direction, room.matrix,
-    )  # fmt: skip
-    left, change, drop, points = room.left, room.change, hull.drop, hull.belief
-    k = ONE
-    basis[0], row[0], weight[0] = first, 0, best / drop[first]
+    k, more = ONE, True
+    room.basis[0], room.row[0], room.weight[0] = first, 0, best / hull.drop[first]
     smallest = HUGE
     for h in range(len(belief)):
         share = (belief[h] + TINY) * hull.inverse[first, h]
         if share < smallest:
-            smallest, row[0] = share, h
-    for _ in range(len(basis) - 1):
-        for j in range(k):
-            dual[j] = drop[basis[j]]
-            for r in range(k):
-                matrix[j, r] = points[basis[j], row[r]]
-        if not _eliminate(matrix, dual, k):
+            smallest, room.row[0] = share, h
+    for _ in range(len(room.basis) - 1):
+        if not _dual_prices(k, hull, room):
             break
         enter, slack = _price(belief, best, count, k, hull, room)
-        if enter == NONE and slack == NONE:
+        if (enter == NONE and slack == NONE) or not _directions(enter, slack, k, hull, room):
             break
-        for r in range(k):
-            for j in range(k):
-                matrix[r, j] = points[basis[j], row[r]]
-            direction[r] = 1.0 if r == slack else 0.0
-            if enter >= 0:
-                direction[r] = points[enter, row[r]]
-        if not _eliminate(matrix, direction, k):
-            break
-        step, leave = HUGE, NONE
-        for j in range(k):
-            if direction[j] > 1e-12 and weight[j] < step * direction[j]:
-                step, leave = weight[j] / direction[j], j
-        bound = NONE
-        _copy(left, belief)
-        if enter >= 0:
-            _copy(change, points[enter])
-        else:
-            _fill(change, 0.0)
-        for j in range(k):
-            _subtract(left, weight[j], points[basis[j]])
-            _subtract(change, direction[j], points[basis[j]])
-        for r in range(k):  # the slack variables of these entries are not in the basis
-            change[row[r]] = 0.0
-        for h in range(len(belief)):
-            if change[h] > 1e-12 and left[h] < step * change[h]:
-                step, bound = max(left[h], 0.0) / change[h], h
+        step, leave, bound = _longest_step(belief, enter, k, hull, room)
         if step >= HUGE:
             break
-        for j in range(k):
-            weight[j] -= step * direction[j]
-        if bound >= 0 and enter >= 0:
-            basis[k], row[k], weight[k] = enter, bound, step
-            k += 1
-        elif bound >= 0:
-            row[slack] = bound
-        elif enter >= 0:
-            basis[leave], weight[leave] = enter, step
-        elif k == 1:
+        k, more = _exchange(enter, slack, leave, bound, step, k, room)
+        if not more:
             break
-        else:
-            k -= 1
-            basis[leave], weight[leave], row[slack] = basis[k], weight[k], row[k]
+    return _worth(belief, k, hull, room)
+
+
+@njit()
+def _dual_prices(k, hull, room):
+    """Compute the dual prices of the entries `row` of the present basis; return whether that is possible."""
+    basis, row, matrix = room.basis, room.row, room.matrix
+    for j in range(k):
+        room.dual[j] = hull.drop[basis[j]]
+        for r in range(k):
+            matrix[j, r] = hull.belief[basis[j], row[r]]
+    return _eliminate(matrix, room.dual, k)
+
+
+@njit()
+def _directions(enter, slack, k, hull, room):
+    """Compute how the weights of the basis fall as a variable enters; return whether that is possible."""
+    basis, row, direction, matrix, points = room.basis, room.row, room.direction, room.matrix, hull.belief
+    for r in range(k):
+        for j in range(k):
+            matrix[r, j] = points[basis[j], row[r]]
+        direction[r] = 1.0 if r == slack else 0.0
+        if enter >= 0:
+            direction[r] = points[enter, row[r]]
+    return _eliminate(matrix, direction, k)
+
+
+@njit()
+def _longest_step(belief, enter, k, hull, room):
+    """Return the largest weight of an entering variable, and what then leaves the basis.
+
+    That is the weight of a belief, by its position in `basis`, or the slack variable of an entry; the other is `NONE`
+    or is not reached.
+    """
+    basis, row, weight, direction, points = room.basis, room.row, room.weight, room.direction, hull.belief
+    left, change, step, leave, bound = room.left, room.change, HUGE, NONE, NONE
+    for j in range(k):
+        if direction[j] > 1e-12 and weight[j] < step * direction[j]:
+            step, leave = weight[j] / direction[j], j
+    _copy(left, belief)
+    if enter >= 0:
+        _copy(change, points[enter])
+    else:
+        _fill(change, 0.0)
+    for j in range(k):
+        _subtract(left, weight[j], points[basis[j]])
+        _subtract(change, direction[j], points[basis[j]])
+    for r in range(k):  # the slack variables of these entries are not in the basis
+        change[row[r]] = 0.0
+    for h in range(len(belief)):
+        if change[h] > 1e-12 and left[h] < step * change[h]:
+            step, bound = max(left[h], 0.0) / change[h], h
+    return step, leave, bound
+
+
+@njit()
+def _exchange(enter, slack, leave, bound, step, k, room):
+    """Exchange two variables of the basis; return the number of beliefs in it, and whether to continue."""
+    basis, row, weight = room.basis, room.row, room.weight
+    for j in range(k):
+        weight[j] -= step * room.direction[j]
+    if bound >= 0 and enter >= 0:
+        basis[k], row[k], weight[k] = enter, bound, step
+        return k + ONE, True
+    if bound >= 0:
+        row[slack] = bound
+    elif enter >= 0:
+        basis[leave], weight[leave] = enter, step
+    elif k == 1:
+        return k, False
+    else:
+        k -= ONE
+        basis[leave], weight[leave], row[slack] = basis[k], weight[k], row[k]
+    return k, True
+
+
+@njit()
+def _worth(belief, k, hull, room):
+    """Return sum_i w_i d_i of the weights of the basis, scaled down as far as rounding makes them exceed the belief."""
+    basis, weight, left = room.basis, room.weight, room.left
     worth, scale = 0.0, 1.0
     _fill(left, 0.0)
     for j in range(k):
         weight[j] = max(weight[j], 0.0)
-        worth += weight[j] * drop[basis[j]]
-        _subtract(left, -weight[j], points[basis[j]])
+        worth += weight[j] * hull.drop[basis[j]]
+        _subtract(left, -weight[j], hull.belief[basis[j]])
     for h in range(len(belief)):
         if left[h] > belief[h]:
             scale = min(scale, belief[h] / left[h])
@@ -606,29 +642,32 @@ def _backup_vector(x, r, picked, vector, vectors, m):
                 else:
                     mean[t] += u / count
         for t in range(thetas):
-            if slot < 0:
-                v = (1.0 - m.lapse) * declined[t] + m.lapse * mean[t]
-            else:
-                at, up = m.low[x, r, t], m.weight[x, r, t]
-                follow_factor, decline_factor = influence_factors(
-                    m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b]
-                )
-                v = (1.0 - m.lapse) * (
-                    (1.0 - up) * (follow_factor * followed[at] + decline_factor * declined[at])
-                    + up * (follow_factor * followed[at + 1] + decline_factor * declined[at + 1])
-                ) + m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])
-            if slot >= 0 and m.uses_answer:
-                at, up = m.low[x, r, t], m.weight[x, r, t]
-                follow_factor, decline_factor = influence_factors(
-                    m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b]
-                )
-                v = (1.0 - m.lapse) * decline_factor * ((1.0 - up) * declined[at] + up * declined[at + 1])
-                v += m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])
-                at, up = m.followed_low[x, r, t], m.followed_weight[x, r, t]
-                v += (1.0 - m.lapse) * follow_factor * ((1.0 - up) * followed[at] + up * followed[at + 1])
-                v += m.lapse * ((1.0 - up) * complied[at] + up * complied[at + 1])
+            v = (1.0 - m.lapse) * declined[t] + m.lapse * mean[t]
+            if slot >= 0:
+                v = _entry_after_suggestion(followed, declined, complied, mean, x, r, b, t, m)
             v -= m.robot_costs[x, r]
             vector[b * thetas + t] = v - ROUNDING * abs(v)
+
+
+@njit()
+def _entry_after_suggestion(followed, declined, complied, mean, x, r, b, t, m):
+    """Return the entry of an alpha vector at beta b and theta t after a suggestion, which influences and moves theta.
+
+    This is the transpose of `belief_filter.split`.
+    """
+    slot, at, up = m.suggested[x, r], m.low[x, r, t], m.weight[x, r, t]
+    follow_factor, decline_factor = influence_factors(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
+    if not m.uses_answer:
+        return (1.0 - m.lapse) * (
+            (1.0 - up) * (follow_factor * followed[at] + decline_factor * declined[at])
+            + up * (follow_factor * followed[at + 1] + decline_factor * declined[at + 1])
+        ) + m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])
+    v = (1.0 - m.lapse) * decline_factor * ((1.0 - up) * declined[at] + up * declined[at + 1])
+    v += m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])
+    at, up = m.followed_low[x, r, t], m.followed_weight[x, r, t]
+    v += (1.0 - m.lapse) * follow_factor * ((1.0 - up) * followed[at] + up * followed[at + 1])
+    v += m.lapse * ((1.0 - up) * complied[at] + up * complied[at + 1])
+    return v
 
 
 @njit()
@@ -699,63 +738,79 @@ def trials(x0, prior, enough, backups, fineness, rng, trial, vectors, hull, q, m
             break
         trial.state[0] = x0
         _start_node(ZERO, prior, 1.0, q, trial, m)
-        depth, target, reach, cut = ZERO, 0.2 * gap, 1.0, False
-        while True:
-            x = trial.state[depth]
-            r = _most_promising(depth, work, room, trial, hull, m)
-            trial.robot[depth] = r
-            acting = m.afterstate[x, r]
-            if m.goal[acting] or depth + 1 == len(trial.state):
-                break
-            beyond, chosen = 0.0, NONE
-            target /= m.gamma
-            reach *= m.gamma
-            for a in range(m.counts[acting]):
-                y = m.targets[acting, a]
-                if m.final[y]:
-                    continue
-                apart = trial.child[depth, r, a] - lower(y, trial.after[depth, r, a], vectors)[0]
-                excess = apart - target * trial.mass[depth, r, a]
-                if excess > 0.0 and reach * apart < fineness[1] * gap:
-                    cut = True
-                elif excess > 0.0:
-                    beyond += excess
-                    # reservoir sampling: each child is selected with probability excess / (total excess)
-                    if rng.random() * beyond < excess:
-                        chosen = a
-            if chosen == NONE:
-                break
-            chance = trial.mass[depth, r, chosen]
-            trial.chance[depth] = chance
-            reach *= chance
-            depth += 1
-            trial.state[depth] = m.targets[acting, chosen]
-            trial.bound[depth] = trial.child[depth - 1, r, chosen] / chance
-            _start_node(depth, trial.after[depth - 1, r, chosen], chance, q, trial, m)
-        improved, lowered = False, 0.0
-        for d in range(depth, -1, -1):
-            x, belief = trial.state[d], trial.belief[d]
-            trial.q[d, trial.robot[d]] -= m.gamma * trial.chance[d] * lowered if d < depth else 0.0
-            value = trial.q[d, _most_promising(d, work, room, trial, hull, m)]
-            value += ROUNDING * abs(value)
-            step = fineness[0] * target
-            target *= m.gamma
-            lowered = 0.0
-            if value < trial.bound[d] - step - 4 * ROUNDING * abs(value):
-                # Pivots stop early, so that the bound of the belief with another mass may differ a little.
-                now = upper(x, belief, hull, room)
-                if value < now - step - 4 * ROUNDING * abs(value):
-                    add_point(x, belief, value, hull)
-                    improved = True
-                lowered = trial.bound[d] - min(value, now)
-            improved |= _backup_lower(d, step, work, trial, backup, vectors, m)
-        if not improved:
+        depth, target, cut = _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m)
+        if not _ascend(depth, target, fineness, work, room, backup, trial, vectors, hull, m):
             if cut:
                 fineness[1] *= 0.1
             else:
                 fineness[0] *= 0.98
         done += depth + 1
     return done
+
+
+@njit()
+def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
+    """Follow a trial from its first node on; return its depth, its target there, and whether it has cut off children.
+
+    The arguments are those of `trials`.
+    """
+    depth, target, reach, cut = ZERO, 0.2 * gap, 1.0, False
+    while True:
+        x = trial.state[depth]
+        r = _most_promising(depth, work, room, trial, hull, m)
+        trial.robot[depth] = r
+        acting = m.afterstate[x, r]
+        if m.goal[acting] or depth + 1 == len(trial.state):
+            break
+        beyond, chosen = 0.0, NONE
+        target /= m.gamma
+        reach *= m.gamma
+        for a in range(m.counts[acting]):
+            y = m.targets[acting, a]
+            if m.final[y]:
+                continue
+            apart = trial.child[depth, r, a] - lower(y, trial.after[depth, r, a], vectors)[0]
+            excess = apart - target * trial.mass[depth, r, a]
+            if excess > 0.0 and reach * apart < fineness[1] * gap:
+                cut = True
+            elif excess > 0.0:
+                beyond += excess
+                # reservoir sampling: each child is selected with probability excess / (total excess)
+                if rng.random() * beyond < excess:
+                    chosen = a
+        if chosen == NONE:
+            break
+        chance = trial.mass[depth, r, chosen]
+        trial.chance[depth] = chance
+        reach *= chance
+        depth += 1
+        trial.state[depth] = m.targets[acting, chosen]
+        trial.bound[depth] = trial.child[depth - 1, r, chosen] / chance
+        _start_node(depth, trial.after[depth - 1, r, chosen], chance, q, trial, m)
+    return depth, target, cut
+
+
+@njit()
+def _ascend(depth, target, fineness, work, room, backup, trial, vectors, hull, m):
+    """Back up both bounds from the last node of a trial to its first; return whether one has improved."""
+    improved, lowered = False, 0.0
+    for d in range(depth, -1, -1):
+        x, belief = trial.state[d], trial.belief[d]
+        trial.q[d, trial.robot[d]] -= m.gamma * trial.chance[d] * lowered if d < depth else 0.0
+        value = trial.q[d, _most_promising(d, work, room, trial, hull, m)]
+        value += ROUNDING * abs(value)
+        step = fineness[0] * target
+        target *= m.gamma
+        lowered = 0.0
+        if value < trial.bound[d] - step - 4 * ROUNDING * abs(value):
+            # Pivots stop early, so that the bound of the belief with another mass may differ a little.
+            now = upper(x, belief, hull, room)
+            if value < now - step - 4 * ROUNDING * abs(value):
+                add_point(x, belief, value, hull)
+                improved = True
+            lowered = trial.bound[d] - min(value, now)
+        improved |= _backup_lower(d, step, work, trial, backup, vectors, m)
+    return improved
 
 
 @njit(nogil=True)

@@ -376,6 +376,35 @@ def _copy(to: Floats, row: Floats) -> None:
         to[c] = row[c]
 
 
+@njit()
+def _code(t: int, state: Ints, radix: Ints, team: _Team) -> int:
+    """Return a number for the nodes of all people at a step."""
+    code = t
+    for k in range(len(state)):
+        code = code * radix[k] + (state[k] - team.first[k] + 2 if state[k] >= 0 else state[k] - LEFT)
+    return code
+
+
+@njit()
+def _without_attention(state: Ints, idle: Ints, team: _Team) -> int:
+    """Fill in each person's edge without attention, `END` if there is none; return the person who then must have it.
+
+    A robot on its way to a person continues. The number is -1 if nobody must have attention.
+    """
+    forced = -1
+    for k in range(len(state)):
+        idle[k] = END
+        if state[k] < 0:
+            continue
+        for e in range(team.edge[state[k]], team.edge[state[k] + 1]):
+            if not team.attends[e]:
+                idle[k] = e
+                break
+        if idle[k] == END:
+            forced = k
+    return forced
+
+
 @njit(nogil=True)
 def _astar(
     team: _Team, ahead: Floats, price: Floats, alpha: float, scale: Scale, steps: int, most: int
@@ -405,9 +434,7 @@ def _astar(
         if t < 0:
             return estimate
         if exact:
-            code = t
-            for k in range(people):
-                code = code * radix[k] + (state[k] - team.first[k] + 2 if state[k] >= 0 else state[k] - LEFT)
+            code = _code(t, state, radix, team)
             if code in seen and seen[code] <= cost:
                 continue
             seen[code] = cost
@@ -427,17 +454,7 @@ def _astar(
             times.append(-1)
             heapq.heappush(heap, (total, len(states) - 1))
             continue
-        forced = -1
-        for k in range(people):
-            idle[k] = END
-            if state[k] < 0:
-                continue
-            for e in range(team.edge[state[k]], team.edge[state[k] + 1]):
-                if not team.attends[e]:
-                    idle[k] = e
-                    break
-            if idle[k] == END:
-                forced = k  # a robot on its way to a person continues
+        forced = _without_attention(state, idle, team)
         for k in range(-1, people):
             if (forced >= 0 and k != forced) or (k >= 0 and state[k] < 0):
                 continue
