@@ -335,8 +335,8 @@ def test_backing_everything_up_again_tightens_both_bounds() -> None:
         work.trials(start, prior, 0.0)
 
     def found() -> Solution:
-        none = dict.fromkeys(("lower", "upper", "value_qmdp", "value_never", "value_always", "seconds"), 0.0)
-        return work.solution(**none, backups=0, stopped="")
+        none = dict.fromkeys(("value_qmdp", "value_never", "value_always", "seconds"), 0.0)
+        return work.solution(**none, stopped="")
 
     before = found()
     work.renewed, done = 0, 0
