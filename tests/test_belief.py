@@ -352,17 +352,22 @@ def test_where_nothing_moves_trust_suggestions_into_dead_ends_do_not_either(seal
 def test_compiled_filters_are_the_equations(
     tiny_choices: Choices, seed: int, rule: TrustRule, lapse: float, execute: bool
 ) -> None:
-    """One choice at a time, all choices at a time, and numpy give the same posterior and the same probability."""
+    """One choice at a time, all choices at a time, and numpy give the same posterior and the same probability.
+
+    The person's misconceptions, the grid, the belief and the robot action are random.
+    """
     rng = np.random.default_rng(seed)
     h = perceived_cost_to_go(tiny_choices, 0.7, rng)
+    betas, thetas = np.sort(rng.uniform(0, 3, rng.integers(1, 5))), np.sort(rng.random(rng.integers(0, 6)))
+    grid = Grid(betas, np.array([0.0, *thetas, 1.0]))
     pomdp = AssistPOMDP.of(
-        HumanModel.own(tiny_choices, Human(1.0, 0.6, 0.7, h), lapse=lapse), grid=GRID, suggestions="all", trust=rule,
+        HumanModel.own(tiny_choices, Human(1.0, 0.6, 0.7, h), lapse=lapse), grid=grid, suggestions="all", trust=rule,
         execute=execute,
     )  # fmt: skip
     m = ProblemArrays.of(pomdp)
     x = int(rng.choice(np.flatnonzero(~tiny_choices.goal)))
     robot = int(rng.integers(pomdp.robot_actions[x]))
-    belief = rng.dirichlet(np.full(GRID.beta.size * GRID.theta.size, 0.3))
+    belief = rng.dirichlet(np.full(grid.beta.size * grid.theta.size, 0.3))
     belief[rng.random(len(belief)) < 0.2] = 0.0
     belief /= belief.sum()
     parts = np.empty((4, len(belief)))
