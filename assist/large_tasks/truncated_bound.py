@@ -65,7 +65,7 @@ from numpy.typing import NDArray
 from planner import CostToGo, LimitError, Table
 
 from ..people.belief import Grid
-from ..people.choice_model import boltzmann, value
+from ..people.choice_model import ChoiceModel, boltzmann, value
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
 from ..person.pomdp import AssistPOMDP, LeafBounds
@@ -245,47 +245,148 @@ def bounded(
     LimitError
         The computation would exceed the memory limit.
     """
-    who = {"population": prior, "human": human}
     in_time = 200 * (until - time.perf_counter())  # pairs: the solver's time grows with their number
-    hidden, seen = min(size, SIZES.hidden, SIZES.hidden_least), 0 if known.searches else SIZES.seen
-    inner = TruncatedTask.of(known, states=hidden, **who)  # type: ignore[arg-type]
-    problem = _seen(inner, setting, human, prior)
-    more = int(min(size, SIZES.hidden, _affordable(problem, hidden, until, kept_mb)))
-    if more > hidden and len(inner.frontier) and not known.searches:
-        hidden = more
-        inner = TruncatedTask.of(known, states=hidden, **who)  # type: ignore[arg-type]
-        problem = _seen(inner, setting, human, prior)
-    assert problem.frontier is not None
+    person = _Person(known, setting, human, prior, until, memory_limit_mb)
+    inner, problem, hidden = person.inner(size, kept_mb)
     left = (until - time.perf_counter()) / 2  # for the expansion of the outer task; the rest is for its values
+    seen = 0 if known.searches else SIZES.seen
     if not (seen > hidden and len(inner.frontier) and left > 0):
-        return TruncatedProblem(_within(inner, problem, None, setting, human, prior))
-    limit = None if left == math.inf else left
-    outer = TruncatedTask.of(known, states=seen, time_limit=limit, **who)  # type: ignore[arg-type]
-    around_it = _seen(outer, setting, human, prior)
-    if (
-        share := memory_limit_mb * 1e6 / _bytes(around_it)
-    ) < 1:  # half of the share, since smaller tasks have relatively larger frontiers
-        few = int(share / 2 * (len(outer.states) - len(outer.frontier)))
-        outer = TruncatedTask.of(known, states=max(hidden, few), time_limit=limit, **who)  # type: ignore[arg-type]
-        around_it = _seen(outer, setting, human, prior)
-    comply = _complying(outer, setting, human, prior, until, memory_limit_mb)
-    visits, value = _values(around_it, comply, entry, until, memory_limit_mb)
+        return TruncatedProblem(person.within(inner, problem, None))
+    outer, around_it = person.outer(seen, hidden, None if left == math.inf else left)
+    visits, value = _values(around_it, person.complying(outer), entry, until, memory_limit_mb)
     found = OuterRelaxation(visits, value, outer.local(inner.states))
-    problem = _within(inner, problem, found, setting, human, prior)
+    problem = person.within(inner, problem, found)
     if not with_outer or (found.place < 0).any():
         return TruncatedProblem(problem)
     # Half of the memory is for the pairs, at two positions of the robot each. A pair needs about 3.3 stored states,
     # since its successors on the frontier are stored as well.
     room = 0.5 * kept_mb * 1e6 / (2 * 3.3 * _bytes_of_a_state(problem))
     pairs = int(max(SIZES.pairs_least, min(SIZES.pairs, in_time, room)))
-    middle = TruncatedTask.of(known, states=min(SIZES.price_states, len(outer.states) - len(outer.frontier)), **who)  # type: ignore[arg-type]
-    place = outer.local(middle.states)
-    if (place < 0).any():  # the time limit ended the expansion of the outer task
-        return TruncatedProblem(problem, found, found, pairs)
-    between = _within(middle, _seen(middle, setting, human, prior), replace(found, place=place), setting, human, prior)
-    own = AttentionSubproblem.of(between, entry)
-    values = np.ascontiguousarray(value[visits.layout.number(0, own.layout.position, place[own.layout.x])])
-    return TruncatedProblem(problem, found, OuterRelaxation(own, values, middle.local(inner.states)), pairs)
+    return TruncatedProblem(problem, found, person.between(inner, outer, found, entry), pairs)
+
+
+@dataclass(frozen=True)
+class _Person:
+    """A person whose problem is truncated, and the limits of the computation; attributes as in `bounded`."""
+
+    known: CostToGo
+    setting: Setting
+    human: Human | None
+    prior: Population | Mixture
+    until: float
+    memory_limit_mb: float
+
+    def task(self, states: int, time_limit: float | None = None) -> TruncatedTask:
+        """Return the truncated task of the likeliest states."""
+        return TruncatedTask.of(
+            self.known, states=states, population=self.prior, human=self.human, time_limit=time_limit
+        )
+
+    def inner(self, size: int, kept_mb: float) -> tuple[TruncatedTask, AssistPOMDP, int]:
+        """Return the task on which beta and theta are hidden, its problem, and its requested number of states."""
+        hidden = min(size, SIZES.hidden, SIZES.hidden_least)
+        inner = self.task(hidden)
+        problem = self.seen(inner)
+        more = int(min(size, SIZES.hidden, _affordable(problem, hidden, self.until, kept_mb)))
+        if more > hidden and len(inner.frontier) and not self.known.searches:
+            hidden = more
+            inner = self.task(hidden)
+            problem = self.seen(inner)
+        return inner, problem, hidden
+
+    def outer(self, seen: int, least: int, time_limit: float | None) -> tuple[TruncatedTask, AssistPOMDP]:
+        """Return the task on which beta and theta are observed and its problem, as large as the memory allows."""
+        outer = self.task(seen, time_limit)
+        problem = self.seen(outer)
+        share = self.memory_limit_mb * 1e6 / _bytes(problem)
+        if share < 1:  # half of the share, since smaller tasks have relatively larger frontiers
+            few = int(share / 2 * (len(outer.states) - len(outer.frontier)))
+            outer = self.task(max(least, few), time_limit)
+            problem = self.seen(outer)
+        return outer, problem
+
+    def between(
+        self, inner: TruncatedTask, outer: TruncatedTask, found: OuterRelaxation, entry: float
+    ) -> OuterRelaxation:
+        """Return the outer relaxation on a smaller task, on which prices are optimised."""
+        middle = self.task(min(SIZES.price_states, len(outer.states) - len(outer.frontier)))
+        place = outer.local(middle.states)
+        if (place < 0).any():  # the time limit ended the expansion of the outer task
+            return found
+        problem = self.within(middle, self.seen(middle), replace(found, place=place))
+        own = AttentionSubproblem.of(problem, entry)
+        at = found.visits.layout.number(0, own.layout.position, place[own.layout.x])
+        return OuterRelaxation(own, np.ascontiguousarray(found.value[at]), middle.local(inner.states))
+
+    def problem(self, region: TruncatedTask, frontier: LeafBounds) -> AssistPOMDP:
+        """Return the problem on a truncated task."""
+        return self.setting.problem(region.choices, self.human, self.prior, frontier=frontier)
+
+    @property
+    def chooses(self) -> ChoiceModel:
+        """The person's choice model."""
+        return self.setting.chooses(self.human, self.prior)
+
+    def seen(self, region: TruncatedTask) -> AssistPOMDP:
+        """Return the problem on a truncated task, with `never_erring` and V(x) of the whole task at its frontier."""
+        beyond = region.bounds_of_anybody(self.setting.gamma, 1)
+        expected = -region.choices.h[region.frontier]
+        if self.human is not None or hasattr(self.chooses, "value"):  # otherwise V(x) is minus the cost-to-go
+            choices = region.choices
+            advised = choices.optimal if self.setting.suggestions == "optimal" else choices.applicable
+            at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
+            expected[at] = self.expected(region.states[region.frontier[at]])
+        return self.problem(region, replace(beyond, value=expected))
+
+    def expected(self, states: NDArray[np.int64]) -> Floats:
+        """Return V(x) of equation 7 in some states, shape (N,), computed from their choices in the whole task."""
+        if not len(states):
+            return np.empty(0)
+        around = StateCache(self.known).around(states)
+        model = self.problem(around, around.bounds_of_anybody(self.setting.gamma, 1)).model
+        return value(self.chooses, around.choices, model.q)[: len(states)]
+
+    def within(self, region: TruncatedTask, problem: AssistPOMDP, outer: OuterRelaxation | None) -> AssistPOMDP:
+        """Return the problem of a truncated task with the best known bounds at its frontier.
+
+        `outer.place` refers to the states of this truncated task.
+        """
+        assert problem.frontier is not None
+        # The same bound holds for both positions of the robot, away and here.
+        here = np.repeat(initial_upper_bounds(problem)[region.frontier][:, None], 2, axis=1)
+        if outer is not None:
+            at = outer.place[region.frontier]
+            away, there = (outer.value[outer.visits.states(0, position)] for position in (AWAY, HERE))
+            # Being here is never worse, since leaving is free.
+            found = np.stack([np.minimum(away, there), there], axis=1)
+            here = np.where((at >= 0)[:, None, None, None], np.minimum(here, found[at]), here)
+        upper = np.ascontiguousarray(here[:, 1])
+        frontier = replace(problem.frontier, upper=upper, lower=upper.copy(), away=np.ascontiguousarray(here[:, 0]))
+        return self.problem(region, frontier)
+
+    def complying(self, region: TruncatedTask) -> Floats | None:
+        """Return upper bounds in the states of a truncated task, shape (n, B), by the compliance relaxation around it.
+
+        The result is None if the relaxation does not apply: the task is no table, the misconceptions concern actions,
+        there is another choice model than equation 5, or the robot executes actions.
+        """
+        known, setting, human, until = self.known, self.setting, self.human, self.until
+        by_cost = self.chooses is boltzmann and (human is None or mistaken_about_states(human))
+        if not (by_cost and isinstance(known, Table)) or setting.execute:
+            return None
+        left = until - time.perf_counter()
+        share = 0.6  # of the time left; the rest is for the values with observed theta
+        # Half of the sweeps over many states give looser bounds than all sweeps over few: a bound was -20.3 with
+        # 150,000 states in 4 seconds, -21.1 with 600,000 in 17, and -14.2 when these were cut off after 11.
+        in_time = 20_000 * share * max(0.0, left)
+        bytes_of_a_state = 600  # values and transitions, roughly
+        most = int(min(SIZES.complying, self.memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
+        found = compliance_bounds(
+            known, human, Grid.regular(self.prior).beta, breadth_first(known, region.states, most), gamma=setting.gamma,
+            c_suggest=setting.c_suggest, lapse=setting.lapse, optimal=setting.suggestions == "optimal",
+            deadline=until if until == math.inf else until - (1 - share) * left,
+        )  # fmt: skip
+        return found.at(region.states)
 
 
 def likely(alone: AssistPOMDP, steps: int, most: int, *, advised: float = 0.3, horizon: int = 3) -> NDArray[np.bool_]:
@@ -320,78 +421,6 @@ def _affordable(problem: AssistPOMDP, hidden: int, until: float, kept_mb: float)
     needed = 2 * (sum(array.nbytes for array in _arrays(problem)) + values)  # two positions of the robot: away and here
     in_time = 400 * (until - time.perf_counter())  # the solver's time grows with the number of states
     return min(in_time, 0.3 * kept_mb * 1e6 / needed * hidden)  # the rest of the memory is for the other parts
-
-
-def _within(
-    region: TruncatedTask, problem: AssistPOMDP, outer: OuterRelaxation | None, setting: Setting, human: Human | None,
-    prior: Population | Mixture,
-) -> AssistPOMDP:  # fmt: skip
-    """Return the problem of a truncated task with the best known bounds at its frontier.
-
-    `outer.place` refers to the states of this truncated task.
-    """
-    assert problem.frontier is not None
-    # The same bound holds for both positions of the robot, away and here.
-    here = np.repeat(initial_upper_bounds(problem)[region.frontier][:, None], 2, axis=1)
-    if outer is not None:
-        at = outer.place[region.frontier]
-        away, there = (outer.value[outer.visits.states(0, position)] for position in (AWAY, HERE))
-        found = np.stack([np.minimum(away, there), there], axis=1)  # being here is never worse, since leaving is free
-        here = np.where((at >= 0)[:, None, None, None], np.minimum(here, found[at]), here)
-    upper = np.ascontiguousarray(here[:, 1])
-    frontier = replace(problem.frontier, upper=upper, lower=upper.copy(), away=np.ascontiguousarray(here[:, 0]))
-    return setting.problem(region.choices, human, prior, frontier=frontier)
-
-
-def _seen(region: TruncatedTask, setting: Setting, human: Human | None, prior: Population | Mixture) -> AssistPOMDP:
-    """Return the problem on a truncated task, with `never_erring` and V(x) of the whole task at its frontier."""
-    beyond = region.bounds_of_anybody(setting.gamma, 1)
-    expected = -region.choices.h[region.frontier]
-    if human is not None or hasattr(setting.chooses(human, prior), "value"):  # otherwise V(x) is minus the cost-to-go
-        choices = region.choices
-        advised = choices.optimal if setting.suggestions == "optimal" else choices.applicable
-        at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
-        expected[at] = _expected(region.known, region.states[region.frontier[at]], setting, human, prior)
-    return setting.problem(region.choices, human, prior, frontier=replace(beyond, value=expected))
-
-
-def _expected(
-    known: CostToGo, states: NDArray[np.int64], setting: Setting, human: Human | None, prior: Population | Mixture
-) -> Floats:
-    """Return V(x) of equation 7 in some states, shape (N,), computed from their choices in the whole task."""
-    if not len(states):
-        return np.empty(0)
-    around = StateCache(known).around(states)
-    model = setting.problem(around.choices, human, prior, frontier=around.bounds_of_anybody(setting.gamma, 1)).model
-    return value(setting.chooses(human, prior), around.choices, model.q)[: len(states)]
-
-
-def _complying(
-    region: TruncatedTask, setting: Setting, human: Human | None, prior: Population | Mixture, until: float,
-    memory_limit_mb: float,
-) -> Floats | None:  # fmt: skip
-    """Return upper bounds in the states of a truncated task, shape (n, B), by the compliance relaxation around it.
-
-    The result is None if the relaxation does not apply: the task is no table, the misconceptions concern actions, there
-    is another choice model than equation 5, or the robot executes actions.
-    """
-    known = region.known
-    by_cost = setting.chooses(human, prior) is boltzmann and (human is None or mistaken_about_states(human))
-    if not (by_cost and isinstance(known, Table)) or setting.execute:
-        return None
-    left = until - time.perf_counter()
-    share = 0.6  # of the time left; the rest is for the values with observed theta
-    # Half of the sweeps over many states give looser bounds than all sweeps over few: a bound was -20.3 with 150,000
-    # states in 4 seconds, -21.1 with 600,000 in 17, and -14.2 when these were cut off after 11.
-    in_time = 20_000 * share * max(0.0, left)
-    bytes_of_a_state = 600  # values and transitions, roughly
-    most = int(min(SIZES.complying, memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
-    found = compliance_bounds(
-        known, human, Grid.regular(prior).beta, breadth_first(known, region.states, most), gamma=setting.gamma,
-        c_suggest=setting.c_suggest, lapse=setting.lapse, optimal=setting.suggestions == "optimal",
-        deadline=until if until == math.inf else until - (1 - share) * left,
-    )  # fmt: skip
-    return found.at(region.states)
 
 
 def _values(
