@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -96,6 +97,35 @@ def test_only_people_who_are_drawn_are_solved_and_results_are_the_same(tiny_choi
     for one in eager.policies:
         one.prepare()
     assert list(simulate(eager, policy, humans=2, episodes=3, seed=4)) == list(found)
+
+
+class ByCostToGo(Policy):
+    """A policy of the user for one person: suggest something where the goal is at least so many cost units away."""
+
+    def __init__(self, pomdp: AssistPOMDP, least: float) -> None:
+        self.pomdp, self.least = pomdp, least  # type: ignore[misc]
+
+    def q_values(self, x: np.ndarray, belief: np.ndarray) -> np.ndarray:  # noqa: ARG002
+        robot = np.arange(self.pomdp.suggested.shape[1])
+        worth = np.where(self.pomdp.model.choices.h[x] >= self.least, 3.0, -1.0)[:, None] * (robot > 0)
+        return np.where(robot < self.pomdp.robot_actions[x][:, None], worth, -np.inf)
+
+
+@pytest.mark.parametrize("policy", ["attention", "priority"])
+def test_a_policy_of_the_user_needs_a_problem_and_values(tiny_choices: Choices, policy: str) -> None:
+    setting = Setting(c_move=0.0, knowledge="exact")
+    pools = [
+        Pool.sample(tiny_choices, 2, seed=0, setting=setting, solver=partial(ByCostToGo, least=least))
+        for least in (np.inf, 0.0)
+    ]
+    never, always = (simulate(pool, policy, humans=2, episodes=5, seed=1, explain=False) for pool in pools)
+    if policy == "attention":
+        assert never.interventions.sum() == 0
+        assert (always.interventions >= always.steps - 1).all()
+    else:  # it solves problems of its own
+        assert list(never) == list(always)
+    direct = replace(pools[0], policies=(ByCostToGo(pools[0].policies[0].pomdp, np.inf),))
+    assert list(simulate(direct, policy, humans=2, episodes=5, seed=1, explain=False)) == list(never)
 
 
 def test_people_of_large_tasks_are_solved_when_they_are_drawn(tiny: Table) -> None:
