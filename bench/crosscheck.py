@@ -352,7 +352,7 @@ def compared(case: Case, pool: Pool, policy: TeamPolicy, upper: float, error: fl
     limited = replace(pool, setting=replace(pool.setting, max_steps=last))
     dearest = max(float(one.pomdp.model.choices.costs.max() + one.pomdp.robot_costs.max()) for one in pool.policies)
     dearest += way.c_move * float(way.distance.max())
-    for episodes in EPISODES_ON_PART if pool.truncated else EPISODES:
+    for episodes in EPISODES if math.isfinite(pool.policies[0].size) else EPISODES_ON_PART:
         run = simulate(
             limited, policy, humans=list(case.team), episodes=episodes, seed=case.number + episodes, travel=way,
             presence=Schedule.of(len(case.team), joins=list(case.joins)), world="model",
