@@ -22,6 +22,7 @@ COLUMNS = {
     "assist.coupled": 5, "assist.explain": 3,
     "assist.live": 3.5, "assist.certify": 0, "assist.plots": 1, "assist.study": 2, "assist.userstudy": 3,
     "assist.web": 4, "assist.interop": 5, "assist.cli.options": 3, "assist.reports": 2, "assist.web.user_study": 4,
+    "assist.bridges": 5,
     "assist.cli.output": 0.5, "assist.cli": 2.5,
 }  # fmt: skip
 """Where each room stands in its row; the rows follow from the imports."""

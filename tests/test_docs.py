@@ -124,7 +124,9 @@ def test_every_block_is_of_a_kind_that_is_run_or_is_no_code() -> None:
             assert language in KINDS, f"{name(page)}: ```{language}\n{text}"
 
 
-@pytest.mark.parametrize("page", [page for page in pages_with("toml") if page.stem != "userstudy"], ids=name)
+@pytest.mark.parametrize(
+    "page", [page for page in pages_with("toml") if page.stem not in ("userstudy", "line")], ids=name
+)
 def test_drawings_shown_are_those_of_a_shipped_domain(page: Path) -> None:
     """The page may leave entries out."""
     shipped = [tomllib.loads(file.read_text()) for file in (ROOT / "domains").rglob("drawing.toml")]

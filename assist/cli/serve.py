@@ -13,7 +13,7 @@ from planner.system.errors import DamagedFileError, ResultsExistError
 
 from .options.common import INPUT_FILE
 from .options.help import command
-from .options.live import live_options, plan_of
+from .options.live import bridge_of, live_options, plan_of
 from .options.policies import policy_errors
 from .user_study import PORT, conduct, listen, live_server, public_url_option, trusted_proxy_option
 
@@ -36,12 +36,13 @@ if TYPE_CHECKING:
     help=f"Port to listen on; 0 for any free one.  [default: {PORT}, or another if it is taken]",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all networks.")
+@click.option("--bridge", type=INPUT_FILE, metavar="FILE.toml", help="Connect the team to this MQTT broker.")
 @public_url_option
 @trusted_proxy_option
 @live_options
 def serve(
     instances: tuple[str, ...], study: Path | None, rehearse: int | None, port: int | None, host: str,
-    public_url: str | None, trusted_proxy: Networks, **team: Any,
+    bridge: Path | None, public_url: str | None, trusted_proxy: Networks, **team: Any,
 ) -> None:  # fmt: skip
     """Run the live assistant: a web service that receives people's actions and returns suggestions.
 
@@ -58,6 +59,7 @@ def serve(
         raise click.UsageError(
             f"{' and '.join(missing)}: missing; expected INSTANCE and --humans K, or --study FILE.toml"
         )
+    beside = None if bridge is None else bridge_of(bridge)
     with policy_errors():
         plan = replace(plan_of(instances, **team), public_url=public_url, trusted_proxies=trusted_proxy)
         try:
@@ -75,4 +77,4 @@ def serve(
             f"the session is saved in {plan.folder}; Ctrl-C ends the service, --data {plan.folder} resumes it", err=True
         )
 
-    server.serve(plan, session, listening, ready)
+    server.serve(plan, session, listening, ready, beside)

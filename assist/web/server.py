@@ -238,9 +238,13 @@ class ServedTeam:
 
 
 Ready = Callable[[AccessTokens, tuple[str, ...]], None]
+Beside = Callable[[str], Coroutine[Any, Any, None]]
+"""Work beside the service: it gets the operator's link at an address of this machine."""
 
 
-def serve(plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready) -> None:
+def serve(
+    plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None = None
+) -> None:
     """Serve a session until a signal ends it.
 
     Parameters
@@ -251,18 +255,40 @@ def serve(plan: ServedTeam, session: Session, listening: socket.socket, ready: R
     listening : socket
     ready : callable
         Called with the links and the people present when the service accepts requests.
+    beside : callable, optional
+        Work that ends with the service. If it fails, the service continues.
     """
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
-    asyncio.run(_serve(plan, session, listening, ready))
+    asyncio.run(_serve(plan, session, listening, ready, beside))
 
 
-async def _serve(plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready) -> None:
+async def _serve(
+    plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None
+) -> None:
     access = AccessTokens.kept(plan.folder / "secret", plan.public_url or address(listening))
     service = Service(session, access, tick=plan.tick)
     service.simulated = frozenset(plan.simulated)
     app = make_app(service, trusted_proxies=plan.trusted_proxies)
     seats = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))
-    await run(app, listening, lambda: ready(access, service.session.people), seats)
+    others = seats if beside is None else _both(seats, beside(f"{_local(listening)}/operator/{access.operator}"))
+    await run(app, listening, lambda: ready(access, service.session.people), others)
+
+
+def _local(listening: socket.socket) -> str:
+    """Return the address at which programs on this machine reach a service."""
+    host, port = listening.getsockname()[:2]
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+async def _both(seats: Coroutine[Any, Any, None], beside: Coroutine[Any, Any, None]) -> None:
+    async def logged() -> None:
+        try:
+            await beside
+        except Exception:
+            logging.getLogger(__name__).exception("the work beside the service has ended")
+
+    await asyncio.gather(seats, logged())
 
 
 async def run(

@@ -25,7 +25,9 @@ GROUPS = {
         "--policy", "--knowledge", "--suggestions", "--execute", "--gamma", "--c-suggest", "--c-execute", "--c-move",
         "--travel-time", "--distances", "--lapse",
     ),
-    "Service": ("--study", "--rehearse", "--port", "--host", "--public-url", "--trusted-proxy", "--tick", "--data"),
+    "Service": (
+        "--study", "--rehearse", "--port", "--host", "--public-url", "--trusted-proxy", "--bridge", "--tick", "--data",
+    ),
     "Run": (
         "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",
         "--verify", "--jobs", "--scheduler", "--cache", "--resume", "--seed",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import click
 
 from planner import Instance, InstanceError, find_instances
 from planner.batch.solve_instance import SolveOptions
+from planner.system.errors import InputFileError, MissingExtraError
 
 from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
 from .person import model_options
@@ -102,6 +104,30 @@ def plan_of(
         tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen, setting=setting,
         population=population, distance=distance, simulated=simulated, pace=pace, seed=seed, tick=tick,
     )  # fmt: skip
+
+
+def bridge_of(file: Path) -> Callable[[str], Coroutine[Any, Any, None]]:
+    """Read the settings of a bridge; return the bridge's work, given the operator's link.
+
+    Raises
+    ------
+    MissingExtraError
+        The packages of the extra `mqtt` are not installed.
+    click.UsageError
+        The settings are faulty, or a file of the TLS settings cannot be read.
+    """
+    try:
+        from ...bridges.mqtt import MqttBridge, library
+        from ...bridges.settings import MqttSettings
+    except ImportError as error:  # of the library for typed tables
+        raise MissingExtraError("a bridge needs", str(error.name), "mqtt") from None
+    library()
+    try:
+        settings = MqttSettings.read(file)
+        settings.context()
+    except (InputFileError, OSError) as error:
+        raise click.UsageError(str(error)) from None
+    return lambda link: MqttBridge(settings, link).run()
 
 
 def _named(instances: list[Instance]) -> dict[str, Instance]:

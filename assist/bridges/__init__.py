@@ -1,0 +1,5 @@
+"""Bridges between a live session and the protocols of a line (extra `mqtt`)."""
+
+from planner.system.lazy_imports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -1,0 +1,2 @@
+from .mqtt import MqttBridge as MqttBridge
+from .settings import MqttSettings as MqttSettings

@@ -1,0 +1,221 @@
+"""Messages of a line and what they report: topics, the fields of a payload, and the action that they make.
+
+A topic such as `line/{person}/action` has fields instead of some levels. A payload is a JSON object, or a text of which
+the named groups of a regular expression are the fields. Templates such as `(place {item} {slot})` are filled with both.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+Fields = dict[str, str]
+"""Fields of a message, as texts."""
+
+FIELD = re.compile(r"\{(\w+)\}")
+LEVEL = re.compile(r"\{(\w+)\}|[^{}+#]*")
+WORD = re.compile(r"[^\s()]+")
+LONGEST_ID = 128  # characters, as the service accepts
+
+
+class MessageError(ValueError):
+    """A message that reports nothing usable; the text says why."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic with fields, such as `line/{person}/action`.
+
+    Raises
+    ------
+    ValueError
+        A field is not a whole level, or occurs twice, or there is a wildcard.
+    """
+
+    text: str
+
+    def __post_init__(self) -> None:
+        """Check the levels."""
+        names = self.names
+        if not self.text or len(set(names)) < len(names) or not all(map(LEVEL.fullmatch, self.text.split("/"))):
+            raise ValueError(f"{self.text!r}; expected levels that are texts or one field each: line/{{person}}/action")
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the fields."""
+        return FIELD.findall(self.text)
+
+    @property
+    def filter(self) -> str:
+        """The filter with which a client subscribes."""
+        return FIELD.sub("+", self.text)
+
+    def fill(self, **fields: str) -> str:
+        """Return the topic for these values of its fields."""
+        return FIELD.sub(lambda found: fields[found[1]], self.text)
+
+    def fields(self, topic: str) -> Fields | None:
+        """Return the values of the fields in a topic; None if it is another topic."""
+        found = {}
+        levels, given = self.text.split("/"), topic.split("/")
+        if len(levels) != len(given):
+            return None
+        for level, value in zip(levels, given, strict=True):
+            name = FIELD.fullmatch(level)
+            if name is not None and value:
+                found[name[1]] = value
+            elif level != value:
+                return None
+        return found
+
+
+def filled(template: str, fields: Mapping[str, str], names: Mapping[str, str]) -> str:
+    """Return a template with its fields filled in.
+
+    Parameters
+    ----------
+    template : str
+        A template of one field only takes its value as it is; in longer ones, each value is one word.
+    fields : mapping of str to str
+    names : mapping of str to str
+        The task's names of values that are written otherwise, such as bar codes.
+
+    Raises
+    ------
+    MessageError
+        A field is missing, or its value is not one word.
+    """
+    alone = FIELD.fullmatch(template) is not None
+
+    def value(found: re.Match[str]) -> str:
+        given = fields.get(found[1])
+        if given is None:
+            raise MessageError(f"there is no field {found[1]!r}; expected {', '.join(FIELD.findall(template))}")
+        named = names.get(given, given)
+        if not alone and not WORD.fullmatch(named):
+            raise MessageError(f"field {found[1]!r} is {given[:40]!r}; expected one word")
+        return named
+
+    return FIELD.sub(value, template)
+
+
+def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
+    """Return the fields of a payload: those of a JSON object, or the named groups of a pattern in a text.
+
+    Raises
+    ------
+    MessageError
+        It is neither.
+    """
+    try:
+        text = payload.decode()
+        if pattern is not None:
+            found = pattern.search(text)
+            if found is None:
+                raise MessageError(f"{text[:40]!r} does not match {pattern.pattern}")
+            return {name: value for name, value in found.groupdict().items() if value is not None}
+        content = json.loads(text)
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
+        raise MessageError(f"{payload[:40]!r}; expected a JSON object in UTF-8") from None
+    if not isinstance(content, dict):
+        raise MessageError(f"{text[:40]}; expected a JSON object")
+    return {
+        str(name): str(value)
+        for name, value in content.items()
+        if isinstance(value, str | int | float) and not isinstance(value, bool)
+    }
+
+
+@dataclass(frozen=True)
+class Report:
+    """An action of a person, as a message reports it.
+
+    Attributes
+    ----------
+    person : str
+    action : str
+        Empty if the message has none that is usable; then `fault` says why.
+    id : str
+        The same for repetitions of the message.
+    number : int or None
+        Its place among the reports of this person, counted from 1.
+    seq : int or None
+        The `seq` of the advice that the person had seen.
+    fault : str or None
+    """
+
+    person: str
+    action: str
+    id: str
+    number: int | None = None
+    seq: int | None = None
+    fault: str | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """Messages that report actions.
+
+    Attributes
+    ----------
+    topic : Topic
+    action, id, person : str
+        Templates.
+    number, seq : str or None
+        Templates of whole numbers.
+    pattern : re.Pattern or None
+        Pattern whose named groups are the fields of a payload; None for JSON objects.
+    names : mapping of str to str
+        The task's names of values.
+    """
+
+    topic: Topic
+    action: str = "{action}"
+    id: str = "{id}"
+    person: str = "{person}"
+    number: str | None = None
+    seq: str | None = None
+    pattern: re.Pattern[str] | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    def fields(self, topic: str, payload: bytes) -> Fields:
+        """Return the fields of a message; those of its topic take precedence.
+
+        Raises
+        ------
+        MessageError
+            As in `fields_of`.
+        """
+        return {**fields_of(payload, self.pattern), **(self.topic.fields(topic) or {})}
+
+    def report(self, fields: Fields) -> Report:
+        """Return what a message with these fields reports.
+
+        An unusable action is part of the report, since the report may have a number that others wait for.
+
+        Raises
+        ------
+        MessageError
+            The person, the id or a number is missing or unsuitable.
+        """
+        identifier = filled(self.id, fields, {})
+        if not 0 < len(identifier) <= LONGEST_ID:
+            raise MessageError(f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
+        person, number = filled(self.person, fields, {}), _whole(self.number, fields, 1)
+        seq = _whole(self.seq, fields, 0)
+        try:
+            return Report(person, filled(self.action, fields, self.names), identifier, number, seq)
+        except MessageError as error:
+            return Report(person, "", identifier, number, seq, str(error))
+
+
+def _whole(template: str | None, fields: Fields, least: int) -> int | None:
+    """Return the whole number that a template stands for; None without a template."""
+    if template is None:
+        return None
+    text = filled(template, fields, {})
+    if not re.fullmatch(r"\d{1,15}", text, re.ASCII) or int(text) < least:
+        raise MessageError(f"{template} is {text[:40]!r}; expected a whole number of {least} or more")
+    return int(text)

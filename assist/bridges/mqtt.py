@@ -1,0 +1,408 @@
+"""The MQTT bridge: actions from an MQTT broker to the running service, and its advice to the broker.
+
+Messages may be lost, repeated and reordered. A report has an id, under which the service records it once, and is
+answered on the topic `answers` when it is recorded or refused. A sender that repeats a report until it is answered has
+each recorded exactly once, whatever happens to the broker, the bridge or the service in between. Numbers of reports
+restore their order. The broker gets its acknowledgement of a message only when the report is recorded (or held back,
+where it is numbered), so that it delivers the message again after a crash.
+
+Advice is published retained, and again after each reconnection, since a broker may have forgotten it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import re
+from collections import Counter
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from functools import partial
+from itertools import count
+from random import Random
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from planner.system.errors import MissingExtraError
+
+from ..web.client import RefusedError
+from .messages import MessageError, Report, fields_of
+from .ordering import InOrder
+from .session_client import SessionClient
+from .settings import MqttSettings
+
+if TYPE_CHECKING:
+    import aiomqtt
+
+ONLINE, OFFLINE = b"online", b"offline"
+WILD = re.compile(r"[/+#\0]")  # characters that a level of a topic cannot have
+ABSENT, UNUSABLE = 404, 422  # status of a report about nobody, and of one without an action
+
+LOG = logging.getLogger(__name__)
+
+Acknowledge = Callable[[], object]
+"""Acknowledges a message to the broker."""
+
+
+def library() -> ModuleType:
+    """Return the MQTT library.
+
+    Raises
+    ------
+    MissingExtraError
+        The extra `mqtt` is not installed.
+    """
+    try:
+        import aiomqtt
+    except ImportError:
+        raise MissingExtraError("the MQTT bridge needs", "aiomqtt", "mqtt") from None
+    return aiomqtt
+
+
+class _Sender:
+    """The reports of one person: those that wait for their turn, and the task that hands them over one by one."""
+
+    def __init__(self) -> None:
+        self.order = InOrder[tuple[Report, Acknowledge]]()
+        self.queue = asyncio.Queue[tuple[Report, Acknowledge]]()
+        self.answered = 0  # the highest number of an answered report
+        self.timer: asyncio.TimerHandle | None = None
+        self.task: asyncio.Task[None] | None = None
+
+
+class MqttBridge:
+    """A bridge between a broker and a running service.
+
+    Parameters
+    ----------
+    settings : MqttSettings
+    link : str
+        The operator's link, as `kitassist serve` prints it.
+    every : float
+        Seconds between two looks at who is in the team. Fewer add load, more delay the first advice to those who join.
+    longest_pause : float
+        Largest number of seconds between two attempts to reach the broker. The first pause is a tenth of a second;
+        each next one is twice as long, with a random part, so that not all clients return at once.
+    publishers : int
+        Messages that may wait for the broker's acknowledgement at a time. More help over slow networks.
+
+    Attributes
+    ----------
+    counts : Counter
+        Numbers of `messages`, of reports `recorded` and `refused`, of `connections` to the broker and messages
+        `published`.
+
+    Raises
+    ------
+    MissingExtraError
+        The extra `mqtt` is not installed.
+    """
+
+    def __init__(
+        self, settings: MqttSettings, link: str, *, every: float = 5.0, longest_pause: float = 30.0, publishers: int = 8
+    ) -> None:
+        self.settings, self._mqtt = settings, library()
+        self.counts = Counter[str]()
+        self._session = SessionClient(link)
+        self._every, self._longest_pause, self._publishers = every, longest_pause, publishers
+        self._senders: dict[str, _Sender] = {}
+        self._advised: dict[str, asyncio.Task[None]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._kept: dict[str, bytes] = {}  # retained messages by topic
+        self._waiting: dict[str | int, tuple[str, bytes, bool]] = {}  # to be published, in this order
+        self._keys = count()
+        self._wake, self._moved = asyncio.Event(), asyncio.Event()
+
+    async def run(self) -> None:
+        """Work until cancelled. Lost connections to the broker and to the service are restored.
+
+        Raises
+        ------
+        RefusedError
+            The service does not accept the link.
+        OSError
+            A file of the TLS settings cannot be read.
+        """
+        context = await asyncio.to_thread(self.settings.context)
+        tasks = [asyncio.create_task(one) for one in (self._team(), self._robot(), self._broker(context))]
+        try:
+            await asyncio.gather(*tasks)
+        finally:
+            tasks += self._tasks
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            for sender in self._senders.values():
+                if sender.timer is not None:
+                    sender.timer.cancel()
+            self._session.close()
+
+    # The broker.
+
+    async def _broker(self, context: Any) -> None:
+        """Stay connected to the broker."""
+        shortest, steady = 0.1, 5.0  # seconds; a connection that lasts for less counts as another failure
+        pause, lost, loop, random = shortest, False, asyncio.get_running_loop(), Random()
+        while True:
+            began = loop.time()
+            try:
+                async with self._connection(context) as broker:
+                    if lost:
+                        LOG.warning("MQTT: connected to %s again", self.settings.host)
+                    lost, began = False, loop.time()
+                    self.counts["connections"] += 1
+                    await self._converse(broker)
+            except (self._mqtt.MqttError, OSError) as error:
+                if not lost:
+                    LOG.warning("MQTT: no connection to %s:%d: %s", self.settings.host, self.settings.port, error)
+                lost = True
+            if loop.time() > began + steady:
+                pause = shortest
+            await asyncio.sleep(pause * random.uniform(0.5, 1.0))
+            pause = min(2 * pause, self._longest_pause)
+
+    def _connection(self, context: Any) -> aiomqtt.Client:
+        settings = self.settings
+        will = None
+        if settings.status is not None:
+            will = self._mqtt.Will(settings.status.text, OFFLINE, qos=1, retain=True)
+        client: aiomqtt.Client = self._mqtt.Client(
+            settings.host, settings.port, username=settings.username, password=settings.password(),
+            identifier=settings.client, clean_session=False, will=will, tls_context=context, keepalive=15,
+        )  # fmt: skip
+        client._client.manual_ack_set(True)  # aiomqtt itself would acknowledge what has not been recorded
+        return client
+
+    async def _converse(self, broker: aiomqtt.Client) -> None:
+        """Receive and publish until the connection is lost."""
+        settings = self.settings
+        numbered = any(source.number is not None for source in settings.sources)
+        topics = [source.topic.filter for source in settings.sources]
+        topics += [settings.arrived.filter] if settings.arrived is not None else []
+        if numbered and settings.answers is not None:  # the last answers say which number comes next
+            topics.insert(0, settings.answers.filter)
+        for topic in topics:
+            await broker.subscribe(topic, qos=1)
+        if settings.status is not None:
+            self._publish(settings.status.text, ONLINE)
+        for topic, payload in self._kept.items():
+            self._waiting.setdefault(topic, (topic, payload, True))
+        self._wake.set()
+        tasks = [asyncio.create_task(self._publisher(broker)) for _ in range(self._publishers)]
+        tasks.append(asyncio.create_task(self._receiver(broker)))
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        except asyncio.CancelledError:
+            if settings.status is not None:
+                with suppress(self._mqtt.MqttError):
+                    await broker.publish(settings.status.text, OFFLINE, qos=1, retain=True, timeout=1.0)
+            raise
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _publisher(self, broker: aiomqtt.Client) -> None:
+        while True:
+            while not self._waiting:
+                self._wake.clear()
+                await self._wake.wait()
+            key = next(iter(self._waiting))
+            topic, payload, retain = self._waiting.pop(key)
+            try:
+                await broker.publish(topic, payload, qos=1, retain=retain)
+            except BaseException:
+                self._waiting = {key: (topic, payload, retain)} | self._waiting  # unless there is a newer one
+                raise
+            self.counts["published"] += 1
+
+    def _publish(self, topic: str, payload: bytes) -> None:
+        """Publish a retained message, in place of an earlier one on this topic."""
+        if self._kept.get(topic) == payload and topic != getattr(self.settings.status, "text", None):
+            return
+        self._kept[topic] = payload
+        self._waiting[topic] = (topic, payload, True)
+        self._wake.set()
+
+    async def _receiver(self, broker: aiomqtt.Client) -> None:
+        async for message in broker.messages:
+            acknowledge: Acknowledge = partial(broker._client.ack, message.mid, message.qos)
+            topic, payload = str(message.topic), message.payload
+            answers, arrived = self.settings.answers, self.settings.arrived
+            own = None if answers is None else answers.fields(topic)
+            if own is not None:
+                if message.retain:
+                    self._resume(own["person"], payload)
+                acknowledge()
+            elif arrived is not None and arrived.fields(topic) is not None:
+                self._start(self._arrived(payload, acknowledge))
+            else:
+                self._observed(topic, payload, acknowledge)
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Run a coroutine beside the others; its failure is logged."""
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._ended)
+        return task
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            LOG.error("MQTT: a part of the bridge failed", exc_info=error)
+
+    # Reports.
+
+    def _observed(self, topic: str, payload: bytes, acknowledge: Acknowledge) -> None:
+        """Take in a message that reports an action."""
+        self.counts["messages"] += 1
+        source = next((one for one in self.settings.sources if one.topic.fields(topic) is not None), None)
+        if source is None:  # a subscription of an earlier configuration
+            acknowledge()
+            return
+        fields = dict(source.topic.fields(topic) or {})
+        try:
+            fields = source.fields(topic, payload)
+            report = source.report(fields)
+        except MessageError as error:
+            LOG.warning("MQTT: %s: %s", topic, error)
+            self._answer(fields.get("person"), fields.get("id"), None, "refused", str(error))
+            acknowledge()
+            return
+        sender = self._senders.setdefault(report.person, _Sender())
+        if report.number is None:
+            self._hand_over(report.person, [(report, acknowledge)])
+            return
+        acknowledge()  # before it is recorded: a broker sends only so many messages ahead, and one of them is missing
+        order, number = sender.order, report.number
+        before = order.held.get(number)
+        if order.late(number):
+            self._answer(report.person, report.id, None, "refused", "later actions were recorded before it arrived")
+        elif before is not None and before[0].id != report.id:
+            why = f"the number {number} belongs to the id {before[0].id!r}; expected one id for each"
+            self._answer(report.person, report.id, None, "refused", why)
+        else:
+            self._hand_over(report.person, order.take(number, (report, lambda: None)))
+
+    def _hand_over(self, person: str, items: list[tuple[Report, Acknowledge]]) -> None:
+        """Queue reports for the service, and see to it that those held back are not forgotten."""
+        sender = self._senders[person]
+        for item in items:
+            sender.queue.put_nowait(item)
+        if items and (sender.task is None or sender.task.done()):
+            sender.task = self._start(self._deliver(person, sender))
+        if items or not sender.order.held:
+            if sender.timer is not None:
+                sender.timer.cancel()
+            sender.timer = None
+        if sender.order.held and sender.timer is None:
+            loop = asyncio.get_running_loop()
+            sender.timer = loop.call_later(self.settings.wait, self._pass_over, person)
+
+    def _pass_over(self, person: str) -> None:
+        sender = self._senders[person]
+        sender.timer = None
+        missing = range(sender.order.next, min(sender.order.held))
+        LOG.warning("MQTT: %s: no report with number %d arrived; later ones go ahead", person, missing[0])
+        self._hand_over(person, sender.order.pass_over())
+
+    def _resume(self, person: str, payload: bytes) -> None:
+        """Continue after the last answer in this session, which the broker has kept."""
+        with suppress(MessageError, ValueError):
+            fields = fields_of(payload)
+            if fields.get("session") == self._session.session and "next" in fields:
+                sender = self._senders.setdefault(person, _Sender())
+                self._hand_over(person, sender.order.resume(int(fields["next"])))
+
+    async def _deliver(self, person: str, sender: _Sender) -> None:
+        """Report one person's actions to the service, one after the other."""
+        while not sender.queue.empty():
+            report, acknowledge = sender.queue.get_nowait()
+            body: dict[str, Any] = {"action": report.action, "id": report.id}
+            if report.seq is not None:
+                body["seq"] = report.seq
+            try:
+                if report.fault is not None:
+                    raise RefusedError(UNUSABLE, report.fault)
+                view = await self._session.ask("POST", f"/api/people/{quote(person, safe='')}/actions", body)
+            except RefusedError as error:
+                self._answer(person, report.id, report.number, "refused", str(error))
+                if error.status == ABSENT and report.number is None and sender.queue.empty():
+                    self._senders.pop(person, None)  # a message about nobody costs no memory
+            else:
+                self._follow(person)
+                self._answer(person, report.id, report.number, "recorded", seq=view["seq"])
+            acknowledge()
+
+    def _answer(
+        self, person: str | None, identifier: str | None, number: int | None, status: str,
+        detail: str | None = None, **more: Any,
+    ) -> None:  # fmt: skip
+        """Publish the answer to a report; that to a numbered one is retained, with the number that comes next."""
+        self.counts[status] += 1
+        if self.settings.answers is None or not person or WILD.search(person):
+            return
+        answer: dict[str, Any] = {"id": identifier, "status": status, **more}
+        answer |= {} if detail is None else {"detail": detail}
+        sender = self._senders.get(person)
+        if number is not None and sender is not None:
+            sender.answered = max(sender.answered, number)
+            answer |= {"number": number, "next": sender.answered + 1, "session": self._session.session}
+        topic, most = self.settings.answers.fill(person=person), 100_000  # some tens of megabytes
+        if len(self._waiting) < most:
+            self._waiting[next(self._keys)] = (topic, json.dumps(answer).encode(), number is not None)
+            self._wake.set()
+
+    async def _arrived(self, payload: bytes, acknowledge: Acknowledge) -> None:
+        """Report where the robot is: at a person, or at its base if there is none."""
+        try:
+            fields = fields_of(payload)
+            body = {"person": fields.get("person")} | ({"id": fields["id"]} if "id" in fields else {})
+            await self._session.ask("POST", "/api/robot/arrived", body)
+            self._moved.set()
+        except (MessageError, RefusedError) as error:
+            LOG.warning("MQTT: arrival of the robot: %s", error)
+        acknowledge()
+
+    # Advice.
+
+    async def _team(self) -> None:
+        """Keep watching the views of everybody in the team."""
+        while True:
+            team = await self._session.ask("GET", "/api/team")
+            for one in team["people"]:
+                self._follow(one["person"])
+            self._moved.set()
+            await asyncio.sleep(self._every)
+
+    def _follow(self, person: str) -> None:
+        task = self._advised.get(person)
+        if task is None or task.done():
+            self._advised[person] = self._start(self._advise(person))
+
+    async def _advise(self, person: str) -> None:
+        """Publish a person's advice after every change; when they have left, the broker is to keep nothing of them."""
+        output = self.settings.advice
+        async for view in self._session.watch(person):
+            if output is not None:
+                advice = {name: view[name] for name in output.fields}
+                self._publish(output.topic.fill(person=person), json.dumps(advice).encode())
+            self._moved.set()
+        if output is not None:
+            self._publish(output.topic.fill(person=person), b"")
+        if self.settings.answers is not None and person in self._senders and self._senders[person].answered:
+            self._waiting[next(self._keys)] = (self.settings.answers.fill(person=person), b"", True)
+            self._wake.set()
+
+    async def _robot(self) -> None:
+        """Publish the robot's instruction whenever it has changed."""
+        output = self.settings.robot
+        while output is not None:
+            await self._moved.wait()
+            self._moved.clear()
+            errand = await self._session.ask("GET", "/api/robot")
+            self._publish(output.topic.text, json.dumps({name: errand[name] for name in output.fields}).encode())

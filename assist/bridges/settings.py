@@ -1,0 +1,224 @@
+"""The settings of a bridge, from one TOML file. Passwords and certificates come from the environment."""
+
+from __future__ import annotations
+
+import os
+import re
+import ssl
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct, field
+
+from planner.system import typed_toml
+from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
+
+from .messages import Source, Topic
+
+ENVIRONMENT = "KITASSIST_MQTT_"
+"""Prefix of the environment variables PASSWORD, CA, CERTIFICATE and KEY."""
+
+Port = Annotated[int, Meta(ge=1, le=65535, description="a port, 1 to 65535")]
+Seconds = Annotated[float, Meta(gt=0, le=3600, description="seconds above 0, at most 3600")]
+Names = Annotated[dict[str, str], Meta(description="a table of texts")]
+
+
+class BrokerTable(Struct, forbid_unknown_fields=True):
+    """The table `broker`."""
+
+    host: Text = "localhost"
+    port: Port | None = None
+    client: Text = "kitassist"
+    username: Text | None = None
+    tls: Truth = False
+
+
+class ObserveTable(Struct, forbid_unknown_fields=True):
+    """A table `observe`."""
+
+    topic: Text
+    action: Text = "{action}"
+    id: Text = "{id}"
+    person: Text = "{person}"
+    number: Text | None = None
+    seq: Text | None = None
+    pattern: Text | None = None
+
+
+class OutputTable(Struct, forbid_unknown_fields=True):
+    """A table `advice` or `robot`."""
+
+    topic: Text
+    fields: Texts | None = None
+
+
+class TopicTable(Struct, forbid_unknown_fields=True):
+    """A table `answers`, `arrived` or `status`."""
+
+    topic: Text
+
+
+class FileTables(Struct, forbid_unknown_fields=True):
+    """The whole file."""
+
+    observe: Annotated[AnyTable | list[dict[str, Any]], Meta(description="a table, or a list of tables")]
+    broker: BrokerTable = field(default_factory=BrokerTable)
+    advice: OutputTable | None = None
+    answers: TopicTable | None = None
+    robot: OutputTable | None = None
+    arrived: TopicTable | None = None
+    status: TopicTable | None = None
+    names: Names | None = None
+    wait: Seconds = 10.0
+
+
+@dataclass(frozen=True)
+class Output:
+    """A topic on which parts of a view are published.
+
+    Attributes
+    ----------
+    topic : Topic
+    fields : tuple of str
+        Fields of the view.
+    """
+
+    topic: Topic
+    fields: tuple[str, ...]
+
+
+ADVICE = "person", "suggestion", "finished", "seq"
+VIEW = {*ADVICE, "task", "present", "paused", "applicable", "reason", "cost_to_go", "steps", "explained"}
+ROBOT = "person", "suggestion", "arrived", "seq"
+ERRAND = {*ROBOT, "reason", "location"}
+
+
+@dataclass(frozen=True)
+class MqttSettings:
+    """Settings of the MQTT bridge.
+
+    Attributes
+    ----------
+    sources : tuple of Source
+        Messages that report actions.
+    host : str
+    port : int
+    client : str
+        Name of the bridge at the broker, which keeps messages for it while it is away.
+    username : str or None
+    tls : bool
+    advice, robot : Output or None
+        Where suggestions and the robot's instructions are published.
+    answers, arrived, status : Topic or None
+        Where reports are answered, where the robot reports its place, and where the bridge shows that it works.
+    wait : float
+        Seconds for which later messages of a person wait for an earlier one.
+    """
+
+    sources: tuple[Source, ...]
+    host: str = "localhost"
+    port: int = 1883
+    client: str = "kitassist"
+    username: str | None = None
+    tls: bool = False
+    advice: Output | None = None
+    answers: Topic | None = None
+    robot: Output | None = None
+    arrived: Topic | None = None
+    status: Topic | None = None
+    wait: float = 10.0
+
+    @classmethod
+    def read(cls, file: str | Path) -> MqttSettings:
+        """Read the settings from a TOML file.
+
+        Raises
+        ------
+        InputFileError
+            A field is missing, unknown or of the wrong type; the message has its place.
+        """
+        file = Path(file)
+        with located(file):
+            tables = convert(typed_toml.load(file), FileTables, file)
+            broker = tables.broker
+            port = broker.port or (8883 if broker.tls else 1883)
+            several = tables.observe if isinstance(tables.observe, list) else [tables.observe]
+            names = tables.names or {}
+            sources = tuple(_source(one, names, file, _place("observe", number, tables.observe))
+                            for number, one in enumerate(several, start=1))  # fmt: skip
+            if not sources:
+                raise fault(file, "observe", "is empty; expected a table or more")
+            return cls(
+                sources, broker.host, port, broker.client, broker.username, broker.tls,
+                advice=_output(tables.advice, ["person"], ADVICE, VIEW, file, "advice"),
+                answers=_topic(tables.answers, ["person"], file, "answers"),
+                robot=_output(tables.robot, [], ROBOT, ERRAND, file, "robot"),
+                arrived=_topic(tables.arrived, [], file, "arrived"),
+                status=_topic(tables.status, [], file, "status"),
+                wait=tables.wait,
+            )  # fmt: skip
+
+    def context(self, environment: Mapping[str, str] = os.environ) -> ssl.SSLContext | None:
+        """Return the TLS settings, with the files of the environment; None without TLS.
+
+        Raises
+        ------
+        OSError
+            A file cannot be read, or is no certificate or key.
+        """
+        if not self.tls:
+            return None
+        context = ssl.create_default_context(cafile=environment.get(f"{ENVIRONMENT}CA"))
+        if certificate := environment.get(f"{ENVIRONMENT}CERTIFICATE"):
+            context.load_cert_chain(certificate, environment.get(f"{ENVIRONMENT}KEY"))
+        return context
+
+    def password(self, environment: Mapping[str, str] = os.environ) -> str | None:
+        """Return the password, from the environment."""
+        return environment.get(f"{ENVIRONMENT}PASSWORD")
+
+
+def _place(name: str, number: int, tables: Any) -> str:
+    return f"{name}[{number}]" if isinstance(tables, list) else name
+
+
+def _checked(text: str, names: list[str], file: Path, place: str) -> Topic:
+    """Return a topic that has exactly the given fields."""
+    try:
+        topic = Topic(text)
+    except ValueError as error:
+        raise fault(file, f"{place}.topic", str(error)) from None
+    if sorted(topic.names) != names:
+        expected = " and ".join(f"{{{name}}}" for name in names) or "no field"
+        raise fault(file, f"{place}.topic", f"{text!r}; expected {expected} in it")
+    return topic
+
+
+def _topic(table: TopicTable | None, names: list[str], file: Path, place: str) -> Topic | None:
+    return None if table is None else _checked(table.topic, names, file, place)
+
+
+def _output(
+    table: OutputTable | None, names: list[str], usual: tuple[str, ...], known: set[str], file: Path, place: str
+) -> Output | None:
+    if table is None:
+        return None
+    for name in table.fields or ():
+        if name not in known:
+            raise fault(file, f"{place}.fields", f"{name!r}; expected some of {', '.join(sorted(known))}")
+    return Output(_checked(table.topic, names, file, place), table.fields or usual)
+
+
+def _source(content: Any, names: Mapping[str, str], file: Path, place: str) -> Source:
+    table = convert(content, ObserveTable, file, place)
+    try:
+        topic = Topic(table.topic)
+    except ValueError as error:
+        raise fault(file, f"{place}.topic", str(error)) from None
+    try:
+        pattern = None if table.pattern is None else re.compile(table.pattern)
+    except re.error as error:
+        raise fault(file, f"{place}.pattern", f"{table.pattern!r} is no regular expression: {error}") from None
+    return Source(topic, table.action, table.id, table.person, table.number, table.seq, pattern, names)

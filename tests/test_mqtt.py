@@ -1,0 +1,485 @@
+"""Actions over MQTT: each once and in order, whatever happens to messages and to the broker."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import socket
+from collections.abc import Callable, Coroutine, Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from conftest import ROOT, kit
+from hypothesis import given
+from hypothesis import strategies as st
+from serving import TINY, served
+from starlette.testclient import TestClient
+from test_docs import blocks
+
+from assist.bridges.messages import MessageError, Report, Source, Topic, fields_of, filled
+from assist.bridges.ordering import InOrder
+from assist.bridges.settings import MqttSettings
+from assist.cli import main
+from assist.cli.options.live import bridge_of
+from assist.live import Event, Session
+from assist.team.settings import Setting
+from assist.web.app import make_app
+from assist.web.server import listen, run
+from assist.web.service import Service
+from assist.web.tokens import AccessTokens
+from planner import Table
+
+aiomqtt = pytest.importorskip("aiomqtt")
+iotcore = pytest.importorskip("iotcore")
+
+SETTINGS = """
+wait = 60.0
+[broker]
+host = "127.0.0.1"
+port = PORT
+[observe]
+topic = "line/{person}/action"
+number = "{n}"
+[advice]
+topic = "line/{person}/advice"
+[answers]
+topic = "line/{person}/answers"
+[robot]
+topic = "line/robot"
+[arrived]
+topic = "line/robot/arrived"
+[status]
+topic = "line/assistant"
+"""
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        return int(listening.getsockname()[1])
+
+
+class Broker:
+    """A real broker in a process of its own, which forgets everything when it is killed."""
+
+    def __init__(self) -> None:
+        self.port = free_port()
+        self._broker = iotcore.Broker(port=self.port, listen="127.0.0.1")
+        self._broker.start()
+
+    def kill(self) -> None:
+        process, self._broker._process = self._broker._process, None
+        process.stdin.close()
+        process.kill()
+        process.wait()
+
+    def start(self) -> None:
+        self._broker.start()
+
+    def stop(self) -> None:
+        if self._broker._process is not None:
+            self.kill()
+
+    def client(self, **options: Any) -> Any:
+        return aiomqtt.Client("127.0.0.1", self.port, timeout=5.0, **options)
+
+
+@pytest.fixture
+def broker() -> Iterator[Broker]:
+    made = Broker()
+    yield made
+    made.stop()
+
+
+class Here:
+    """A service in this process, with a bridge beside it."""
+
+    def __init__(self, folder: Path, people: list[str]) -> None:
+        folder.mkdir(exist_ok=True)
+        self.session = Session({"tiny": kit("tiny")}, folder / "journal.sqlite", setting=Setting(c_suggest=0.1))
+        self.session.report([Event("joined", name) for name in people])
+        # No decisions by the clock: what a session does then follows from its events alone.
+        self.service = Service(self.session, AccessTokens.kept(folder / "secret", "http://testserver"), tick=3600.0)
+        self.app = make_app(self.service)
+        self.headers = {"Authorization": f"Bearer {self.service.access.operator}"}
+
+    def run(self, file: Path, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        """Serve until the work is done; a bridge with the settings in the file runs meanwhile."""
+        listening = listen("127.0.0.1", 0)
+        link = f"http://127.0.0.1:{listening.getsockname()[1]}/operator/{self.service.access.operator}"
+        failed = list[Exception]()
+
+        async def beside() -> None:
+            bridge = asyncio.create_task(bridge_of(file)(link))
+            try:
+                await asyncio.wait_for(work(), 60)
+                assert not bridge.done()
+            except Exception as error:  # noqa: BLE001  raised when the service has ended
+                failed.append(error)
+            finally:
+                bridge.cancel()
+                await asyncio.gather(bridge, return_exceptions=True)
+
+        asyncio.run(run(self.app, listening, lambda: None, beside(), ends=True))
+        for error in failed:
+            raise error
+
+
+def settings_file(folder: Path, broker: Broker, text: str = SETTINGS) -> Path:
+    file = folder / "bridge.toml"
+    file.write_text(text.replace("PORT", str(broker.port)))
+    return file
+
+
+def plans(table: Table, people: int, length: int, seed: int) -> dict[str, list[str]]:
+    """Return a random walk for each person that ends before the goal."""
+    rng, goal = random.Random(seed), table.space.goal
+    found = {}
+    for number in range(1, people + 1):
+        state, plan = table.space.initial, list[str]()
+        while len(plan) < length:
+            options = {action: to for action, to in table.space.options(state).items() if not goal[to]}
+            action = rng.choice(list(options))
+            state = options[action]
+            plan.append(action)
+        found[f"person-{number}"] = plan
+    return found
+
+
+class Stations:
+    """Stations that repeat each report until it is answered, and a network that repeats and reorders messages."""
+
+    def __init__(self, broker: Broker, plans: dict[str, list[str]], seed: int, again: float = 0.3) -> None:
+        self.broker, self.rng, self.again = broker, random.Random(seed), again
+        self.open = {
+            (name, n): {"action": action, "id": f"{name}-{n}", "n": n}
+            for name, plan in plans.items()
+            for n, action in enumerate(plan, start=1)
+        }
+        self.total = len(self.open)
+        self.answers: dict[str, dict[str, Any]] = {}
+        self.advice: dict[str, Any] = {}
+
+    async def work(self, window: int = 4) -> None:
+        while self.open:
+            with suppress(aiomqtt.MqttError, OSError):
+                async with self.broker.client() as client:
+                    for topic in ("line/+/answers", "line/+/advice", "line/robot", "line/assistant"):
+                        await client.subscribe(topic, qos=1)
+                    reading = asyncio.create_task(self._read(client))
+                    try:
+                        while self.open and not reading.done():
+                            await self._send(client, window)
+                            await asyncio.sleep(self.again)
+                    finally:
+                        reading.cancel()
+                        await asyncio.gather(reading, return_exceptions=True)
+            await asyncio.sleep(0.05)
+
+    async def _send(self, client: Any, window: int) -> None:
+        lowest = dict(sorted(self.open, reverse=True))
+        messages = [key for key in self.open if key[1] < lowest[key[0]] + window]
+        messages += self.rng.sample(messages, len(messages) // 2)
+        self.rng.shuffle(messages)
+        for name, n in messages:
+            if (name, n) in self.open:
+                await client.publish(f"line/{name}/action", json.dumps(self.open[name, n]), qos=1)
+
+    async def _read(self, client: Any) -> None:
+        async for message in client.messages:
+            topic = str(message.topic).split("/")
+            if topic[-1] != "answers":
+                self.advice[str(message.topic)] = message.payload
+                continue
+            answer = json.loads(message.payload)
+            first = self.answers.setdefault(answer["id"], answer)
+            assert answer["status"] == "recorded", answer
+            assert first["seq"] == answer["seq"]  # a repetition gets the first answer
+            self.open.pop((topic[1], answer["number"]), None)
+
+
+def events_of(stations: Stations, plans: dict[str, list[str]]) -> list[tuple[str, dict[str, str]]]:
+    """Return who acted and the body of each report, in the order in which the service recorded them."""
+    events = sorted((answer["seq"], identifier) for identifier, answer in stations.answers.items())
+    assert len({seq for seq, _ in events}) == len(events) == stations.total
+    found = []
+    for _, identifier in events:
+        name, _, number = identifier.rpartition("-")
+        found.append((name, {"action": plans[name][int(number) - 1], "id": identifier}))
+    return found
+
+
+def done_of(rows: Iterable[dict[str, Any]], plans: dict[str, list[str]]) -> dict[str, list[str]]:
+    listed = list(rows)
+    return {name: [row["action"] for row in listed if row["person"] == name] for name in plans}
+
+
+async def with_kills(broker: Broker, stations: Stations, kills: int) -> None:
+    """Let the stations work, and kill the broker after equal parts of the reports."""
+    working = asyncio.create_task(stations.work())
+    for kill in range(1, kills + 1):
+        while len(stations.answers) < stations.total * kill // (kills + 1):
+            await asyncio.sleep(0.02)
+            assert not working.done(), working
+        broker.kill()
+        await asyncio.sleep(0.3)
+        await asyncio.to_thread(broker.start)
+    await working
+
+
+def test_each_action_happens_once_although_messages_and_the_broker_are_lost(broker: Broker, tmp_path: Path) -> None:
+    """The beliefs equal those of the same events over HTTP, bit for bit."""
+    walks = plans(kit("tiny"), 4, 6, seed=1)
+    here, there = Here(tmp_path / "mqtt", list(walks)), Here(tmp_path / "http", list(walks))
+    stations = Stations(broker, walks, seed=2)
+
+    async def work() -> None:
+        await with_kills(broker, stations, 1)
+        expected = {f"line/{name}/advice": json.loads(here.service.views[name]) for name in walks}
+        async with broker.client() as client:  # advice is retained, also by a broker that was killed
+            await client.subscribe("line/#", qos=1)
+            found = dict[str, bytes]()
+            async for message in client.messages:
+                found[str(message.topic)] = message.payload
+                if set(expected) <= set(found) and all(
+                    json.loads(found[topic]) == {key: view[key] for key in ("person", "suggestion", "finished", "seq")}
+                    for topic, view in expected.items()
+                ) and found.get("line/assistant") == b"online" and "line/robot" in found:  # fmt: skip
+                    return
+
+    here.run(settings_file(tmp_path, broker), work)
+    with TestClient(there.app, headers=there.headers) as client:
+        for name, body in events_of(stations, walks):
+            assert client.post(f"/api/people/{name}/actions", json=body).status_code == 200
+    for one in (here, there):
+        assert done_of(one.session._course.log(), walks) == walks
+    assert here.session._course.beliefs() == there.session._course.beliefs()
+
+
+@pytest.mark.slow
+def test_fifty_people_and_five_kills_of_the_broker(broker: Broker, tmp_path: Path) -> None:
+    walks = plans(kit("tiny"), 50, 20, seed=3)
+    options = ("--humans", 50, "--tick", 3600, "--c-suggest", 0.1)
+    stations = Stations(broker, walks, seed=4)
+    with served(*options, "--bridge", settings_file(tmp_path, broker)) as mqtt, served(*options) as http:
+        asyncio.run(with_kills(broker, stations, 5))
+        for name, body in events_of(stations, walks):
+            assert http.ask("POST", f"/api/people/{name}/actions", json=body).status_code == 200
+        for one in (mqtt, http):
+            rows = one.ask("GET", "/api/log").text.splitlines()
+            assert done_of(map(json.loads, rows), walks) == walks
+        here, there = (one.ask("GET", "/api/team").json() for one in (mqtt, http))
+        for mine, theirs in zip(here["people"], there["people"], strict=True):
+            assert (mine["belief"], mine["suggestion"]) == (theirs["belief"], theirs["suggestion"])
+        mqtt.process.kill()
+
+        async def will() -> None:
+            async with broker.client() as client:
+                await client.subscribe("line/assistant", qos=1)
+                async for message in client.messages:
+                    if message.payload == b"offline":
+                        return
+
+        asyncio.run(asyncio.wait_for(will(), 30))
+
+
+def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path) -> None:
+    file = settings_file(
+        tmp_path,
+        broker,
+        """
+        [broker]
+        host = "127.0.0.1"
+        port = PORT
+        [[observe]]
+        topic = "scan/{person}"
+        pattern = '(?P<scan>\\w+): (?P<verb>TAKE|PUT) (?P<code>\\d+)'
+        action = "({verb} {code})"
+        id = "{scan}"
+        [[observe]]
+        topic = "worker"
+        person = "{name}"
+        [answers]
+        topic = "answers/{person}"
+        [advice]
+        topic = "advice/{person}"
+        [arrived]
+        topic = "robot/arrived"
+        [robot]
+        topic = "robot"
+        fields = ["person", "location"]
+        [names]
+        TAKE = "fetch"
+        4711 = "box-b"
+        """,
+    )
+    here = Here(tmp_path / "session", ["ann", "bob"])
+    answers, advice, robot = dict[str, dict[str, Any]](), dict[str, bytes](), list[dict[str, Any]]()
+
+    async def work() -> None:
+        async with broker.client() as client:
+            for topic in ("answers/+", "advice/+", "robot"):
+                await client.subscribe(topic, qos=1)
+
+            async def until(done: Callable[[], bool]) -> None:
+                while not done():
+                    message = await anext(client.messages)
+                    topic = str(message.topic)
+                    if topic == "robot":
+                        robot.append(json.loads(message.payload))
+                    elif topic.startswith("advice"):
+                        advice[topic] = message.payload
+                    else:
+                        answer = json.loads(message.payload)
+                        answers[answer["id"]] = answer | {"to": topic}
+
+            await until(lambda: {"advice/ann", "advice/bob"} <= set(advice))  # so the bridge is there
+            sent = [
+                ("scan/ann", b"s1: TAKE 4711"), ("scan/ann", b"s2: TAKE 4712"), ("scan/eve", b"s3: TAKE 4711"),
+                ("scan/ann", b"a scratch"), ("scan/ann", b"\xff"),
+                ("worker", b'{"name": "bob", "action": "fetch(box-a)", "id": 7}'),
+                ("worker", b'{"name": "../ann", "action": "fetch(box-a)", "id": "x/y"}'),
+                ("worker", b'{"name": "bob", "id": "without"}'), ("worker", b"[]"),
+                ("robot/arrived", b'{"person": "bob", "id": "r"}'), ("robot/arrived", b"?"),
+            ]  # fmt: skip
+            for topic, payload in sent:
+                await client.publish(topic, payload, qos=1)
+            await until(lambda: {"s1", "s2", "s3", "7", "without"} <= set(answers))
+            await until(lambda: any(errand["location"] == "bob" for errand in robot))
+            here_before = here.session.outlook().events
+            await client.publish("scan/ann", b"s1: TAKE 4711", qos=1)
+            answers.pop("s1")
+            await until(lambda: "s1" in answers)
+            assert here.session.outlook().events == here_before
+            await here.service.report(Event("left", "bob"))
+            await until(lambda: advice["advice/bob"] == b"")
+
+    here.run(file, work)
+    assert (answers["s1"]["status"], answers["s1"]["to"]) == ("recorded", "answers/ann")
+    assert answers["7"]["status"] == "recorded"
+    details = {identifier: answer["detail"] for identifier, answer in answers.items() if answer["status"] == "refused"}
+    assert "4712" in details["s2"]
+    assert "'eve' is not in the team" in details["s3"]
+    assert details["without"] == "there is no field 'action'; expected action"
+    assert done_of(here.session._course.log(), {"ann": [], "bob": []}) == {
+        "ann": ["(fetch box-b)"], "bob": ["(fetch box-a)"],
+    }  # fmt: skip
+
+
+@given(st.data())
+def test_numbers_restore_the_order(data: st.DataObject) -> None:
+    """However messages are repeated and reordered, each is released first when all before it are."""
+    count = data.draw(st.integers(1, 8))
+    arrivals = data.draw(st.lists(st.integers(1, count), max_size=20)) + data.draw(st.permutations(range(1, count + 1)))
+    order = InOrder[int]()
+    released = [item for number in arrivals for item in order.take(number, number)]
+    assert list(dict.fromkeys(released)) == list(range(1, count + 1))
+    assert not order.held
+
+
+def test_missing_numbers_are_passed_over_and_known() -> None:
+    order = InOrder[str](room=2)
+    assert [order.take(number, str(number)) for number in (3, 1, 5, 6)] == [[], ["1"], [], []]
+    assert order.pass_over() == ["3"]  # 6 found no room, its sender repeats it
+    assert (order.late(2), order.late(3), order.next) == (True, False, 4)
+    assert order.take(6, "6") == []
+    assert order.resume(6) == ["5", "6"]
+    assert order.resume(2) == order.pass_over() == []
+
+
+def test_a_number_can_be_enormous() -> None:
+    order = InOrder[str]()
+    assert order.take(10**15, "last") == []
+    assert order.pass_over() == ["last"]
+    assert order.late(10**14)
+
+
+@pytest.mark.parametrize("text", ["", "line/{person}-x", "line/+", "#", "{a}/{a}", "line/{}"])
+def test_topics_are_checked(text: str) -> None:
+    with pytest.raises(ValueError, match="expected levels"):
+        Topic(text)
+
+
+@given(st.lists(st.text(st.characters(exclude_characters="/+#\0"), min_size=1), min_size=2, max_size=2))
+def test_a_topic_has_the_fields_with_which_it_was_filled(values: list[str]) -> None:
+    topic = Topic("line/{person}/at/{station}")
+    fields = dict(zip(("person", "station"), values, strict=True))
+    assert topic.fields(topic.fill(**fields)) == fields
+    assert topic.fields("line/a/at") is topic.fields("row/a/at/b") is topic.fields("line//at/b") is None
+    assert topic.filter == "line/+/at/+"
+
+
+def test_templates_take_words_only() -> None:
+    assert filled("(put {what} {where})", {"what": "17", "where": "b"}, {"17": "hammer"}) == "(put hammer b)"
+    assert filled("{action}", {"action": "(fetch box-a)"}, {}) == "(fetch box-a)"
+    for fields in ({"what": "a b", "where": "c"}, {"what": "a) (b", "where": "c"}, {"what": "a"}):
+        with pytest.raises(MessageError, match="expected"):
+            filled("(put {what} {where})", fields, {})
+
+
+@given(st.binary())
+def test_any_payload_is_read_or_refused(payload: bytes) -> None:
+    source = Source(Topic("line/{person}"), number="{n}")
+    with suppress(MessageError):
+        source.report(source.fields("line/ann", payload))
+
+
+def test_fields_of_payloads() -> None:
+    assert fields_of(b'{"a": "x", "b": 7, "c": true, "d": [1], "e": null, "f": 1.5}') == {
+        "a": "x",
+        "b": "7",
+        "f": "1.5",
+    }
+    source = Source(Topic("line/{person}"), number="{n}", seq="{seq}")
+    report = source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"})
+    assert (report.number, report.seq, report.fault) == (2, 0, None)
+    for wrong in ({"n": "0"}, {"n": "x"}, {"id": ""}, {"id": "i" * 129}, {"seq": "-1"}):
+        with pytest.raises(MessageError, match="expected"):
+            source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0", **wrong})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[observe]", "observe.topic: is missing; expected a text"),
+        ('[observe]\ntopic = "line"\nactoin = "x"', "observe.actoin: unknown; did you mean 'action'?"),
+        ('[observe]\ntopic = "line/#"', "'line/#'; expected levels"),
+        ('[observe]\ntopic = "line"\npattern = "("', "is no regular expression"),
+        ('[observe]\ntopic = "line"\n[advice]\ntopic = "line"', "expected {person} in it"),
+        ('[observe]\ntopic = "line"\n[status]\ntopic = "{person}"', "expected no field in it"),
+        ('[observe]\ntopic = "line"\n[robot]\ntopic = "r"\nfields = ["speed"]', "expected some of arrived"),
+        ('[observe]\ntopic = "line"\n[broker]\nport = 0', "expected a port, 1 to 65535"),
+        ("observe = []", "is empty; expected a table or more"),
+    ],
+)
+def test_faults_of_the_settings_are_said(text: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "bridge.toml"
+    file.write_text(text)
+    result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--bridge", str(file)])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert str(file) in result.stderr.replace("\n", "")
+    assert message in result.stderr
+
+
+def test_the_settings_in_the_documentation(tmp_path: Path) -> None:
+    (file := tmp_path / "bridge.toml").write_text(blocks(ROOT / "docs" / "line.md", "toml"))
+    settings = MqttSettings.read(file)
+    (source,) = settings.sources
+    payload = b'{"item": "4006381333931", "slot": "slot-1", "scan": "s-17", "n": 3}'
+    report = source.report(source.fields("line/ann/action", payload))
+    assert report == Report("ann", "(place hammer slot-1)", "s-17", 3)
+    assert (settings.host, settings.port, settings.wait) == ("broker.example", 8883, 10.0)
+
+
+def test_passwords_and_certificates_come_from_the_environment(tmp_path: Path) -> None:
+    file = tmp_path / "bridge.toml"
+    file.write_text('[observe]\ntopic = "line/{person}"\n[broker]\ntls = true\nusername = "kits"')
+    settings = MqttSettings.read(file)
+    assert settings.port == 8883
+    assert settings.password({"KITASSIST_MQTT_PASSWORD": "secret"}) == "secret"
+    assert settings.context({}) is not None
+    with pytest.raises(OSError):
+        settings.context({"KITASSIST_MQTT_CA": str(tmp_path / "none.pem")})
