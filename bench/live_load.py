@@ -67,7 +67,8 @@ class Worker:
 
     def __init__(self, link: str, every: float, seed: int, seen: Seen) -> None:
         self.parts = urlsplit(link)
-        _, self.name, self.token = self.parts.path.strip("/").split("/")
+        _, self.name = self.parts.path.strip("/").split("/")
+        self.token = self.parts.fragment
         self.every, self.seen, self.rng = every, seen, np.random.default_rng(seed)
         self.view: dict = {}
         self.changed = asyncio.Condition()

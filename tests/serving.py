@@ -29,7 +29,7 @@ class Served:
     operator: str
 
     def token(self, person: str | None = None) -> str:
-        return (self.operator if person is None else self.links[person]).rsplit("/", 1)[1]
+        return (self.operator if person is None else self.links[person]).partition("#")[2]
 
     def ask(self, method: str, path: str, person: str | None = None, **more: Any) -> httpx.Response:
         headers = {"Authorization": f"Bearer {self.token(person)}"}

@@ -136,8 +136,8 @@ def test_what_a_person_sees_and_does(web: Web) -> None:
 
 def test_what_the_operator_sees_and_does(web: Web) -> None:
     come = web.ask("POST", "/api/team/people", json={"person": "cleo d", "id": "1"}).json()
-    assert come["join"].startswith("http://testserver/join/cleo%20d/")
-    token = come["join"].rsplit("/", 1)[1]
+    assert come["join"].startswith("http://testserver/join/cleo%20d#")
+    token = come["join"].partition("#")[2]
     assert web.client.get("/api/people/cleo d", headers={"Authorization": f"Bearer {token}"}).status_code == 200
     assert web.ask("DELETE", "/api/team/people/cleo d").json()["present"] is False
     assert web.client.get("/api/people/cleo d", headers={"Authorization": f"Bearer {token}"}).status_code == 404
@@ -229,6 +229,42 @@ def test_without_a_token_there_is_nothing_to_see(web: Web) -> None:
     ):
         pass
     assert closed.value.code == 4403
+
+
+def test_a_cookie_stands_for_the_token_on_pages_of_the_service_only(web: Web) -> None:
+    """Pages exchange the token of their link; scripts cannot read the cookie, and other sites cannot use it."""
+    ann, operator = ({"Kitassist-Caller": name} for name in ("person%20ann", "operator"))
+    assert web.client.post("/api/session").status_code == 401
+    for person in ("ann", None):
+        answer = web.ask("POST", "/api/session", person)
+        assert answer.json() == {"person": person, "operator": person is None}
+        cookie = answer.headers["set-cookie"]
+        assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
+    ask = web.client.get
+    assert ask(ANN).status_code == 401  # a request has to say whose cookie it uses
+    assert ask(ANN, headers=ann).json()["person"] == "ann"
+    assert ask("/api/me", headers=operator).json()["operator"]
+    for path, headers in ((("/api/team"), ann), ("/api/people/bob", ann)):
+        assert ask(path, headers=headers).status_code == 403
+    assert ask("/api/people/bob", headers={"Kitassist-Caller": "person%20bob"}).status_code == 401
+    own, foreign = {"Origin": "http://testserver"}, {"Origin": "https://evil.example"}
+    for more, status in (
+        (own, 200), (foreign, 403), ({"Origin": "null"}, 403), ({"Sec-Fetch-Site": "same-origin"}, 200),
+        ({"Sec-Fetch-Site": "cross-site"}, 403), ({"Sec-Fetch-Site": "same-site"}, 403),
+    ):  # fmt: skip
+        answer = web.client.post(f"{ANN}/begin", headers={**ann, **more})
+        assert answer.status_code == status, more
+        assert answer.status_code == 200 or answer.json() == {"detail": "requests of other sites' pages are refused"}
+    protocols = ["kitassist", "caller.person%20ann"]
+    with web.client.websocket_connect(f"{ANN}/events", subprotocols=protocols, headers=own) as watched:
+        assert watched.receive_json()["person"] == "ann"
+    for headers in (foreign, {}):
+        with (
+            pytest.raises(WebSocketDisconnect) as closed,
+            web.client.websocket_connect(f"{ANN}/events", subprotocols=protocols, headers=headers),
+        ):
+            pass
+        assert closed.value.code == 4403
 
 
 def test_answers_load_nothing_from_elsewhere(web: Web) -> None:

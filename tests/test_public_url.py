@@ -29,9 +29,9 @@ from assist.web.app import make_app
 from assist.web.client import Client, RefusedError
 from assist.web.server import server_of
 from assist.web.service import Service
-from assist.web.tokens import AccessTokens, public_address
+from assist.web.tokens import VISITOR, AccessTokens, public_address
 from assist.web.user_study.routes import router
-from assist.web.user_study.service import VISITOR, StudyService
+from assist.web.user_study.service import StudyService
 from planner import Table
 
 __all__ = ["chromium"]
@@ -163,7 +163,10 @@ def test_a_client_takes_links_with_a_path(strips: bool, tiny: Table, tmp_path: P
 
 def test_a_link_of_a_client_may_have_any_path() -> None:
     for root in ("", "/kits", "/a/b%20c", "/joins/operators"):
-        for path, name in (("join/ann%20b/T", "ann b"), ("operator/T", None), ("study/operator/T", None)):
+        for path, name in (
+            ("join/ann%20b/T", "ann b"), ("operator/T", None), ("study/operator/T", None),
+            ("join/ann%20b#T", "ann b"), ("operator#T", None), ("study/operator#T", None),
+        ):  # fmt: skip
             client = Client(f"https://host.example:8443{root}/{path}")
             assert (client.url, client.name) == (f"https://host.example:8443{root}", name)
     for link in ("https://host.example/kits", "/kits/join/ann/T", "ftp://host.example/join/ann/T", "https://h/join/T"):

@@ -23,24 +23,30 @@ from userstudies import PLAN, SCORES, written
 from assist.userstudy.plan import read
 from assist.userstudy.session import StudySession
 from assist.web.app import make_app
-from assist.web.tokens import AccessTokens
+from assist.web.request_limits import Allowance
+from assist.web.tokens import VISITOR, AccessTokens
 from assist.web.user_study.routes import router
-from assist.web.user_study.service import VISITOR, StudyService
+from assist.web.user_study.service import StudyService
 from planner import Table
 
 __all__ = ["chromium"]
+LONG = re.compile(r"[\w-]{32}")  # a token in an address
 PATIENCE = 60_000  # milliseconds after which an event is taken as missing
 
 
 class Web:
     """A study in this process."""
 
-    def __init__(self, table: Table, folder: Path, text: str = PLAN, **options: Any) -> None:
+    def __init__(
+        self, table: Table, folder: Path, text: str = PLAN, *, allowance: Allowance | None = None, **options: Any
+    ) -> None:
         study = read(written(folder / "study.toml", text))
         session = StudySession(study, {"tiny": table, "practice": table}, folder / "data")
         self.access = AccessTokens.kept(folder / "data" / "secret", "http://testserver")
         self.service = StudyService(session, self.access, **options)
-        self.client = TestClient(make_app(self.service, more=[router]), raise_server_exceptions=False)
+        self.client = TestClient(
+            make_app(self.service, allowance=allowance, more=[router]), raise_server_exceptions=False
+        )
 
     def ask(self, method: str, path: str, who: str | None = None, **more: Any) -> Any:
         token = self.access.operator if who is None else self.access.token(who)
@@ -65,7 +71,7 @@ def test_everybody_gets_a_place_of_their_own_once(web: Web) -> None:
         seats = list(threads.map(lambda number: web.come(f"visit {number % 50}"), range(100)))
     assert [seat.status_code for seat in seats] == [200] * 100
     assert len({seat.json()["person"] for seat in seats}) == 50  # the same browser twice: the same place
-    assert all(seat.json()["part"].startswith(f"/part/{seat.json()['person']}/") for seat in seats)
+    assert all(seat.json()["part"].startswith(f"/part/{seat.json()['person']}#") for seat in seats)
     assert web.ask("GET", "/api/study").json()["taken"] == 50
 
 
@@ -76,6 +82,23 @@ def test_nobody_can_mark_a_study_as_a_rehearsal(web: Web) -> None:
     assert web.come("ann").status_code == 200
     people = web.ask("GET", "/api/study").json()["participants"]
     assert [one["simulated"] for one in people] == [False]
+
+
+def test_a_waiting_room_of_a_hundred_people_is_admitted_at_the_same_second(tiny: Table, tmp_path: Path) -> None:
+    """All have the same link and the same network address."""
+    web = Web(tiny, tmp_path, allowance=Allowance(clock=lambda: 0.0))
+    with web.client:
+        page = web.client.get("/study")
+        pieces = [link for link in re.findall(r'(?:src|href)="([^"]+)"', page.text) if not link.startswith("data:")]
+        assert len(pieces) >= 3
+        for number in range(100):
+            answers = [web.client.get(f"/{piece}") for piece in ["study", *pieces, "pages/connection.js"]]
+            answers += [web.ask("POST", "/api/session", VISITOR), web.ask("GET", "/api/me", VISITOR)]
+            answers += [web.ask("GET", "/api/study/form", VISITOR), seat := web.come(f"visit {number}")]
+            path, _, token = seat.json()["part"].partition("#")
+            answers += [web.client.get(path), web.client.get(f"/api/people/{seat.json()['person']}",
+                        headers={"Authorization": f"Bearer {token}"})]  # fmt: skip
+            assert {answer.status_code for answer in answers} == {200}
 
 
 def test_nobody_takes_the_seat_of_somebody_elses_id(web: Web) -> None:
@@ -109,7 +132,7 @@ def test_data_are_withdrawn_by_code_after_the_end(web: Web) -> None:
     path = f"/api/study/participants/{ann}"
     found = web.ask("GET", f"{path}/withdrawal", ann).json()
     assert found["code"].startswith(f"{ann}-")
-    assert (found["address"], found["until"]) == (f"{web.service.join_url()}?withdraw", None)
+    assert (found["address"], found["until"]) == (web.service.withdrawal_url(), None)
     assert web.onward(ann, "consent").status_code == 200
     withdrawals = "/api/study/withdrawals"
     for status, who, code in (
@@ -224,6 +247,7 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
     page.set_default_timeout(PATIENCE)
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.on("request", lambda asked: faults.append(asked.url) if "//127.0.0.1" not in asked.url[:20] else None)
+    page.on("request", lambda asked: faults.append(asked.url) if LONG.search(asked.url.partition("#")[0]) else None)
 
     def work() -> None:
         for action in tiny.optimal_plan(tiny.initial) or ():
@@ -241,6 +265,8 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         port = study.url.rsplit(":", 1)[1]
         page.goto(study.links["everybody"])
         page.click("text=I do not agree >> visible=true", trial=True)
+        page.wait_for_function("() => location.hash === ''")  # a cookie stands for the token
+        assert page.evaluate("document.cookie") == ""
         assert page.inner_html("#body em") == "agree"
         is_well()
         page.click("text=I agree and take part")

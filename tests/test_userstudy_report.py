@@ -63,7 +63,7 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
     public = ("--public-url", "https://host.example/kits/")  # which a rehearsal does not need to be there
     said = run("serve", "--study", file, "--rehearse", 8, "--data", data, "--port", 0, *public)
     assert set(links := json.loads(said.stdout)) == {"url", "operator", "join"}
-    assert links["join"]["everybody"].startswith(f"{links['url']}/study/")
+    assert links["join"]["everybody"].startswith(f"{links['url']}/study#")
     assert links["url"] == "https://host.example/kits"
     with zipfile.ZipFile(data / "user-study.zip") as packed:
         packed.extractall(unpacked)

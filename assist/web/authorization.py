@@ -29,7 +29,7 @@ def refusals(*codes: int) -> dict[int | str, dict[str, Any]]:
 
 
 READ, WRITE = refusals(403, 404), refusals(403, 404, 409, 422, 503, 507)
-bearer = HTTPBearer(auto_error=False, description="The last part of a join link or of the operator's link.")
+bearer = HTTPBearer(auto_error=False, description="The part of a join link or of the operator's link after #.")
 
 
 async def operator(request: Request, _: Annotated[Any, Depends(bearer)] = None) -> None:

@@ -23,8 +23,10 @@ AGAIN = {408, 425, 429, 502, 503, 504, 507}
 reach the service.
 """
 
-LINK = re.compile(r"(?P<root>(/[^/]+)*?)/(join/(?P<name>[^/]+)|(study/)?operator)/(?P<token>[^/]+)/?")
-"""Pattern of a link's path. The path of the service (`root`) contains none of these names."""
+LINK = re.compile(r"(?P<root>(/[^/]+)*?)/(join/(?P<name>[^/]+)|(study/)?operator)(/(?P<token>[^/]+))?/?")
+"""Pattern of a link's path. The token is behind `#`, or at the end of the path in links of earlier versions. The path
+of the service (`root`) contains none of these names.
+"""
 
 
 class RefusedError(ValueError):
@@ -60,11 +62,12 @@ class Client:
     def __init__(self, link: str, *, patience: float = 30.0, pause: float = 0.2) -> None:
         parts = urlsplit(link)
         found = LINK.fullmatch(parts.path)
-        if found is None or parts.scheme not in ("http", "https") or not parts.netloc:
+        token = parts.fragment or (found and found["token"])
+        if found is None or not token or parts.scheme not in ("http", "https") or not parts.netloc:
             raise ValueError(f"{link[:40]!r}: expected a join link or the operator's link")
         self.url = f"{parts.scheme}://{parts.netloc}{found['root']}"
         self.name = None if found["name"] is None else unquote(found["name"])
-        self._token = found["token"]
+        self._token = token
         self.patience, self._pause = patience, pause
 
     def ask(self, method: str, path: str, body: Any = None) -> Any:

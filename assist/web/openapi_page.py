@@ -28,7 +28,7 @@ def page(described: Plain) -> str:
     return (
         f"<title>{title}: HTTP interface</title></head><body><main>"
         f"<h1>{title}</h1><p>{escape(described['info'].get('summary', ''))}</p>"
-        '<p>Send the token, which is the last part of a link, as <code>Authorization: Bearer TOKEN</code>. For '
+        '<p>Send the token, which is the part of a link after #, as <code>Authorization: Bearer TOKEN</code>. For '
         f'programs: <a href="/openapi.json">openapi.json</a>.</p>{"".join(parts)}</main></body></html>'
     )  # fmt: skip
 

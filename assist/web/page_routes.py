@@ -64,15 +64,27 @@ async def docs(request: Request) -> Response:
     return document(request, openapi_page.page(request.app.openapi()))
 
 
+@router.get("/join/{name}")
+async def worker_page(request: Request) -> Response:
+    """Return a person's page; the token is in the part of the address that browsers do not send."""
+    return page(request, PAGES / "worker.html")
+
+
+@router.get("/operator")
+async def operators_page(request: Request) -> Response:
+    """Return the operator's page."""
+    return page(request, PAGES / "operator.html")
+
+
 @router.get("/join/{name}/{token}")
 async def worker(request: Request, name: str, token: str) -> Response:
-    """Return a person's page."""
+    """Return a person's page, for a link of an earlier version."""
     return page_of(request, token, name, PAGES / "worker.html")
 
 
 @router.get("/operator/{token}")
 async def operators(request: Request, token: str) -> Response:
-    """Return the operator's page."""
+    """Return the operator's page, for a link of an earlier version."""
     return page_of(request, token, None, PAGES / "operator.html")
 
 

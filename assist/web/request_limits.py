@@ -14,7 +14,8 @@ from collections.abc import Callable, Sequence
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .tokens import AccessTokens, Caller
+from . import cookies
+from .tokens import VISITOR, AccessTokens, Caller
 
 LARGEST = 64 * 1024
 """Largest request body in bytes. Real requests have less than 1 kB; the limit bounds memory under attack."""
@@ -132,9 +133,10 @@ class Guard:
         if "path" in scope:
             scope = {**scope, "path": self._access.within(scope["path"])}
         if scope["type"] == "websocket":
-            caller = self._access.whose(token_of(scope))
+            token, foreign = self._token(scope)
+            caller = self._access.whose(token)
             scope.setdefault("state", {})["caller"] = caller
-            refused = 1013 if self._wait(scope, caller) else 4401 if caller is None else None
+            refused = 1013 if self._wait(scope, caller) else 4403 if foreign else 4401 if caller is None else None
             if refused is not None:
                 await receive()
                 await send({"type": "websocket.close", "code": refused})
@@ -145,34 +147,46 @@ class Guard:
         else:
             await self.app(scope, receive, send)
 
+    def _token(self, scope: Scope) -> tuple[str, bool]:
+        """Return the token of a request, and whether it is refused because another site's page sends its cookie."""
+        token = token_of(scope)
+        if not token and (kept := cookies.token_in(scope, self._access.base)):
+            return (kept, False) if cookies.is_own_page(scope, self._access.base) else ("", True)
+        return token, False
+
     def _wait(self, scope: Scope, caller: Caller | None) -> float:
         """Count a request or connection; return the seconds after which it is allowed.
 
-        Callers without a valid token share a limit for each network address. For pages it is larger, since a whole
-        waiting room may be behind one address.
+        Callers without a valid token share a limit for each network address. It is larger for pages, and for visitors
+        of a study, who all have the same token, since a whole waiting room may be behind one address.
         """
+        address = address_of(scope, self._trusted)
+        if caller is not None and caller.person == VISITOR:
+            return self._allowance.wait(f"visitors {address}", self._allowance.for_pages)
         if caller is not None:
             share = self._allowance.for_operator if caller.person is None else 1.0
             return self._allowance.wait(f"caller {caller.person}", share)
-        address = address_of(scope, self._trusted)
         if scope["path"].startswith("/api/"):
             return self._allowance.wait(f"address {address}")
         return self._allowance.wait(f"pages {address}", self._allowance.for_pages)
 
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
-        token = token_of(scope)
+        token, foreign = self._token(scope)
         caller = self._access.whose(token) if token else None
         scope.setdefault("state", {})["caller"] = caller
         wait = self._wait(scope, caller)
         if wait:
             await refuse(send, 429, "too many requests; try again later", retry_after=math.ceil(wait))
             return
+        if foreign:
+            await refuse(send, 403, "requests of other sites' pages are refused")
+            return
         if scope["path"].startswith("/api/") and scope["path"] != "/api/health" and caller is None:
             what = "invalid token" if token else "missing token"
             await refuse(
                 send,
                 401,
-                f"{what}; expected the header 'Authorization: Bearer TOKEN', where TOKEN is the last part of the link",
+                f"{what}; expected the header 'Authorization: Bearer TOKEN' with the part of the link after #",
             )
             return
         length = dict(scope["headers"]).get(b"content-length", b"0")

@@ -11,6 +11,7 @@ from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
 from ..explain.catalogue import languages
 from ..live.course import Event
 from ..live.session import LONGEST_REASON
+from . import cookies
 from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
 from .schemas import (
     Acted,
@@ -31,6 +32,7 @@ from .schemas import (
 )
 from .service import Erasure
 from .task_drawings import Pictures
+from .tokens import Caller
 
 router = APIRouter()
 
@@ -51,6 +53,21 @@ async def me(request: Request) -> Any:
     """Return the owner of the token."""
     person = request.state.caller.person
     return {"person": person, "operator": person is None}
+
+
+@router.post("/api/session", tags=["service"], response_model=Me, responses=refusals(), dependencies=[Depends(bearer)])
+async def session(request: Request, service: Desk) -> Any:
+    """Set a cookie in place of the token, for the requests of pages."""
+    caller: Caller = request.state.caller
+    access = service.access
+    answer = plain({"person": caller.person, "operator": caller.person is None})
+    answer.set_cookie(
+        cookies.cookie_of(access.base, cookies.subject(caller)),
+        access.operator if caller.person is None else access.token(caller.person),
+        max_age=cookies.DAYS * 86_400, path=f"{access.root}/", secure=access.base.startswith("https:"), httponly=True,
+        samesite="strict",
+    )  # fmt: skip
+    return answer
 
 
 @router.get("/api/people/{name}", tags=["people"], response_model=Person, responses=READ)

@@ -1,5 +1,7 @@
 """Access tokens: one link for each person and one for the operator, each with a secret token.
 
+Links have the token behind a `#`. Browsers do not send this part of an address, so no proxy can record it.
+
 All tokens are derived from one secret that is stored with the session. Links therefore stay valid when a session is
 resumed.
 """
@@ -16,6 +18,9 @@ from typing import NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
 from planner.system.files import atomic
+
+VISITOR = "?"
+"""Owner of the join link's token of a user study. It is no participant's code, since codes contain letters."""
 
 OWN = frozenset({"api", "docs", "join", "openapi.json", "operator", "pages", "part", "study"})
 """First components of the service's own paths."""
@@ -128,11 +133,11 @@ class AccessTokens:
 
     def join_url(self, person: str) -> str:
         """Return the address of a person's page."""
-        return f"{self.base}/join/{quote(person, safe='')}/{self.token(person)}"
+        return f"{self.base}/join/{quote(person, safe='')}#{self.token(person)}"
 
     def operator_url(self) -> str:
         """Return the address of the operator's page."""
-        return f"{self.base}/operator/{self.operator}"
+        return f"{self.base}/operator#{self.operator}"
 
 
 def _digest(token: str) -> bytes:

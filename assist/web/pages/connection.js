@@ -3,8 +3,34 @@
 
 const root = new URL("../", import.meta.url); // address of the service, under any path
 const parts = location.pathname.slice(root.pathname.length).split("/").filter(Boolean);
-export const token = parts.at(-1);
-export const person = parts.length > 2 ? decodeURIComponent(parts[1]) : null;
+const seat = ["join", "part"].includes(parts[0]); // the page of one person
+const conducts = parts[0] === "operator" || (parts[0] === "study" && parts[1] === "operator");
+const depth = seat || (conducts && parts[0] === "study") ? 2 : 1; // parts of the path without a token
+export const person = seat ? decodeURIComponent(parts[1] ?? "") : null;
+const subject = conducts ? "operator" : `person ${person ?? "?"}`;
+
+/** Names what this browser stores for the page. */
+export const place = `${root.pathname} ${subject}`;
+
+// The token of the link, behind # or, in links of earlier versions, at the end of the path; null if there is a cookie.
+let token = location.hash.slice(1) || parts[depth] || null;
+
+/** What names the caller: the token, or the cookie that is used in its place. */
+const credentials = () => (token === null ? { "Kitassist-Caller": encodeURIComponent(subject) } : { Authorization: `Bearer ${token}` });
+const protocol = () => (token === null ? `caller.${encodeURIComponent(subject)}` : `token.${token}`);
+
+/** Exchange the token for a cookie, and remove it from the address. Without cookies the page goes on with the token. */
+async function exchange() {
+  const own = { "Kitassist-Caller": encodeURIComponent(subject) };
+  try {
+    const set = await fetch(address("/api/session"), { method: "POST", headers: credentials(), signal: AbortSignal.timeout(SILENCE) });
+    if (!set.ok || !(await fetch(address("/api/me"), { headers: own, signal: AbortSignal.timeout(SILENCE) })).ok) return;
+    token = null;
+    history.replaceState(history.state, "", address(`/${parts.slice(0, depth).join("/")}`) + location.search);
+  } catch {
+    // the service cannot be reached: the token stays
+  }
+}
 
 const SLOWEST = 3000; // milliseconds between two attempts to connect
 const SILENCE = 10000; // milliseconds after which a request counts as lost
@@ -19,6 +45,9 @@ export class Refused extends Error {
 /** The address of a path of the service. */
 export const address = (path) => new URL(path.slice(1), root).href;
 
+/** The address of another page of the same person. */
+export const pageOf = (kind, query = "") => address(`/${kind}/${encodeURIComponent(person)}${query}${token === null ? "" : `#${token}`}`);
+
 export function pathOf(name, rest = "") {
   return `/api/people/${encodeURIComponent(name)}${rest}`;
 }
@@ -27,7 +56,7 @@ export function pathOf(name, rest = "") {
 export async function ask(path, { method = "GET", body } = {}) {
   const answer = await fetch(address(path), {
     method,
-    headers: { Authorization: `Bearer ${token}`, ...(body === undefined ? {} : { "Content-Type": "application/json" }) },
+    headers: { ...credentials(), ...(body === undefined ? {} : { "Content-Type": "application/json" }) },
     body: body === undefined ? undefined : JSON.stringify(body),
     signal: AbortSignal.timeout(SILENCE),
   });
@@ -38,6 +67,7 @@ export async function ask(path, { method = "GET", body } = {}) {
   } catch {
     // no JSON: use the status line
   }
+  if (answer.status === 401) detail = "use the complete link, or ask for a new one";
   throw new Refused(answer.status, String(detail));
 }
 
@@ -56,7 +86,7 @@ export function newId() {
 /** Sends one request at a time. An unanswered request survives a reload and is sent again under the same id. */
 export class Outbox {
   constructor(name, { answered, refused, waiting }) {
-    this.key = `kitassist ${name} ${token}`;
+    this.key = `kitassist ${name} ${place}`;
     this.answered = answered;
     this.refused = refused;
     this.waiting = waiting;
@@ -136,7 +166,7 @@ export class Channel {
 
   open() {
     if (this.socket?.readyState === WebSocket.CONNECTING) return;
-    const socket = new WebSocket(address(this.path).replace(/^http/, "ws"), ["kitassist", `token.${token}`]);
+    const socket = new WebSocket(address(this.path).replace(/^http/, "ws"), ["kitassist", protocol()]);
     this.socket = socket;
     socket.onopen = () => {
       if (socket !== this.socket) return;
@@ -168,3 +198,6 @@ export class Channel {
     this.socket?.close();
   }
 }
+
+if (token !== null) exchange();
+addEventListener("hashchange", () => location.reload()); // another link was opened in this tab

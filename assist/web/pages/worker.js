@@ -1,6 +1,6 @@
 // A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
-import { Channel, Outbox, Refused, address, askJson, passes, pathOf, person, token } from "./connection.js";
+import { Channel, Outbox, Refused, address, askJson, passes, pageOf, pathOf, person, place } from "./connection.js";
 
 const at = (id) => document.getElementById(id);
 const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
@@ -81,13 +81,13 @@ function show() {
 function showStudy(study) {
   if (!study) return;
   if (!["practice", "task"].includes(study.kind)) {
-    location.replace(address(`/part/${encodeURIComponent(person)}/${token}`));
+    location.replace(pageOf("part"));
     return;
   }
   at("person").textContent = study.kind === "practice" ? "Practice" : "Your task";
   document.title = at("person").textContent;
   at("undo").hidden = at("again").hidden = true;
-  at("leave").querySelector("a").href = address(`/part/${encodeURIComponent(person)}/${token}?leave`);
+  at("leave").querySelector("a").href = pageOf("part", "?leave");
   at("onward").hidden = at("leave").hidden = false;
   at("onward").disabled = outbox.busy;
 }
@@ -381,14 +381,14 @@ const channel = new Channel(pathOf(person, "/events"), {
 function remember(when) {
   started = when;
   try {
-    sessionStorage.setItem(`kitassist began ${token}`, String(when));
+    sessionStorage.setItem(`kitassist began ${place}`, String(when));
   } catch {
     // no storage: the clock restarts when the page is reloaded
   }
 }
 
 try {
-  started = Number(sessionStorage.getItem(`kitassist began ${token}`)) || null;
+  started = Number(sessionStorage.getItem(`kitassist began ${place}`)) || null;
 } catch {
   started = null;
 }

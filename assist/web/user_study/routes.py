@@ -15,11 +15,11 @@ from ...userstudy.cohort import LONGEST_REASON, StudyEvent
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
 from ..authorization import READ, WRITE, Operator, Own, refusals
-from ..page_routes import page_of, piece
+from ..page_routes import page, page_of, piece
 from ..routes import plain
 from ..schemas import Once, Person
-from ..tokens import Caller
-from .service import VISITOR, ForgedError, StudyService
+from ..tokens import VISITOR, Caller
+from .service import ForgedError, StudyService
 
 PAGES = Path(__file__).parent / "pages"
 
@@ -191,7 +191,7 @@ async def withdrawal(name: Own, study: Study) -> Any:
     """Return how the participant's data can be withdrawn later, without this page."""
     until = study.study.withdraw_until
     return plain({
-        "code": study.withdrawal_code(name), "address": f"{study.join_url()}?withdraw",
+        "code": study.withdrawal_code(name), "address": study.withdrawal_url(),
         "until": None if until is None else until.isoformat(),
     })  # fmt: skip
 
@@ -239,6 +239,24 @@ async def _archive(study: StudyService) -> Response:
     content = await asyncio.to_thread(archive, study.folder)
     headers: Mapping[str, str] = {"content-disposition": 'attachment; filename="user-study.zip"'}
     return Response(content, media_type="application/zip", headers=dict(headers))
+
+
+@router.get("/study/operator", include_in_schema=False)
+async def conduct_page(request: Request) -> Response:
+    """Return the experimenter's page; the token is in the part of the address that browsers do not send."""
+    return page(request, PAGES / "conduct.html")
+
+
+@router.get("/study", include_in_schema=False)
+async def visitors_page(request: Request) -> Response:
+    """Return the page on which visitors join."""
+    return page(request, PAGES / "visit.html")
+
+
+@router.get("/part/{name}", include_in_schema=False)
+async def part_page(request: Request) -> Response:
+    """Return a participant's page, except for tasks, which have pages of their own."""
+    return page(request, PAGES / "part.html")
 
 
 @router.get("/study/operator/{token}", include_in_schema=False)

@@ -14,11 +14,7 @@ from ...live.live_task import InapplicableError
 from ...userstudy.cohort import HERE, LETTERS, Cohort, FullError, StudyEvent
 from ...userstudy.session import StudySession
 from ..service import Service, Watcher
-from ..tokens import AccessTokens
-
-VISITOR = "?"
-"""Owner of the join link's token. It is no participant's code, since codes contain letters."""
-
+from ..tokens import VISITOR, AccessTokens
 
 PARTICIPANT = "participant "
 """Begins the ids of participants whom another system, such as a recruiting service, identifies."""
@@ -73,11 +69,15 @@ class StudyService(Service):
 
     def join_url(self) -> str:
         """Return the address at which participants join."""
-        return f"{self.access.base}/study/{self.access.token(VISITOR)}"
+        return f"{self.access.base}/study#{self.access.token(VISITOR)}"
+
+    def withdrawal_url(self) -> str:
+        """Return the address at which participants enter their withdrawal code."""
+        return f"{self.access.base}/study?withdraw#{self.access.token(VISITOR)}"
 
     def operator_url(self) -> str:
         """Return the address of the experimenter's page."""
-        return f"{self.access.base}/study/operator/{self.access.operator}"
+        return f"{self.access.base}/study/operator#{self.access.operator}"
 
     def withdrawal_code(self, code: str) -> str:
         """Return the code by which a participant's data can be withdrawn, also without the participant's page."""
@@ -115,7 +115,7 @@ class StudyService(Service):
     def participant_url(self, participant: str) -> str:
         """Return the join link of a participant whom another system identifies, signed, for any device."""
         query = {"participant": participant, "signature": self.access.signature(PARTICIPANT + participant)}
-        return f"{self.join_url()}?{urlencode(query)}"
+        return f"{self.access.base}/study?{urlencode(query)}#{self.access.token(VISITOR)}"
 
     async def visit(
         self, visit: str, *, key: str | None = None, signature: str | None = None, simulated: bool = False

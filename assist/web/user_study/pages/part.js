@@ -1,6 +1,6 @@
 // A participant's page: consent, instructions, questionnaires and the end. It redirects to the page of tasks.
 
-import { Channel, Outbox, Refused, address, askJson, passes, pathOf, person, token } from "../../pages/connection.js";
+import { Channel, Outbox, Refused, address, askJson, passes, pageOf, pathOf, person, place } from "../../pages/connection.js";
 
 const at = (id) => document.getElementById(id);
 const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${rest}`;
@@ -28,7 +28,7 @@ function complain(text) {
 
 // Answers that are not sent yet survive a reload.
 
-const draftKey = () => `kitassist draft ${token} ${view.study.stage}`;
+const draftKey = () => `kitassist draft ${place} ${view.study.stage}`;
 
 function draft() {
   try {
@@ -216,7 +216,7 @@ function show() {
   const leaves = new URLSearchParams(location.search).has("leave");
   const under = !["thanks", "declined", "withdrew", "gone", "full"].includes(study.kind);
   if (TASKS.includes(study.kind) && !leaves) {
-    location.replace(address(`/join/${encodeURIComponent(person)}/${token}`));
+    location.replace(pageOf("join"));
     return;
   }
   at("title").textContent = form.title;
@@ -300,14 +300,14 @@ const channel = new Channel(pathOf(person, "/events"), {
 });
 
 const back = () => {
-  history.replaceState(null, "", location.pathname);
+  history.replaceState(null, "", location.pathname + location.hash);
   shown = null;
   show();
 };
 at("stay").addEventListener("click", back);
 at("leave-now").addEventListener("click", () => send("withdraw", {}));
 at("leave-button").addEventListener("click", () => {
-  history.replaceState(null, "", `${location.pathname}?leave`);
+  history.replaceState(null, "", `${location.pathname}?leave${location.hash}`);
   show();
 });
 

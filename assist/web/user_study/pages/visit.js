@@ -1,9 +1,9 @@
 // The page of the join link: each browser becomes one participant, always the same one.
 
-import { Refused, address, askJson, newId, passes, token } from "../../pages/connection.js";
+import { Refused, address, askJson, newId, passes, place } from "../../pages/connection.js";
 
 const at = (id) => document.getElementById(id);
-const KEY = `kitassist visit ${token}`;
+const KEY = `kitassist visit ${place}`;
 
 function kept() {
   try {

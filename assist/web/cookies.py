@@ -1,0 +1,62 @@
+"""Cookies of pages: a page exchanges the token of its link for a cookie, and the token leaves the address.
+
+A browser may have pages of several people, so there is a cookie for each person and each service. A request names the
+one that it uses, in a header or, for a WebSocket, in a subprotocol. Browsers send cookies also with requests of other
+sites' pages, which are refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from urllib.parse import unquote, urlsplit
+
+from starlette.types import Scope
+
+from .tokens import Caller
+
+DAYS = 30
+"""Days for which a browser keeps a cookie, so that a study can go on the next week."""
+
+NAMED, PROTOCOL = b"kitassist-caller", "caller."
+"""Header and beginning of the subprotocol that name the cookie's owner, as `subject` does, percent-encoded."""
+
+
+def subject(caller: Caller) -> str:
+    """Return the name of a caller in requests."""
+    return "operator" if caller.person is None else f"person {caller.person}"
+
+
+def cookie_of(base: str, who: str) -> str:
+    """Return the name of the cookie of a caller at a service; services on other ports share cookies."""
+    return f"kitassist-{hashlib.sha256(f'{base} {who}'.encode(errors='replace')).hexdigest()[:16]}"
+
+
+def token_in(scope: Scope, base: str) -> str:
+    """Return the token in the cookie that a request names; empty if there is none."""
+    named = [value.decode("latin-1") for name, value in scope["headers"] if name == NAMED]
+    named += [one.removeprefix(PROTOCOL) for one in scope.get("subprotocols", ()) if one.startswith(PROTOCOL)]
+    if not named:
+        return ""
+    wanted = cookie_of(base, unquote(named[0]))
+    for name, value in scope["headers"]:
+        if name == b"cookie":
+            for pair in value.decode("latin-1").split(";"):
+                key, _, token = pair.strip().partition("=")
+                if key == wanted:
+                    return token
+    return ""
+
+
+def is_own_page(scope: Scope, base: str) -> bool:
+    """Return whether a request comes from a page of this service, as far as the browser says."""
+    headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
+    if headers.get(b"sec-fetch-site", "same-origin") != "same-origin":
+        return False
+    origin = headers.get(b"origin")
+    if origin is None:
+        return scope["type"] != "websocket"  # browsers name the origin of every WebSocket
+    at = urlsplit(base)
+    try:
+        return origin == f"{at.scheme}://{at.netloc}" or urlsplit(origin).netloc == headers.get(b"host", "")
+    except ValueError:
+        return False
