@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import json
 import random
+import shutil
 import socket
+import subprocess
 from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -57,6 +59,32 @@ topic = "line/assistant"
 """
 
 
+SECURED = """
+id = 0
+[router]
+id = 0
+max_connections = 100
+max_outgoing_packet_count = 200
+max_segment_size = 104857600
+max_segment_count = 10
+[v4.1]
+name = "secured"
+listen = "127.0.0.1:PORT"
+next_connection_delay_ms = 1
+[v4.1.tls]
+certpath = "AT/cert.pem"
+keypath = "AT/key.pem"
+[v4.1.connections]
+connection_timeout_ms = 60000
+max_payload_size = 20480
+max_inflight_count = 100
+dynamic_filters = true
+[v4.1.connections.auth]
+kits = "secret"
+"""
+"""Settings of a broker that speaks TLS and asks for a password."""
+
+
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         return int(listening.getsockname()[1])
@@ -65,9 +93,15 @@ def free_port() -> int:
 class Broker:
     """A real broker in a process of its own, which forgets everything when it is killed."""
 
-    def __init__(self) -> None:
+    def __init__(self, secured: Path | None = None) -> None:
         self.port = free_port()
-        self._broker = iotcore.Broker(port=self.port, listen="127.0.0.1")
+        options: dict[str, Any] = {"port": self.port, "listen": "127.0.0.1"}
+        if secured is not None:
+            (file := secured / "broker.toml").write_text(
+                SECURED.replace("PORT", str(self.port)).replace("AT", str(secured))
+            )
+            options = {"config_path": str(file)}
+        self._broker = iotcore.Broker(**options)
         self._broker.start()
 
     def kill(self) -> None:
@@ -367,6 +401,32 @@ def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path
     assert done_of(here.session._course.log(), {"ann": [], "bob": []}) == {
         "ann": ["(fetch box-b)"], "bob": ["(fetch box-a)"],
     }  # fmt: skip
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="needs openssl for a certificate")
+def test_a_broker_with_tls_and_a_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    command = "openssl req -x509 -newkey rsa:2048 -nodes -keyout key.pem -out cert.pem -days 2 -subj /CN=localhost"
+    name = ("-addext", "subjectAltName=IP:127.0.0.1")
+    subprocess.run([*command.split(), *name], cwd=tmp_path, check=True, capture_output=True)
+    monkeypatch.setenv("KITASSIST_MQTT_PASSWORD", "secret")
+    monkeypatch.setenv("KITASSIST_MQTT_CA", str(tmp_path / "cert.pem"))
+    here, secured = Here(tmp_path / "session", ["ann"]), Broker(tmp_path)
+    file = settings_file(tmp_path, secured, SETTINGS.replace("[broker]", '[broker]\ntls = true\nusername = "kits"'))
+
+    async def work() -> None:
+        options = {"username": "kits", "password": "secret", "tls_context": MqttSettings.read(file).context()}
+        async with secured.client(**options) as client:
+            await client.subscribe("line/ann/answers", qos=1)
+            await client.publish(
+                "line/ann/action", '{"action": "(fetch box-a)", "id": "1", "n": 1}', qos=1, retain=True
+            )
+            answer = json.loads((await anext(client.messages)).payload)
+            assert (answer["status"], answer["next"]) == ("recorded", 2)
+
+    try:
+        here.run(file, work)
+    finally:
+        secured.stop()
 
 
 @given(st.data())
