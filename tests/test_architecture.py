@@ -58,8 +58,8 @@ ROOMS = {
     "assist.userstudy": "questionnaires assignment plan participant_team cohort session tables export",
     "assist.reports": """statistics effects wording study_summary study_claims study_figures study_report
         userstudy_summary userstudy_report""",
-    "assist.web": """tokens cookies service schemas authorization request_limits task_drawings routes websocket
-        openapi_page page_routes app server client""",
+    "assist.web": """tokens cookies measures service schemas authorization request_limits task_drawings routes metrics
+        websocket openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
     "assist.bridges": "messages ordering settings session_client mqtt",
     "assist.cli.terminal": "interrupts console",

@@ -147,7 +147,7 @@ class Here:
         failed = list[Exception]()
 
         async def beside() -> None:
-            bridge = asyncio.create_task(bridge_of(file)(link))
+            bridge = asyncio.create_task(bridge_of(file)(link).run())
             try:
                 await asyncio.wait_for(work(), 60)
                 assert not bridge.done()

@@ -20,7 +20,7 @@ from planner import LimitError
 from ..live.course import AbsentError
 from ..live.live_task import InapplicableError
 from ..live.store import JournalError
-from . import page_routes, routes, websocket
+from . import metrics, page_routes, routes, websocket
 from .request_limits import Allowance, Guard, Networks
 from .service import BusyError, Service
 from .task_drawings import Pictures
@@ -59,7 +59,7 @@ def make_app(
     )  # fmt: skip
     app.state.service, app.state.pictures = service, Pictures()
     _says_what_is_wrong(app)
-    for router in (routes.router, websocket.router, page_routes.router, *more):
+    for router in (routes.router, metrics.router, websocket.router, page_routes.router, *more):
         app.include_router(router)
     app.add_middleware(Guard, access=service.access, allowance=allowance, trusted=trusted_proxies)
     return app

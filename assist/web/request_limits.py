@@ -181,7 +181,8 @@ class Guard:
         if foreign:
             await refuse(send, 403, "requests of other sites' pages are refused")
             return
-        if scope["path"].startswith("/api/") and scope["path"] != "/api/health" and caller is None:
+        path = scope["path"]
+        if path.startswith(("/api/", "/metrics")) and path != "/api/health" and caller is None:
             what = "invalid token" if token else "missing token"
             await refuse(
                 send,

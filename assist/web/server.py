@@ -12,7 +12,7 @@ from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import uvicorn
 from numpy.typing import ArrayLike
@@ -238,8 +238,19 @@ class ServedTeam:
 
 
 Ready = Callable[[AccessTokens, tuple[str, ...]], None]
-Beside = Callable[[str], Coroutine[Any, Any, None]]
-"""Work beside the service: it gets the operator's link at an address of this machine."""
+
+
+class Bridge(Protocol):
+    """Work beside the service."""
+
+    counts: Mapping[str, int]
+
+    async def run(self) -> None:
+        """Work until cancelled."""
+
+
+Beside = Callable[[str], Bridge]
+"""Returns a bridge, given the operator's link at an address of this machine."""
 
 
 def serve(
@@ -256,7 +267,7 @@ def serve(
     ready : callable
         Called with the links and the people present when the service accepts requests.
     beside : callable, optional
-        Work that ends with the service. If it fails, the service continues.
+        A bridge, which ends with the service. If it fails, the service continues.
     """
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
     asyncio.run(_serve(plan, session, listening, ready, beside))
@@ -270,7 +281,11 @@ async def _serve(
     service.simulated = frozenset(plan.simulated)
     app = make_app(service, trusted_proxies=plan.trusted_proxies)
     seats = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))
-    others = seats if beside is None else _both(seats, beside(f"{_local(listening)}/operator/{access.operator}"))
+    others = seats
+    if beside is not None:
+        bridge = beside(f"{_local(listening)}/operator/{access.operator}")
+        service.measures.bridges[type(bridge).__name__] = bridge.counts
+        others = _both(seats, bridge)
     await run(app, listening, lambda: ready(access, service.session.people), others)
 
 
@@ -281,12 +296,12 @@ def _local(listening: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-async def _both(seats: Coroutine[Any, Any, None], beside: Coroutine[Any, Any, None]) -> None:
+async def _both(seats: Coroutine[Any, Any, None], bridge: Bridge) -> None:
     async def logged() -> None:
         try:
-            await beside
+            await bridge.run()
         except Exception:
-            logging.getLogger(__name__).exception("the work beside the service has ended")
+            logging.getLogger(__name__).exception("the bridge has ended")
 
     await asyncio.gather(seats, logged())
 

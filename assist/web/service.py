@@ -28,6 +28,7 @@ from ..live.event_sourced import Outlook
 from ..live.live_task import InapplicableError
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
+from .measures import Measures
 from .tokens import AccessTokens
 
 
@@ -90,6 +91,7 @@ class Service:
         self.outlook = self.session.outlook()
         self.visited = asyncio.Event()
         self.simulated: frozenset[str] = frozenset()
+        self.measures = Measures()
         self._entries: dict[str, bytes] = {}
         self._watchers: dict[str, set[Watcher]] = {}
         self._operators: set[asyncio.Event] = set()
@@ -202,11 +204,22 @@ class Service:
             Any error of `Session.report` or `Session.erase`.
         """
         future: asyncio.Future[Any] = self._loop.create_future()
+        kind = event.kind if isinstance(event, Event) else "erased"
+        before = self.views.get(event.person or "") if kind == "acted" else None
+        began, outcome = self._loop.time(), "failed"
         try:
             self._reports.put_nowait((event, future))
+            answer: dict[str, Any] = await future
+            outcome = "recorded"
         except queue.Full:
             raise BusyError(f"{self._reports.maxsize} reports are waiting to be saved; try again later") from None
-        answer: dict[str, Any] = await future
+        except ValueError:
+            outcome = "refused"
+            raise
+        finally:
+            self.measures.add(kind, outcome, self._loop.time() - began)
+        if isinstance(event, Event):
+            self.measures.acted(before, event.action, answer)
         return answer
 
     async def pass_on(self, event: Event) -> None:

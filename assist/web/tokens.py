@@ -22,7 +22,7 @@ from planner.system.files import atomic
 VISITOR = "?"
 """Owner of the join link's token of a user study. It is no participant's code, since codes contain letters."""
 
-OWN = frozenset({"api", "docs", "join", "openapi.json", "operator", "pages", "part", "study"})
+OWN = frozenset({"api", "docs", "join", "metrics", "openapi.json", "operator", "pages", "part", "study"})
 """First components of the service's own paths."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from .task import costs_of
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
+    from ...bridges.mqtt import MqttBridge
     from ...web.server import ServedTeam
 
 
@@ -106,8 +107,8 @@ def plan_of(
     )  # fmt: skip
 
 
-def bridge_of(file: Path) -> Callable[[str], Coroutine[Any, Any, None]]:
-    """Read the settings of a bridge; return the bridge's work, given the operator's link.
+def bridge_of(file: Path) -> Callable[[str], MqttBridge]:
+    """Read the settings of a bridge; return a function that makes the bridge, given the operator's link.
 
     Raises
     ------
@@ -127,7 +128,7 @@ def bridge_of(file: Path) -> Callable[[str], Coroutine[Any, Any, None]]:
         settings.context()
     except (InputFileError, OSError) as error:
         raise click.UsageError(str(error)) from None
-    return lambda link: MqttBridge(settings, link).run()
+    return lambda link: MqttBridge(settings, link)
 
 
 def _named(instances: list[Instance]) -> dict[str, Instance]:

@@ -1,0 +1,77 @@
+"""Metrics of a service, read with Prometheus's own parser."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import kit
+from test_live_web import Web
+
+from assist.web.measures import Measures
+from assist.web.metrics import entropy
+
+pytest.importorskip("prometheus_client")
+
+
+def values(text: str) -> dict[tuple[str, ...], float]:
+    from prometheus_client.parser import text_string_to_metric_families
+
+    return {
+        (sample.name, *sample.labels.values()): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def test_metrics_are_what_happened(tmp_path: Path) -> None:
+    web = Web(kit("tiny"), tmp_path)
+    with web.client:
+        web.service.measures.bridges["mqtt"] = {"recorded": 3}
+        first = web.ask("GET", "/api/people/ann", "ann").json()
+        assert first["suggestion"] is not None
+        web.act(first["suggestion"], id="1")
+        web.act(first["suggestion"], id="1")
+        web.act("(fetch box-z)")
+        seen = web.ask("GET", "/api/people/ann", "ann").json()
+        other = next(action for action in seen["applicable"] if action != seen["suggestion"])
+        declined = seen["suggestion"] is not None
+        web.act(other)
+        answer = web.ask("GET", "/metrics", None)
+        assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+        found = values(answer.text)
+        events = web.ask("GET", "/api/team", None).json()["seq"]
+        beliefs = web.service.session.beliefs()
+    assert found["kitassist_events_total",] == events
+    assert found["kitassist_people",] == 2
+    assert found["kitassist_reports_total", "acted", "recorded"] == 3
+    assert found["kitassist_reports_total", "acted", "refused"] == 1
+    assert found["kitassist_suggestions_answered_total", "yes"] == 1
+    assert found["kitassist_suggestions_answered_total", "no"] == int(declined)
+    assert found["kitassist_report_seconds_bucket", "+Inf"] == found["kitassist_report_seconds_count",] == 4
+    assert found["kitassist_belief_entropy_nats", "largest"] == max(map(entropy, beliefs.values()))
+    assert found["kitassist_bridge_total", "mqtt", "recorded"] == 3
+    assert "ann" not in answer.text
+
+
+def test_metrics_are_for_the_operator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    web = Web(kit("tiny"), tmp_path)
+    with web.client:
+        assert web.client.get("/metrics").status_code == 401
+        assert web.ask("GET", "/metrics", "ann").status_code == 403
+        monkeypatch.setitem(sys.modules, "prometheus_client", None)
+        absent = web.ask("GET", "/metrics", None)
+        assert (absent.status_code, "[metrics]" in absent.json()["detail"]) == (501, True)
+
+
+def test_entropy_and_buckets() -> None:
+    assert entropy(np.full(8, 1 / 8).tobytes()) == pytest.approx(math.log(8))
+    assert entropy(np.array([1.0, 0.0]).tobytes()) == 0
+    measures = Measures()
+    for seconds in (0.002, 0.003, 60.0):
+        measures.add("acted", "recorded", seconds)
+    assert dict(measures.buckets())["0.002"] == 1
+    assert measures.buckets()[-2:] == [("5.0", 2), ("+Inf", 3)]
