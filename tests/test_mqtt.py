@@ -143,7 +143,7 @@ class Here:
     def run(self, file: Path, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
         """Serve until the work is done; a bridge with the settings in the file runs meanwhile."""
         listening = listen("127.0.0.1", 0)
-        link = f"http://127.0.0.1:{listening.getsockname()[1]}/operator/{self.service.access.operator}"
+        link = f"http://127.0.0.1:{listening.getsockname()[1]}/operator#{self.service.access.operator}"
         failed = list[Exception]()
 
         async def beside() -> None:

@@ -39,7 +39,8 @@ class SessionClient:
     def __init__(self, link: str, *, pause: float = 0.5, threads: int = 8) -> None:
         # A short patience: threads that wait would delay the end of the process. `ask` goes on without them.
         self._client = Client(link, patience=2.0)
-        self._token = urlsplit(link).path.rstrip("/").rpartition("/")[2]
+        parts = urlsplit(link)
+        self._token = parts.fragment or parts.path.rstrip("/").rpartition("/")[2]
         self.session = hashlib.sha256(self._token.encode()).hexdigest()[:16]
         self._pause = pause
         self._threads = ThreadPoolExecutor(threads, thread_name_prefix="bridge")

@@ -283,7 +283,7 @@ async def _serve(
     seats = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))
     others = seats
     if beside is not None:
-        bridge = beside(f"{_local(listening)}/operator/{access.operator}")
+        bridge = beside(f"{_local(listening)}/operator#{access.operator}")
         service.measures.bridges[type(bridge).__name__] = bridge.counts
         others = _both(seats, bridge)
     await run(app, listening, lambda: ready(access, service.session.people), others)
