@@ -94,14 +94,14 @@ $(VENV)/.live: $(VENV)/bin/python pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(INSTALL) -e '.[plots,study,web,mqtt,metrics,test]'
+	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,metrics,test]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(INSTALL) -e '.[plots,study,web,mqtt,metrics,docs]'
+	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,metrics,docs]'
 	@touch $@
 
 # All of these at once, which takes hardly longer than one.
 $(VENV)/.all: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(INSTALL) -e '.[plots,study,web,mqtt,metrics,test,docs]'
+	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,metrics,test,docs]'
 	@touch $(VENV)/.demo $(VENV)/.live $(VENV)/.test $(VENV)/.docs $@

@@ -61,7 +61,7 @@ ROOMS = {
     "assist.web": """tokens cookies measures service schemas authorization request_limits task_drawings routes metrics
         websocket openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
-    "assist.bridges": "messages ordering settings session_client mqtt",
+    "assist.bridges": "messages ordering settings session_client mqtt opcua_settings opcua",
     "assist.cli.terminal": "interrupts console",
     "assist.cli.options": "common task population person travel team policies help live log goals trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables

@@ -20,9 +20,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from serving import TINY, served
 from starlette.testclient import TestClient
-from test_docs import blocks
+from test_docs import BLOCK
 
 from assist.bridges.messages import MessageError, Report, Source, Topic, fields_of, filled
+from assist.bridges.opcua_settings import OpcUaSettings
 from assist.bridges.ordering import InOrder
 from assist.bridges.settings import MqttSettings
 from assist.cli import main
@@ -525,8 +526,12 @@ def test_faults_of_the_settings_are_said(text: str, message: str, tmp_path: Path
 
 
 def test_the_settings_in_the_documentation(tmp_path: Path) -> None:
-    (file := tmp_path / "bridge.toml").write_text(blocks(ROOT / "docs" / "line.md", "toml"))
-    settings = MqttSettings.read(file)
+    shown = [text for kind, text in BLOCK.findall((ROOT / "docs" / "line.md").read_text()) if kind == "toml"]
+    files = [tmp_path / "mqtt.toml", tmp_path / "opcua.toml"]
+    for file, text in zip(files, shown, strict=True):
+        file.write_text(text)
+    assert OpcUaSettings.read(files[1]).advice == (("ns=2;s=A.Light", "ann"),)
+    settings = MqttSettings.read(files[0])
     (source,) = settings.sources
     payload = b'{"item": "4006381333931", "slot": "slot-1", "scan": "s-17", "n": 3}'
     report = source.report(source.fields("line/ann/action", payload))

@@ -1,4 +1,4 @@
-"""Bridges between a live session and the protocols of a line (extra `mqtt`)."""
+"""Bridges between a live session and the protocols of a line (extras `mqtt`, `opcua`)."""
 
 from planner.system.lazy_imports import lazy_exports
 

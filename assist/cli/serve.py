@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     help=f"Port to listen on; 0 for any free one.  [default: {PORT}, or another if it is taken]",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all networks.")
-@click.option("--bridge", type=INPUT_FILE, metavar="FILE.toml", help="Connect the team to this MQTT broker.")
+@click.option(
+    "--bridge", type=INPUT_FILE, metavar="FILE.toml", help="Connect the team to an MQTT broker or OPC UA server."
+)
 @public_url_option
 @trusted_proxy_option
 @live_options

@@ -243,7 +243,9 @@ Ready = Callable[[AccessTokens, tuple[str, ...]], None]
 class Bridge(Protocol):
     """Work beside the service."""
 
-    counts: Mapping[str, int]
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What it has counted, by name."""
 
     async def run(self) -> None:
         """Work until cancelled."""

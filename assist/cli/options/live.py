@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +22,7 @@ from .task import costs_of
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
-    from ...bridges.mqtt import MqttBridge
-    from ...web.server import ServedTeam
+    from ...web.server import Bridge, ServedTeam
 
 
 def live_options(command: Command) -> Command:
@@ -107,28 +107,36 @@ def plan_of(
     )  # fmt: skip
 
 
-def bridge_of(file: Path) -> Callable[[str], MqttBridge]:
+def bridge_of(file: Path) -> Callable[[str], Bridge]:
     """Read the settings of a bridge; return a function that makes the bridge, given the operator's link.
+
+    The settings of an OPC UA bridge have a table `server`; others are of an MQTT bridge.
 
     Raises
     ------
     MissingExtraError
-        The packages of the extra `mqtt` are not installed.
+        The packages of the bridge's extra are not installed.
     click.UsageError
         The settings are faulty, or a file of the TLS settings cannot be read.
     """
     try:
-        from ...bridges.mqtt import MqttBridge, library
+        from planner.system import typed_toml
+
+        from ...bridges import mqtt, opcua
+        from ...bridges.opcua_settings import OpcUaSettings
         from ...bridges.settings import MqttSettings
     except ImportError as error:  # of the library for typed tables
         raise MissingExtraError("a bridge needs", str(error.name), "mqtt") from None
-    library()
     try:
+        if "server" in typed_toml.load(file):
+            opcua.library()
+            return partial(opcua.OpcUaBridge, OpcUaSettings.read(file))
+        mqtt.library()
         settings = MqttSettings.read(file)
         settings.context()
+        return partial(mqtt.MqttBridge, settings)
     except (InputFileError, OSError) as error:
         raise click.UsageError(str(error)) from None
-    return lambda link: MqttBridge(settings, link)
 
 
 def _named(instances: list[Instance]) -> dict[str, Instance]:

@@ -1,0 +1,130 @@
+"""The settings of the OPC UA bridge, from one TOML file."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from planner.system import typed_toml
+from planner.system.typed_toml import Text, convert, fault, located
+
+from .messages import Source, Topic
+
+Names = Annotated[dict[str, str], Meta(description="a table of texts")]
+NODE = re.compile(r"(ns=\d+;)?[isgb]=.+")
+
+
+class ServerTable(Struct, forbid_unknown_fields=True):
+    """The table `server`."""
+
+    url: Text
+
+
+class ObserveTable(Struct, forbid_unknown_fields=True):
+    """A table of `observe`."""
+
+    node: Text
+    person: Text
+    action: Text = "{value}"
+    id: Text | None = None
+    pattern: Text | None = None
+    answer: Text | None = None
+
+
+class AdviceTable(Struct, forbid_unknown_fields=True):
+    """A table of `advice`."""
+
+    node: Text
+    person: Text
+
+
+class FileTables(Struct, forbid_unknown_fields=True):
+    """The whole file."""
+
+    server: ServerTable
+    observe: Annotated[list[ObserveTable], Meta(min_length=1, description="one table or more")]
+    advice: list[AdviceTable] = []
+    names: Names | None = None
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A node whose values report actions.
+
+    Attributes
+    ----------
+    node : str
+        Node id, such as `ns=2;s=Station.Pick`.
+    source : Source
+        Templates of what a value reports. Fields are those of a JSON object, or `value`.
+    has_id : bool
+        Whether values have an id of their own; otherwise the id is made from the value and its time.
+    answer : str or None
+        Node to which the answer to each report is written.
+    """
+
+    node: str
+    source: Source
+    has_id: bool
+    answer: str | None
+
+
+@dataclass(frozen=True)
+class OpcUaSettings:
+    """Settings of the OPC UA bridge.
+
+    Attributes
+    ----------
+    url : str
+        Address of the server, `opc.tcp://host:port/path`.
+    observed : tuple of Observed
+    advice : tuple of (str, str)
+        Nodes to which suggestions are written, and whose they are.
+    """
+
+    url: str
+    observed: tuple[Observed, ...]
+    advice: tuple[tuple[str, str], ...] = ()
+
+    @classmethod
+    def read(cls, file: str | Path) -> OpcUaSettings:
+        """Read the settings from a TOML file.
+
+        Raises
+        ------
+        InputFileError
+            A field is missing, unknown or of the wrong type; the message has its place.
+        """
+        file = Path(file)
+        with located(file):
+            tables = convert(typed_toml.load(file), FileTables, file)
+            if not re.fullmatch(r"opc\.tcp://[^\s/:]+(:\d+)?(/\S*)?", tables.server.url):
+                raise fault(file, "server.url", f"{tables.server.url!r}; expected opc.tcp://host:port/path")
+            observed = []
+            for number, one in enumerate(tables.observe, start=1):
+                place = f"observe[{number}]"
+                nodes = (_node(one.node, file, f"{place}.node"), _node(one.answer, file, f"{place}.answer"))
+                try:
+                    pattern = None if one.pattern is None else re.compile(one.pattern)
+                except re.error as error:
+                    why = f"{one.pattern!r} is no regular expression: {error}"
+                    raise fault(file, f"{place}.pattern", why) from None
+                source = Source(
+                    Topic("node"), one.action, one.id or "{id}", one.person, pattern=pattern, names=tables.names or {}
+                )
+                observed.append(Observed(nodes[0] or "", source, one.id is not None, nodes[1]))
+            advice = [
+                (_node(one.node, file, f"advice[{number}].node") or "", one.person)
+                for number, one in enumerate(tables.advice, start=1)
+            ]
+            return cls(tables.server.url, tuple(observed), tuple(advice))
+
+
+def _node(node: str | None, file: Path, place: str) -> str | None:
+    if node is not None and not NODE.fullmatch(node):
+        raise fault(file, place, f"{node!r}; expected a node id, such as ns=2;s=Station.Pick")
+    return node
