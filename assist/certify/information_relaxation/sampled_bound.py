@@ -377,6 +377,28 @@ def _copy(to: Floats, row: Floats) -> None:
 
 
 @njit()
+def _advance(
+    state: Ints, total: float, estimate: float, attended: int, edge: int, idle: Ints, row: Floats, team: _Team
+) -> tuple[float, float]:
+    """Move every person to their next node, in place: along `edge` if attended, otherwise along their `idle` edge.
+
+    Return `total` plus the costs, and `estimate` plus the lower bounds of the nodes. `row` receives the rows of the
+    nodes, averaged over what is not yet known.
+    """
+    for i in range(len(state)):
+        if state[i] < 0:
+            _copy(row[i], team.row[state[i]])
+            continue
+        does = edge if i == attended else idle[i]
+        total += team.cost[does]
+        state[i] = team.to[does]
+        _copy(row[i], team.mean[does])
+        if state[i] >= 0:
+            estimate += team.heuristic[state[i]]
+    return total, estimate
+
+
+@njit()
 def _code(t: int, state: Ints, radix: Ints, team: _Team) -> int:
     """Return a number for the nodes of all people at a step."""
     code = t
@@ -467,17 +489,8 @@ def _astar(
                 total = cost - loss
                 if k < 0:
                     total += refund * price[t]
-                then, estimate = state.copy(), ahead[t + 1]
-                for i in range(people):
-                    if state[i] < 0:
-                        _copy(next_[i], team.row[state[i]])
-                        continue
-                    does = e if i == k else idle[i]
-                    total += team.cost[does]
-                    then[i] = team.to[does]
-                    _copy(next_[i], team.mean[does])
-                    if then[i] >= 0:
-                        estimate += team.heuristic[then[i]]
+                then = state.copy()
+                total, estimate = _advance(then, total, ahead[t + 1], k, e, idle, next_, team)
                 total += alpha * lost(t + 1, next_, scale)
                 states.append(then)
                 costs.append(total)
