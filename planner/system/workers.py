@@ -96,6 +96,7 @@ def _in_a_pool(
             initializer=_begin,
             initargs=(processes.guarded_group(), pipe),
         )
+        done = False
         try:
             with _interrupts_left_to_this_process():
                 futures: dict[Future[Result], Item] = {
@@ -113,13 +114,13 @@ def _in_a_pool(
                 except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
                     outcome = error
                 yield futures[future], outcome
-            pool.close()  # type: ignore[no-untyped-call]
-        except BaseException:
-            for worker in set(active_children()) - others:
-                worker.kill()  # at once: `stop` waits three seconds for each, and their results are not needed
-            pool.stop()  # type: ignore[no-untyped-call]
-            raise
+            done = True
         finally:
+            pool.stop()  # type: ignore[no-untyped-call]
+            # All at once: `join` waits up to three seconds for each. It also removes what a worker that is still
+            # starting would look for, and then print an error.
+            for worker in set(active_children()) - others:
+                (worker.terminate if done else worker.kill)()
             pool.join()
             if pipe is not None:
                 pipe.close()
