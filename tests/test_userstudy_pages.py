@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import hmac
 import io
 import json
 import re
@@ -125,6 +127,23 @@ def test_nobody_takes_the_seat_of_somebody_elses_id(web: Web) -> None:
     assert come(id="participant a&b", signature=ab).json() == second
     assert come(id="participant a&b", **other).status_code == 409
     assert web.ask("GET", "/api/study").json()["taken"] == 2
+
+
+def test_without_the_key_nobody_can_connect_ids_and_codes(tiny: Table, tmp_path: Path) -> None:
+    """Codes and stored ids follow from the key only, not from anything else in the folder or from the links."""
+    key = {"key": "k" * 24}
+    found = []
+    for attempt in range(3):
+        web = Web(tiny, tmp_path)
+        with web.client:
+            found.append(web.ask("POST", "/api/study/seats", VISITOR, json={"id": "participant 7", **key}).json())
+            operator = web.access.operator.encode()
+            computed = hmac.new(operator, b"participant 7 " + key["key"].encode(), hashlib.sha256).hexdigest()
+            assert computed[16:].encode() not in b"".join(file.read_bytes() for file in web.service.folder.iterdir())
+        if attempt == 1:
+            (web.service.folder / "codes.key").unlink()
+    assert found[0]["person"] == found[1]["person"] != found[2]["person"]
+    assert (web.service.folder / "secret").stat().st_mode & 0o077 == 0
 
 
 def test_data_are_withdrawn_by_code_after_the_end(web: Web) -> None:

@@ -278,6 +278,11 @@ class Session:
             self._store.purge()
         return stone
 
+    @property
+    def was_imported(self) -> bool:
+        """Whether the session began in the format of earlier versions."""
+        return self._store.was_imported
+
     def tombstones(self) -> list[Tombstone]:
         """Return what remains of the people whose records were erased."""
         with self.lock:

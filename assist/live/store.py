@@ -274,6 +274,11 @@ class EventStore:
             self.old = None
 
     @property
+    def was_imported(self) -> bool:
+        """Whether the session began in the former format."""
+        return self._aside.exists()
+
+    @property
     def _aside(self) -> Path:
         return self.file.with_name(f"{self.file.stem}-imported.jsonl")
 

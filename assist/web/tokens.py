@@ -79,16 +79,7 @@ class AccessTokens:
     @classmethod
     def kept(cls, file: Path, base: str) -> AccessTokens:
         """Return the tokens for the secret in a file. A missing file is created, readable by its owner only."""
-        size = hashlib.sha256().digest_size  # a longer key adds no security to HMAC
-        if not file.exists():
-            with atomic(file) as path:
-                descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-                with os.fdopen(descriptor, "wb") as stream:
-                    stream.write(secrets.token_bytes(size))
-        secret = file.read_bytes()
-        if len(secret) != size:
-            raise OSError(f"{file}: expected the {size} bytes of the session's secret; found {len(secret)}")
-        return cls(secret, base)
+        return cls(secret_in(file), base)
 
     @property
     def root(self) -> str:
@@ -142,3 +133,23 @@ class AccessTokens:
 
 def _digest(token: str) -> bytes:
     return hashlib.sha256(token.encode(errors="replace")).digest()
+
+
+def secret_in(file: Path) -> bytes:
+    """Return the secret in a file. A missing file is created, readable by its owner only.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read or written, or holds something else.
+    """
+    size = hashlib.sha256().digest_size  # a longer key adds no security to HMAC
+    if not file.exists():
+        with atomic(file) as path:
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(descriptor, "wb") as stream:
+                stream.write(secrets.token_bytes(size))
+    secret = file.read_bytes()
+    if len(secret) != size:
+        raise OSError(f"{file}: expected the {size} bytes of the session's secret; found {len(secret)}")
+    return secret

@@ -14,10 +14,14 @@ from ...live.live_task import InapplicableError
 from ...userstudy.cohort import HERE, LETTERS, Cohort, FullError, StudyEvent
 from ...userstudy.session import StudySession
 from ..service import Service, Watcher
-from ..tokens import VISITOR, AccessTokens
+from ..tokens import VISITOR, AccessTokens, secret_in
 
 PARTICIPANT = "participant "
 """Begins the ids of participants whom another system, such as a recruiting service, identifies."""
+
+
+CODES_KEY = "codes.key"
+"""File of the key that leads from ids of browsers and of other systems to codes. Without it nobody can connect them."""
 
 
 class ForgedError(ValueError):
@@ -54,6 +58,8 @@ class StudyService(Service):
         self._look_every = look_every
         self._away: dict[str, float] = {}
         access.token(VISITOR)
+        # Studies that began with an earlier version have no file for this key.
+        self._codes_key = access.operator.encode() if session.was_imported else secret_in(self.folder / CODES_KEY)
 
     def start(self) -> None:
         """Start the service in the running event loop."""
@@ -81,7 +87,7 @@ class StudyService(Service):
 
     def withdrawal_code(self, code: str) -> str:
         """Return the code by which a participant's data can be withdrawn, also without the participant's page."""
-        number, signs = int.from_bytes(self._digest(f"withdrawal {code}")[:8], "big"), ""
+        number, signs = int.from_bytes(_digest(self.access.operator.encode(), f"withdrawal {code}"), "big"), ""
         for _ in range(8):
             number, place = divmod(number, len(LETTERS))
             signs += LETTERS[place]
@@ -106,7 +112,7 @@ class StudyService(Service):
 
     def code(self, visit: str) -> str:
         """Return the participant code for a browser's id. The code is always the same and does not reveal the id."""
-        number, signs = int.from_bytes(self._digest(visit)[:8], "big"), ""
+        number, signs = int.from_bytes(_digest(self._codes_key, visit)[:8], "big"), ""
         for _ in range(6):
             number, place = divmod(number, len(LETTERS))
             signs += LETTERS[place]
@@ -152,16 +158,13 @@ class StudyService(Service):
             if key is None:
                 raise ForgedError("expected a signed link, or the key of a browser")
             once = f"{visit} {key}"
-        event = StudyEvent("visited", code, id=self._digest(once)[8:].hex(), simulated=simulated)
+        event = StudyEvent("visited", code, id=_digest(self._codes_key, once)[8:].hex(), simulated=simulated)
         try:
             return await self.report(event)
         except FullError:
             raise
         except InapplicableError:
             raise InapplicableError("this participant has joined on another device; continue there") from None
-
-    def _digest(self, visit: str) -> bytes:
-        return hmac.new(self.access.operator.encode(), visit.encode(errors="replace"), hashlib.sha256).digest()
 
     def watch(self, person: str) -> Watcher:
         """Register a watcher of a participant's view. The participant counts as present again."""
@@ -236,3 +239,7 @@ class StudyService(Service):
                 for name, order in study.orders.items()
             ],
         }  # fmt: skip
+
+
+def _digest(key: bytes, text: str) -> bytes:
+    return hmac.new(key, text.encode(errors="replace"), hashlib.sha256).digest()
