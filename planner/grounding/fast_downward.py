@@ -14,7 +14,6 @@ import importlib.util
 import math
 import os
 import re
-import resource
 import signal
 import subprocess
 import tempfile
@@ -26,7 +25,7 @@ from pathlib import Path
 
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.source import Source
-from ..system.limits import NO_LIMITS, LimitError, Limits, MemoryLimitError, _limit, limit_memory
+from ..system.limits import NO_LIMITS, LimitError, Limits, MemoryLimitError, limit_process
 from ..system.processes import guarded_group, python
 
 TRANSLATE_OPTIONS = ("--add-implied-preconditions", "--keep-unimportant-variables")
@@ -174,9 +173,7 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
         process_group=guarded_group(),
     )
     try:
-        if hasattr(resource, "prlimit") and limits.seconds is not None:
-            _limit(process.pid, resource.RLIMIT_CPU, int(limits.seconds) + 1)
-        limit_memory(process.pid, limits)
+        limit_process(process.pid, limits.memory_mb, limits.seconds)
         _give(process, text or "")
         output = _output(process, limits)
     finally:

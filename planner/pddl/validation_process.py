@@ -21,7 +21,7 @@ from dataclasses import asdict
 from functools import lru_cache
 from typing import IO, Any
 
-from ..system.limits import NO_LIMITS, Limits, limit_memory
+from ..system.limits import NO_LIMITS, Limits, limit_process
 from ..system.processes import guarded_group, python
 from .source import Source
 from .validation import InstanceRefusedError, InvalidPlanError, Refusal, parsed, validate
@@ -97,8 +97,7 @@ class _Process:
             process_group=guarded_group(),
         )
         self._limited = limits.memory_mb is not None
-        if limits.memory_mb is not None:
-            limit_memory(self._popen.pid, Limits(memory_mb=limits.memory_mb + mapped_mb))
+        limit_process(self._popen.pid, None if limits.memory_mb is None else limits.memory_mb + mapped_mb)
         self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._open = 0  # questions without an answer
         self._instances = 0

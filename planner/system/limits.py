@@ -5,6 +5,7 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -174,15 +175,12 @@ class _AnyOf:
 NO_LIMITS = Limits()
 
 
-def limit_memory(pid: int, limits: Limits) -> None:
-    """Limit the memory of a process that has just been started."""
-    if hasattr(resource, "prlimit") and limits.memory_mb is not None:
-        _limit(pid, resource.RLIMIT_AS, int(limits.memory_mb * 1e6))
-
-
-def _limit(pid: int, what: int, value: int) -> None:
-    try:
-        _, hard = resource.prlimit(pid, what)
-        resource.prlimit(pid, what, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
-    except ProcessLookupError:
-        pass  # the process has ended already
+def limit_process(pid: int, memory_mb: float | None, processor_seconds: float | None = None) -> None:
+    """Limit a process that has just been started, where the system can do so."""
+    memory, seconds = (None if memory_mb is None else int(memory_mb * 1e6)), processor_seconds
+    limits = ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CPU, None if seconds is None else int(seconds) + 1))
+    for what, value in limits:
+        if hasattr(resource, "prlimit") and value is not None:
+            with suppress(ProcessLookupError):  # the process has ended already
+                _, hard = resource.prlimit(pid, what)
+                resource.prlimit(pid, what, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))

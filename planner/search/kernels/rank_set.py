@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ...states.packing import Ints, Words
 from ...system.jit import njit
-from .atomics import fetch_or, prefetch
+from .atomics import fetch_or, lowest_bit, prefetch
 
 
 class RankSet(NamedTuple):
@@ -116,7 +116,7 @@ def select(states, numbers, out):
         rest = states.bits[word]
         for _ in range(left):
             rest &= rest - np.uint64(1)
-        out[i] = 64 * word + count_ones((rest & (~rest + np.uint64(1))) - np.uint64(1))
+        out[i] = 64 * word + lowest_bit(rest)
 
 
 @njit(nogil=True, error_model="numpy")
@@ -138,10 +138,9 @@ def list_members(states, start, out):
         if rest != 0 and filled + 64 > len(out):
             return word, filled
         while rest != 0:
-            lowest = rest & (~rest + np.uint64(1))
-            out[filled] = 64 * word + count_ones(lowest - np.uint64(1))
+            out[filled] = 64 * word + lowest_bit(rest)
             filled += 1
-            rest ^= lowest
+            rest &= rest - np.uint64(1)
         word += 1
     return len(states.bits), filled
 
