@@ -9,10 +9,12 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from conftest import KITTING
 from hypothesis import given, settings
@@ -23,7 +25,7 @@ from assist.live.course import AbsentError, Event
 from assist.live.live_task import LiveTask
 from assist.live.session import Session
 from assist.live.store import EventStore, JournalError, stored
-from assist.person.pomdp import Policy
+from assist.person.policy import Policy
 from assist.team.settings import Setting
 from assist.userstudy.plan import read
 from assist.userstudy.session import StudySession
@@ -303,6 +305,7 @@ def test_a_fault_after_an_event_was_applied_leaves_nothing_unsaved(
 
 CHILD = """
 import sys
+import time
 from pathlib import Path
 from assist.live.live_task import LiveTask
 from assist.live.session import Session
@@ -342,6 +345,53 @@ def test_a_killed_process_loses_nothing_that_was_acknowledged(tiny: Table, tmp_p
     session = Session(tiny, file)
     assert len(session.log()) == len(records)
     session.close()
+
+
+ERASER = """
+import sys
+import time
+from pathlib import Path
+from assist.live.session import Session
+from planner import cost_to_go, load
+
+session = Session(cost_to_go(load(sys.argv[1])), Path(sys.argv[2]))
+print("ready", flush=True)
+session.erase("Bartholomew", "as asked")
+print("erased", flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_while_it_erases_has_erased_everything_or_nothing(tiny: Table, tmp_path: Path) -> None:
+    sound, rng, outcomes = tmp_path / "sound.sqlite", random.Random(4), set[bool]()
+    session = Session(tiny, sound)
+    session.report([Event("joined", "Bartholomew"), Event("joined", "ann")])
+    for number in range(200):
+        action = ("(fetch box-a)", "(return box-a)")[number % 2]
+        session.report([Event("acted", name, action, id=f"{name}-{number}") for name in ("Bartholomew", "ann")])
+    belief = session.beliefs()["ann"]
+    session.close()
+    for attempt in range(12):
+        file = tmp_path / str(attempt) / "journal.sqlite"
+        file.parent.mkdir()
+        shutil.copy(sound, file)
+        command = [sys.executable, "-c", ERASER, str(KITTING / "tiny.pddl"), str(file)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n"
+            time.sleep(0.6 * rng.random())  # an erasure takes some tenths of a second
+            os.kill(process.pid, signal.SIGKILL)
+            acknowledged = process.stdout.read() == "erased\n"
+        session = Session(tiny, file)
+        assert np.frombuffer(session.beliefs()["ann"]) == pytest.approx(np.frombuffer(belief))
+        gone = "Bartholomew" not in session.people and len(session.tombstones()) == 1
+        left = [row for row in session.log() if row["person"] == "Bartholomew"]
+        assert len(left) == (0 if gone else 200)
+        session.close()
+        assert (b"Bartholomew" in content(file.parent)) != gone
+        assert gone or not acknowledged
+        outcomes.add(gone)
+    assert outcomes == {True, False}
 
 
 # Files.

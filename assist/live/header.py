@@ -45,8 +45,8 @@ def header_of(desk: Assistant, tasks: Mapping[str, CostToGo], distance: ArrayLik
 
 def files_of(tasks: Mapping[str, CostToGo]) -> dict[str, str | None]:
     """Return the problem file of each task; None for that of a policy."""
-    known = {name: getattr(task, "task", None) for name, task in tasks.items()}
-    return {name: None if task is None else str(task.instance.problem) for name, task in known.items()}
+    known = {name: getattr(getattr(task, "task", None), "instance", None) for name, task in tasks.items()}
+    return {name: None if instance is None else str(instance.problem) for name, instance in known.items()}
 
 
 def _chances(task: CostToGo, population: Population | Mixture) -> str:
