@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -107,6 +107,15 @@ def counted(task: Task) -> Task:
     return replace(task, costs=tuple(cost * UNIT + 1 for cost in task.costs))
 
 
+ADMISSIBLE = (
+    fast_downward.ASTAR,
+    "astar(landmark_cost_partitioning(lm_hm(m=2)))",
+    "astar(lmcut())",
+    "astar(hmax())",
+)
+"""Search configurations of which the fastest is chosen."""
+
+
 class Chosen(NamedTuple):
     """A search configuration, whether it solved the initial state, and the plan (None at a dead end)."""
 
@@ -115,8 +124,8 @@ class Chosen(NamedTuple):
     plan: list[str] | None
 
 
-def fastest_search(task: Task, candidates: Iterable[str] = (), *, limits: Limits = NO_LIMITS) -> Chosen:
-    """Return the search configuration that solves a task's initial state fastest, by default one of four.
+def fastest_search(task: Task, *, limits: Limits = NO_LIMITS) -> Chosen:
+    """Return the search configuration of `ADMISSIBLE` that solves a task's initial state fastest.
 
     Each configuration gets the time that the best one so far took. Once one took at most 0.05 seconds, no other is
     tried, since most of that time is Fast Downward's start. Tasks with derived variables or large costs use blind
@@ -133,13 +142,7 @@ def fastest_search(task: Task, candidates: Iterable[str] = (), *, limits: Limits
     if fast_downward.has_axioms(sas) or dearest >= LARGE:
         return Chosen(fast_downward.ASTAR_WITH_AXIOMS, False, None)
     best, shortest = None, limits.seconds
-    admissible = (
-        fast_downward.ASTAR,
-        "astar(landmark_cost_partitioning(lm_hm(m=2)))",
-        "astar(lmcut())",
-        "astar(hmax())",
-    )
-    for search in candidates or admissible:
+    for search in ADMISSIBLE:
         start = time.monotonic()
         try:
             plan = fast_downward.optimal_plan(sas, search=search, limits=replace(limits, seconds=shortest))

@@ -143,9 +143,9 @@ def refuse(file: Path, at: Expression | Place | None, message: str) -> NoReturn:
     raise PDDLError(file, line, message, column)
 
 
-def shown(expression: Expression, longest: int = 60) -> str:
-    """Return the text of an expression for a message, shortened to `longest` characters."""
-    text = str(expression)
+def shown(expression: Expression) -> str:
+    """Return the text of an expression for a message, shortened if it is long."""
+    text, longest = str(expression), 60  # characters
     return text if len(text) <= longest else f"{text[:longest]} ..."
 
 

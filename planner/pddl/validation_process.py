@@ -31,7 +31,7 @@ PATIENCE = 300.0
 
 ANNOTATIONS = {"ConfigSpace": "ConfigurationSpace", "networkx": "DiGraph"}
 """Packages that unified-planning's reader and validator use for annotations only, and the names used. Importing them
-takes longer than all else.
+takes 1.4 s of 1.7 s.
 """
 
 

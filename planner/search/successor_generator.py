@@ -161,6 +161,8 @@ def build_tests(
 ) -> RankedOperators:
     """Return the applicability tests of moves: sets of candidates if these are small, else a decision tree.
 
+    With the tree alone, the sweep of `kitting/ladder-4x8` or `depot/six-items` takes 1.2 to 1.35 times as long.
+
     `costs` are the costs of the actions.
     """
     tables = _ChangeTables(coding, check)
