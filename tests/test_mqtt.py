@@ -24,7 +24,7 @@ from test_docs import BLOCK
 
 from assist.bridges.messages import MessageError, Report, Source, Topic, fields_of, filled
 from assist.bridges.opcua_settings import OpcUaSettings
-from assist.bridges.ordering import InOrder
+from assist.bridges.ordering import Acknowledgements, InOrder
 from assist.bridges.settings import MqttSettings
 from assist.cli import main
 from assist.cli.options.live import bridge_of
@@ -439,6 +439,19 @@ def test_numbers_restore_the_order(data: st.DataObject) -> None:
     released = [item for number in arrivals for item in order.take(number, number)]
     assert list(dict.fromkeys(released)) == list(range(1, count + 1))
     assert not order.held
+
+
+@given(st.integers(1, 8).flatmap(lambda count: st.permutations(range(count))))
+def test_messages_are_acknowledged_in_the_order_of_their_arrival(order: list[int]) -> None:
+    sent = list[tuple[int, int]]()
+    open_messages = Acknowledgements(lambda identifier, quality: sent.append((identifier, quality)))
+    done = [open_messages.expect(10 + number, 1) for number in range(len(order))]
+    finished = set[int]()
+    for number in order:
+        done[number]()
+        finished.add(number)
+        first_open = min(set(range(len(order))) - finished, default=len(order))
+        assert sent == [(10 + one, 1) for one in range(first_open)]
 
 
 def test_missing_numbers_are_passed_over_and_known() -> None:

@@ -18,7 +18,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
-from functools import partial
 from itertools import count
 from random import Random
 from types import ModuleType
@@ -29,7 +28,7 @@ from planner.system.errors import MissingExtraError
 
 from ..web.client import RefusedError
 from .messages import MessageError, Report, fields_of
-from .ordering import InOrder
+from .ordering import Acknowledgements, InOrder
 from .session_client import SessionClient
 from .settings import MqttSettings
 
@@ -191,7 +190,8 @@ class MqttBridge:
             self._waiting.setdefault(topic, (topic, payload, True))
         self._wake.set()
         tasks = [asyncio.create_task(self._publisher(broker)) for _ in range(self._publishers)]
-        tasks.append(asyncio.create_task(self._receiver(broker)))
+        open_messages = Acknowledgements(broker._client.ack)
+        tasks.append(asyncio.create_task(self._receiver(broker, open_messages)))
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
@@ -202,6 +202,7 @@ class MqttBridge:
                     await broker.publish(settings.status.text, OFFLINE, qos=1, retain=True, timeout=1.0)
             raise
         finally:
+            open_messages.close()
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -228,9 +229,9 @@ class MqttBridge:
         self._waiting[topic] = (topic, payload, True)
         self._wake.set()
 
-    async def _receiver(self, broker: aiomqtt.Client) -> None:
+    async def _receiver(self, broker: aiomqtt.Client, open_messages: Acknowledgements) -> None:
         async for message in broker.messages:
-            acknowledge: Acknowledge = partial(broker._client.ack, message.mid, message.qos)
+            acknowledge = open_messages.expect(message.mid, message.qos)
             topic, payload = str(message.topic), message.payload
             answers, arrived = self.settings.answers, self.settings.arrived
             own = None if answers is None else answers.fields(topic)

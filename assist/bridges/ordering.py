@@ -1,8 +1,9 @@
-"""Messages put back into the order of their numbers."""
+"""Messages put back into the order of their numbers, and acknowledged in the order of their arrival."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -65,3 +66,37 @@ class InOrder(Generic[T]):
             found.append(self.held.pop(self.next))
             self.next += 1
         return found
+
+
+class Acknowledgements:
+    """Acknowledges messages in the order in which they arrived, as MQTT demands, whenever they are done with.
+
+    Parameters
+    ----------
+    send : callable
+        Sends the acknowledgement of a message, given its identifier and quality of service.
+    """
+
+    def __init__(self, send: Callable[[int, int], object]) -> None:
+        self._send, self._arrived, self._done = send, deque[tuple[int, int, int]](), set[int]()
+        self._count, self.closed = 0, False
+
+    def expect(self, identifier: int, quality: int) -> Callable[[], None]:
+        """Return a function to call when a message that has arrived is done with."""
+        self._count += 1
+        number = self._count
+        self._arrived.append((number, identifier, quality))
+
+        def done() -> None:
+            self._done.add(number)
+            while self._arrived and self._arrived[0][0] in self._done:
+                first, *message = self._arrived.popleft()
+                self._done.remove(first)
+                if not self.closed:
+                    self._send(*message)
+
+        return done
+
+    def close(self) -> None:
+        """Send nothing any more: the connection is lost, and the broker will deliver again what is open."""
+        self.closed = True
