@@ -7,7 +7,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c co
 # Hundreds of processes load the same modules: what Python makes of these is kept, whatever is otherwise wanted.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo live test test-all coverage lint bench bench-smallest study docs wheel-check clean
+.PHONY: demo live line test test-all coverage lint bench bench-smallest study docs wheel-check clean
 
 demo: $(VENV)/.demo
 	@mkdir -p demo
@@ -22,6 +22,10 @@ demo: $(VENV)/.demo
 # A first look at the live assistant for one person: two others are simulated; the links are printed.
 live: $(VENV)/.live
 	@$(BIN)/kitassist serve domains/kitting/paper.pddl --humans 3 --simulate 2 --c-suggest 0.2
+
+# A line without hardware: a broker, three stations, a robot and the assistant, until all have finished.
+line: $(VENV)/.line
+	@$(BIN)/python docs/examples/line.py
 
 test: $(VENV)/.test $(VENV)/.warm
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
@@ -93,6 +97,10 @@ $(VENV)/.live: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(INSTALL) --no-compile -e '.[web]'
 	@touch $@
 
+$(VENV)/.line: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(INSTALL) --no-compile -e '.[web,mqtt]' iotcore
+	@touch $@
+
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,metrics,test]'
 	@touch $@
@@ -104,4 +112,4 @@ $(VENV)/.docs: $(VENV)/bin/python pyproject.toml constraints.txt
 # All of these at once, which takes hardly longer than one.
 $(VENV)/.all: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,metrics,test,docs]'
-	@touch $(VENV)/.demo $(VENV)/.live $(VENV)/.test $(VENV)/.docs $@
+	@touch $(VENV)/.demo $(VENV)/.live $(VENV)/.line $(VENV)/.test $(VENV)/.docs $@

@@ -8,6 +8,7 @@ import random
 import shutil
 import socket
 import subprocess
+import sys
 from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -148,7 +149,8 @@ class Here:
         failed = list[Exception]()
 
         async def beside() -> None:
-            bridge = asyncio.create_task(bridge_of(file)(link).run())
+            self.bridge = bridge_of(file)(link)
+            bridge = asyncio.create_task(self.bridge.run())
             try:
                 await asyncio.wait_for(work(), 60)
                 assert not bridge.done()
@@ -286,6 +288,7 @@ def test_each_action_happens_once_although_messages_and_the_broker_are_lost(brok
                     return
 
     here.run(settings_file(tmp_path, broker), work)
+    assert here.bridge.counts["connections"] == 2
     with TestClient(there.app, headers=there.headers) as client:
         for name, body in events_of(stations, walks):
             assert client.post(f"/api/people/{name}/actions", json=body).status_code == 200
@@ -319,6 +322,16 @@ def test_fifty_people_and_five_kills_of_the_broker(broker: Broker, tmp_path: Pat
                         return
 
         asyncio.run(asyncio.wait_for(will(), 30))
+
+
+@pytest.mark.slow
+def test_the_line_without_hardware_runs_to_its_end() -> None:
+    command = [sys.executable, ROOT / "docs" / "examples" / "line.py", "--pace", "0.02"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert all(f"person-{number} has finished" in done.stdout for number in (1, 2, 3))
+    assert "the robot is at person-" in done.stdout
+    assert "MQTT:" not in done.stderr
 
 
 def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path) -> None:
@@ -393,6 +406,7 @@ def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path
             await until(lambda: advice["advice/bob"] == b"")
 
     here.run(file, work)
+    assert here.bridge.counts["connections"] == 1  # a broker ends the connection of a client that breaks its rules
     assert (answers["s1"]["status"], answers["s1"]["to"]) == ("recorded", "answers/ann")
     assert answers["7"]["status"] == "recorded"
     details = {identifier: answer["detail"] for identifier, answer in answers.items() if answer["status"] == "refused"}
