@@ -18,7 +18,7 @@ BROAD, SLIM = "mwMWGOQ@%", "ijlftrI-.,:;'|()[]! "
 HEAD, TAG = 30.0, 22.0  # height of the line of a title, and of a tag; an icon is as wide as a tag is high
 PAD, GAP, NOTE = 10.0, 8.0, 16.0  # space within a box, space between boxes, height of a line of notes
 LEAST = 64.0  # smallest width of a box
-ICONS = ("person", "robot", "van", "tray", "locker", "parcel")
+ICONS = frozenset({"person", "robot", "van", "tray", "locker", "parcel"})
 
 Size = tuple[float, float]
 

@@ -24,7 +24,7 @@ RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
 Key = tuple[str, str]
 """Identifier of an instance: the paths of its problem and domain. One problem may be solved with several domains."""
 
-DONE = ("solved", "unsolvable")  # statuses that a resumed run keeps; the others are tried again
+DONE = frozenset({"solved", "unsolvable"})  # statuses that a resumed run keeps; the others are tried again
 
 
 class Results:

@@ -19,7 +19,7 @@ from pathlib import Path
 from .declarations import Names, Symbol, Typed, meant, parameters, refuse, shown
 from .s_expressions import Expression, Place
 
-COMPARISONS = ("<", ">", "<=", ">=")
+COMPARISONS = frozenset({"<", ">", "<=", ">="})
 CONDITIONS = ("and", "or", "not", "imply", "forall", "exists")
 EFFECTS = ("and", "not", "when", "forall", "increase")
 
