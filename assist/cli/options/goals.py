@@ -10,7 +10,9 @@ import click
 
 from planner import Cache, CostToGo, Instance, LimitError, Limits, OnDemand, find_instances, load, sweep_goals
 from planner.costtogo.goals import require_same_states
+from planner.system.machine import processors
 from planner.system.progress import stages
+from planner.system.threads import on_threads
 
 from ..terminal.console import EXIT_FAILED, fail
 from .task import tell_note, tell_of_compiling
@@ -27,7 +29,7 @@ def goals_of(
     found = find_instances(problems, domain)
     _same_domain(found)
     tell_of_compiling()
-    tasks = [load(instance) for instance in found]
+    tasks = on_threads(load, found, jobs or processors())
     for task in tasks:
         tell_note(task)
     require_same_states(tasks)
