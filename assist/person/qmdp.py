@@ -352,6 +352,7 @@ def _without_suggestion(expected: Floats, mean: Floats, value: Floats, x: int, b
             mean[t] += u / m.counts[x]
 
 
+# One function, since value iteration took 1.5 to 2 times as long with its inner loops in a function of their own.
 @njit()
 def _action_values(
     q: Floats,
