@@ -350,6 +350,9 @@ def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path
         [[observe]]
         topic = "worker"
         person = "{name}"
+        [[observe]]
+        topic = "next/{person}"
+        begins = true
         [answers]
         topic = "answers/{person}"
         [advice]
@@ -402,6 +405,9 @@ def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path
             answers.pop("s1")
             await until(lambda: "s1" in answers)
             assert here.session.outlook().events == here_before
+            await client.publish("next/ann", b'{"id": "again"}', qos=1)
+            await until(lambda: "again" in answers)
+            assert json.loads(here.service.views["ann"])["steps"] == 0
             await here.service.report(Event("left", "bob"))
             await until(lambda: advice["advice/bob"] == b"")
 

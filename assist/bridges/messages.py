@@ -136,7 +136,7 @@ class Report:
     ----------
     person : str
     action : str
-        Empty if the message has none that is usable; then `fault` says why.
+        Empty if the message has none that is usable, then `fault` says why; or if the person begins the next task.
     id : str
         The same for repetitions of the message.
     number : int or None
@@ -144,6 +144,8 @@ class Report:
     seq : int or None
         The `seq` of the advice that the person had seen.
     fault : str or None
+    begins : bool
+        Whether the person begins the next task.
     """
 
     person: str
@@ -152,11 +154,12 @@ class Report:
     number: int | None = None
     seq: int | None = None
     fault: str | None = None
+    begins: bool = False
 
 
 @dataclass(frozen=True)
 class Source:
-    """Messages that report actions.
+    """Messages that report actions, or that a person begins the next task.
 
     Attributes
     ----------
@@ -169,6 +172,8 @@ class Source:
         Pattern whose named groups are the fields of a payload; None for JSON objects.
     names : mapping of str to str
         The task's names of values.
+    begins : bool
+        Whether they report that the person begins the next task.
     """
 
     topic: Topic
@@ -179,6 +184,7 @@ class Source:
     seq: str | None = None
     pattern: re.Pattern[str] | None = None
     names: Mapping[str, str] = field(default_factory=dict)
+    begins: bool = False
 
     def fields(self, topic: str, payload: bytes) -> Fields:
         """Return the fields of a message; those of its topic take precedence.
@@ -205,6 +211,8 @@ class Source:
             raise MessageError(f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
         person, number = filled(self.person, fields, {}), _whole(self.number, fields, 1)
         seq = _whole(self.seq, fields, 0)
+        if self.begins:
+            return Report(person, "", identifier, number, begins=True)
         try:
             return Report(person, filled(self.action, fields, self.names), identifier, number, seq)
         except MessageError as error:

@@ -323,13 +323,15 @@ class MqttBridge:
         """Report one person's actions to the service, one after the other."""
         while not sender.queue.empty():
             report, acknowledge = sender.queue.get_nowait()
-            body: dict[str, Any] = {"action": report.action, "id": report.id}
+            what, body = "begin", dict[str, Any](id=report.id)
+            if not report.begins:
+                what, body["action"] = "actions", report.action
             if report.seq is not None:
                 body["seq"] = report.seq
             try:
                 if report.fault is not None:
                     raise RefusedError(UNUSABLE, report.fault)
-                view = await self._session.ask("POST", f"/api/people/{quote(person, safe='')}/actions", body)
+                view = await self._session.ask("POST", f"/api/people/{quote(person, safe='')}/{what}", body)
             except RefusedError as error:
                 self._answer(person, report.id, report.number, "refused", str(error))
                 if error.status == ABSENT and report.number is None and sender.queue.empty():

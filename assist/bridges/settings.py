@@ -45,6 +45,7 @@ class ObserveTable(Struct, forbid_unknown_fields=True):
     number: Text | None = None
     seq: Text | None = None
     pattern: Text | None = None
+    begins: Truth = False
 
 
 class OutputTable(Struct, forbid_unknown_fields=True):
@@ -221,4 +222,4 @@ def _source(content: Any, names: Mapping[str, str], file: Path, place: str) -> S
         pattern = None if table.pattern is None else re.compile(table.pattern)
     except re.error as error:
         raise fault(file, f"{place}.pattern", f"{table.pattern!r} is no regular expression: {error}") from None
-    return Source(topic, table.action, table.id, table.person, table.number, table.seq, pattern, names)
+    return Source(topic, table.action, table.id, table.person, table.number, table.seq, pattern, names, table.begins)
