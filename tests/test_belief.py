@@ -9,16 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from assist.live.live_task import LiveTask
 from assist.people.belief import Grid, ImpossibleObservationError, Spread, update
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, trust
-from assist.people.human import Human, HumanModel, Mixture, Population
+from assist.people.human import Human, HumanModel, Mixture, Population, advice_takers
 from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome, outcome_at_disagreement
 from assist.person.belief_filter import child, posterior, split
 from assist.person.belief_filter import update as compiled_update
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
+from assist.team.settings import Setting
 from planner import Table
 
 GRID = Grid(np.array([0.2, 1.0, 2.5]), np.array([0.0, 0.3, 0.7, 1.0]))
@@ -390,3 +392,21 @@ def test_compiled_filters_are_the_equations(
             now = belief.reshape(pomdp.grid.shape).copy()
             compiled_update(now, np.empty_like(now), x, robot, slot, m)
             np.testing.assert_allclose(now, expected, atol=1e-12)
+
+
+def test_a_belief_does_not_depend_on_where_it_is_in_memory(tiny: Table) -> None:
+    """Sessions have the same beliefs after a restart, bit for bit."""
+    part = LiveTask(tiny, Setting(c_suggest=0.05).for_real_people(), advice_takers()).at(0)[0]
+    arrays, prior = part.arrays, part.policy.pomdp.prior
+    before = np.random.default_rng(0).dirichlet(np.ones(prior.size)).reshape(prior.shape)
+    silent = np.full_like(arrays.suggested, -1)
+    silent.flags.writeable = False
+    memory, found = np.zeros(1000), set()
+    for gap in range(80):
+        for first in (0, prior.size + gap):  # the belief is before the work array, or behind it
+            at = prior.size + gap - first
+            belief, after = (memory[begin : begin + prior.size].reshape(prior.shape) for begin in (first, at))
+            belief[:] = before
+            compiled_update(belief, after, 0, 0, 0, arrays._replace(suggested=silent))
+            found.add(belief.tobytes())
+    assert len(found) == 1

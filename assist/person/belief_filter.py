@@ -16,11 +16,13 @@ from ..people.decision import Floats
 from ..people.influence_kernels import influence_factors
 from .problem_arrays import ProblemArrays
 
-# Reassociation lets the compiler vectorise the sums. A belief needs no reproducible rounding.
+# Reassociation lets the compiler vectorise the sums of solvers, whose rounding need not be reproducible.
 FAST = {"reassoc", "contract"}
 
 
-@njit(fastmath=FAST)
+# A session has the same beliefs after a restart, bit for bit, so sums have one order here. With reassociation, it would
+# depend on where the arrays are in memory: compiled code adds otherwise if they might overlap.
+@njit()
 def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> float:
     """Fill in the unnormalised posterior after one choice; return its mass, the probability of the choice.
 
@@ -39,9 +41,11 @@ def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: P
     if suggested < 0:
         for b in range(len(belief) // thetas):
             likelihood = steady * m.chosen[acting, slot, b] + uniform
+            part = 0.0  # sums of different b are computed at the same time
             for h in range(b * thetas, (b + 1) * thetas):
                 after[h] = likelihood * belief[h]
-                mass += after[h]
+                part += after[h]
+            mass += part
         return mass
     for h in range(len(belief)):
         after[h] = 0.0
