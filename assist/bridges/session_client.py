@@ -1,4 +1,4 @@
-"""A client of the running service for event loops: requests in threads, and pushed views."""
+"""A client of the running service for event loops: requests over connections that stay open, and pushed views."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import asyncio
 import hashlib
 import json
 from collections.abc import AsyncIterator
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any
 from urllib.parse import quote, urlsplit
 
@@ -16,6 +14,8 @@ from planner.system.errors import MissingExtraError
 from ..web.client import AGAIN, Client, RefusedError
 
 REMOVED = 4404  # close code of the service when a person leaves
+
+Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
 class SessionClient:
@@ -27,7 +27,9 @@ class SessionClient:
         The operator's link.
     pause : float
         Seconds before a request or connection is tried again. Fewer add load, more add delay.
-    threads : int
+    patience : float
+        Seconds after which an unanswered request is sent again. It must exceed the time of a slow decision.
+    most : int
         Requests at a time. More would only wait for the service's disk.
 
     Attributes
@@ -36,14 +38,13 @@ class SessionClient:
         A short text that identifies the session; the links cannot be told from it.
     """
 
-    def __init__(self, link: str, *, pause: float = 0.5, threads: int = 8) -> None:
-        # A short patience: threads that wait would delay the end of the process. `ask` goes on without them.
-        self._client = Client(link, patience=2.0)
+    def __init__(self, link: str, *, pause: float = 0.5, patience: float = 60.0, most: int = 64) -> None:
+        self._url = Client(link).url
         parts = urlsplit(link)
         self._token = parts.fragment or parts.path.rstrip("/").rpartition("/")[2]
         self.session = hashlib.sha256(self._token.encode()).hexdigest()[:16]
-        self._pause = pause
-        self._threads = ThreadPoolExecutor(threads, thread_name_prefix="bridge")
+        self._pause, self._patience, self._most = pause, patience, asyncio.Semaphore(most)
+        self._idle: list[Connection] = []
 
     async def ask(self, method: str, path: str, body: Any = None) -> Any:
         """Send a request until it is answered, and return the answer.
@@ -53,16 +54,52 @@ class SessionClient:
         RefusedError
             The service refused the request.
         """
-        loop = asyncio.get_running_loop()
         while True:
+            reused = bool(self._idle)
             try:
-                return await loop.run_in_executor(self._threads, partial(self._client.ask, method, path, body))
-            except RefusedError as error:
-                if error.status not in AGAIN:
-                    raise
-            except (OSError, ValueError):  # the connection was lost, perhaps within an answer
-                pass
+                async with self._most, asyncio.timeout(self._patience):
+                    status, content = await self._once(method, path, body)
+                answer = json.loads(content)
+                if status < 400:
+                    return answer
+                if status not in AGAIN:
+                    raise RefusedError(status, str(answer["detail"]))
+            except (OSError, EOFError, KeyError, TypeError, IndexError, json.JSONDecodeError):
+                if reused:
+                    continue  # the service may have closed an idle connection
             await asyncio.sleep(self._pause)
+
+    async def _once(self, method: str, path: str, body: Any) -> tuple[int, bytes]:
+        """Send a request, and return the status and the content of the answer.
+
+        Raises
+        ------
+        OSError, EOFError
+            The connection was lost.
+        """
+        at = urlsplit(self._url)
+        if self._idle:
+            reader, writer = self._idle.pop()
+        else:
+            port = at.port or (443 if at.scheme == "https" else 80)
+            reader, writer = await asyncio.open_connection(at.hostname, port, ssl=at.scheme == "https" or None)
+        try:
+            content = b"" if body is None else json.dumps(body).encode()
+            head = (
+                f"{method} {at.path}{path} HTTP/1.1\r\nHost: {at.netloc}\r\nAuthorization: Bearer {self._token}\r\n"
+                f"Content-Type: application/json\r\nContent-Length: {len(content)}\r\n\r\n"
+            )
+            writer.write(head.encode() + content)
+            status, length = int((await reader.readline()).split()[1]), 0
+            while (line := await reader.readline()) not in (b"\r\n", b""):
+                name, _, value = line.partition(b":")
+                length = int(value) if name.lower() == b"content-length" else length
+            answer = await reader.readexactly(length)
+        except BaseException:
+            writer.close()
+            raise
+        self._idle.append((reader, writer))
+        return status, answer
 
     async def watch(self, person: str) -> AsyncIterator[dict[str, Any]]:
         """Yield a person's view now and after every change, until they leave. A lost connection is restored.
@@ -77,7 +114,7 @@ class SessionClient:
             from websockets.exceptions import ConnectionClosed, InvalidHandshake
         except ImportError:
             raise MissingExtraError("watching needs", "websockets", "web") from None
-        url = f"ws{self._client.url[4:]}/api/people/{quote(person, safe='')}/events"
+        url = f"ws{self._url[4:]}/api/people/{quote(person, safe='')}/events"
         headers = {"Authorization": f"Bearer {self._token}"}
         while True:
             try:
@@ -96,5 +133,7 @@ class SessionClient:
             await asyncio.sleep(self._pause)
 
     def close(self) -> None:
-        """Give up the requests that wait."""
-        self._threads.shutdown(wait=False, cancel_futures=True)
+        """Close all connections."""
+        for _, writer in self._idle:
+            writer.close()
+        self._idle.clear()
