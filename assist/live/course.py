@@ -39,11 +39,14 @@ FIELDS: Mapping[str, type | tuple[type, ...]] = {
 }  # fmt: skip
 """Fields of an event's record, and their types."""
 
-BY_PEOPLE = ("joined", "left", "began", "acted", "undone")
+BY_PEOPLE = frozenset({"joined", "left", "began", "acted", "undone"})
 """Kinds of events of one person."""
 
-KINDS = (*BY_PEOPLE, "arrived", "elapsed", "paused", "resumed")
+KINDS = BY_PEOPLE | {"arrived", "elapsed", "paused", "resumed"}
 """Kinds of events that can be reported."""
+
+LONGEST_REASON = 200
+"""Number of characters of a reason for an erasure, a withdrawal or an exclusion; more would invite personal data."""
 
 VACANT, ERASED = "vacant", "erased"
 """Kinds of records in place of a person's first event and of the later ones, after their records were erased."""
@@ -117,7 +120,7 @@ def require_record(record: Mapping[str, Any]) -> None:
         raise ValueError(f"there is no '{missing[0]}'")
     kind = record["event"]
     if kind not in (*KINDS, VACANT, ERASED) or not math.isfinite(record["time"]):
-        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(KINDS)}")
+        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(sorted(KINDS))}")
     needed = {"person": kind in (*BY_PEOPLE, VACANT), "action": kind == "acted", "task": kind == VACANT}
     if missing := [name for name, so in needed.items() if so and name not in record]:
         raise ValueError(f"there is no '{missing[0]}'")
@@ -199,7 +202,7 @@ class Course:
             The event is not possible. Nothing has changed.
         """
         if event.kind not in KINDS:
-            raise InvalidError(f"event {event.kind[:40]!r}: expected one of {', '.join(KINDS)}")
+            raise InvalidError(f"event {event.kind[:40]!r}: expected one of {', '.join(sorted(KINDS))}")
         record = {"n": self.count + 1, "time": round(time, 3), "event": event.kind, **self._facts(event)}
         step = self.desk.step
         self._take(record)

@@ -29,7 +29,7 @@ from ..people.human import Mixture, Population
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice
-from .course import Course, Event, InvalidError
+from .course import LONGEST_REASON, Course, Event, InvalidError
 from .event_sourced import EventSourced, Outlook
 from .header import header_of, require_same
 from .live_task import InapplicableError, UnknownError
@@ -40,9 +40,6 @@ Refused = (UnknownError, InapplicableError, InvalidError)
 
 Outcome = dict[str, Any] | Exception
 """Outcome of an event: the view of the client who reported it, or the exception because of which it has no effect."""
-
-LONGEST_REASON = 200
-"""Number of characters of a reason of an erasure; more would invite personal data."""
 
 
 class Session:

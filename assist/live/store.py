@@ -16,6 +16,7 @@ import json
 import logging
 import os
 import sqlite3
+import stat
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
@@ -29,10 +30,7 @@ from . import old_journal
 PROBE = 1 << 16
 """Number of bytes that must fit on the disk, after it was full, before events are accepted again."""
 
-PATIENCE = 10.0
-"""Seconds for which a connection waits for another one; a reader needs much less."""
-
-OWNER_ONLY = 0o600
+OWNER_ONLY = stat.S_IRUSR | stat.S_IWUSR
 
 TABLES = """
 CREATE TABLE IF NOT EXISTS header (document TEXT NOT NULL);
@@ -131,7 +129,8 @@ class EventStore:
 
     def _connected(self) -> sqlite3.Connection:
         with self._told():
-            db = sqlite3.connect(self.file, timeout=PATIENCE, isolation_level=None, check_same_thread=False)
+            # It waits up to ten seconds for a reader, which needs much less.
+            db = sqlite3.connect(self.file, timeout=10.0, isolation_level=None, check_same_thread=False)
             try:
                 # A sort or a VACUUM must not leave personal data in a temporary file.
                 db.executescript(
@@ -378,7 +377,7 @@ def _stored(file: Path) -> tuple[dict[str, Any] | None, list[tuple[str | None, d
     fixed = not os.access(file.parent, os.W_OK) and not file.with_name(f"{file.name}-wal").exists()
     address = f"{file.absolute().as_uri()}?mode=ro{'&immutable=1' * fixed}"
     try:
-        with closing(sqlite3.connect(address, uri=True, timeout=PATIENCE)) as db:
+        with closing(sqlite3.connect(address, uri=True, timeout=10.0)) as db:
             header = _header(db, file)
             rows = db.execute("SELECT n, at, record FROM events ORDER BY n").fetchall()
     except sqlite3.Error as error:

@@ -24,9 +24,6 @@ ATOM = re.compile(r"Atom (?!new-axiom@)([^(]+)\((.*)\)")
 """A fact in the translator's notation, without its auxiliary facts."""
 NEGATED = re.compile(r"\(\s*not\s*(?P<fact>\(.*\))\s*\)", re.I)
 
-STORED = 1 << 16
-"""Number of states whose transitions are kept, which bounds the memory to some hundred megabytes."""
-
 
 class UnknownFactError(ValueError):
     """The task has no such fact that changes."""
@@ -123,14 +120,17 @@ class ActionRecovery:
     unreported : int
         Largest number of visible changes that may have been lost. An action without any visible change counts as one.
         More make sensors that lose reports usable, and more changes ambiguous.
+    stored : int
+        Number of states whose transitions are kept; the default takes some hundred megabytes.
     """
 
     def __init__(
-        self, known: CostToGo, *, predicates: Iterable[str] | None = None, longest: int = 3, unreported: int = 0
-    ) -> None:
+        self, known: CostToGo, *, predicates: Iterable[str] | None = None, longest: int = 3, unreported: int = 0,
+        stored: int = 65_536,
+    ) -> None:  # fmt: skip
         if longest < 1 or unreported < 0:
             raise ValueError(f"longest {longest}, unreported {unreported}; expected at least 1 and 0")
-        self.known, self.longest, self.unreported = known, longest, unreported
+        self.known, self.longest, self.unreported, self.stored = known, longest, unreported, stored
         seen = None if predicates is None else {name.lower() for name in predicates}
         self._facts = [[_visible(fact, seen) for fact in variable.facts] for variable in known.task.variables]
         self.facts = frozenset(fact for facts in self._facts for fact in facts if fact is not None)
@@ -203,7 +203,7 @@ class ActionRecovery:
     def _options(self, state: int) -> list[_Step]:
         """Return the applicable actions with their visible changes."""
         if state not in self._steps:
-            if len(self._steps) >= STORED:
+            if len(self._steps) >= self.stored:
                 self._steps.clear()
             rows = self.known.choices([state])
             before, *after = self.known.values([state, *rows.targets]).tolist()

@@ -22,7 +22,16 @@ from planner import CostToGo
 
 from ..explain.explanation import Explanation
 from ..live.advice import Advice
-from ..live.course import ERASED, NOTHING, VACANT, AbsentError, Course, Event, InvalidError
+from ..live.course import (
+    ERASED,
+    LONGEST_REASON,
+    NOTHING,
+    VACANT,
+    AbsentError,
+    Course,
+    Event,
+    InvalidError,
+)  # fmt: skip
 from ..live.live_task import InapplicableError, UnknownError
 from ..live.simulated_person import SimulatedPerson
 from ..live.store import Change
@@ -34,9 +43,6 @@ HERE, GONE, DECLINED, WITHDREW, FULL, DONE = "here", "gone", "declined", "withdr
 
 KINDS = {"visited", "onward", "acted", "elapsed", "expired", "withdrew", "left", "returned", "excluded"}
 """Kinds of events."""
-
-LONGEST_REASON = 200
-"""Number of characters of a reason; more would invite personal data."""
 
 LETTERS = "23456789BCDFGHJKLMNPQRSTVWXYZ"
 """Characters of completion codes: no vowels, and none that resembles another."""

@@ -8,14 +8,15 @@ sites' pages, which are refused.
 from __future__ import annotations
 
 import hashlib
+from datetime import timedelta
 from urllib.parse import unquote, urlsplit
 
 from starlette.types import Scope
 
 from .tokens import Caller
 
-DAYS = 30
-"""Days for which a browser keeps a cookie, so that a study can go on the next week."""
+KEPT = timedelta(days=30)
+"""Time for which a browser keeps a cookie, so that a study can continue in the next week."""
 
 NAMED, PROTOCOL = b"kitassist-caller", "caller."
 """Header and beginning of the subprotocol that name the cookie's owner, as `subject` does, percent-encoded."""

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
 
 from ..explain.catalogue import languages
-from ..live.course import Event
-from ..live.session import LONGEST_REASON
+from ..live.course import LONGEST_REASON, Event
 from . import cookies
 from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
 from .schemas import (
@@ -64,8 +63,8 @@ async def session(request: Request, service: Desk) -> Any:
     answer.set_cookie(
         cookies.cookie_of(access.base, cookies.subject(caller)),
         access.operator if caller.person is None else access.token(caller.person),
-        max_age=cookies.DAYS * 86_400, path=f"{access.root}/", secure=access.base.startswith("https:"), httponly=True,
-        samesite="strict",
+        max_age=int(cookies.KEPT.total_seconds()), path=f"{access.root}/", secure=access.base.startswith("https:"),
+        httponly=True, samesite="strict",
     )  # fmt: skip
     return answer
 

@@ -14,9 +14,6 @@ from ..terminal.console import print_json, print_table
 if TYPE_CHECKING:
     from ...learning.goals import InferredGoals
 
-MOST_COLUMNS = 8
-"""Number of goals up to which each has a column. Of more, the three most probable ones are named."""
-
 
 def show_goals(found: InferredGoals, out: Path | None, *, as_json: bool) -> None:
     """Write and print posteriors."""
@@ -29,12 +26,15 @@ def show_goals(found: InferredGoals, out: Path | None, *, as_json: bool) -> None
         print_table(_table_of(found), width=160)
 
 
-def _table_of(found: InferredGoals) -> Table:
-    """Return a table of the posterior at the end of each episode."""
+def _table_of(found: InferredGoals, columns: int = 8) -> Table:
+    """Return a table of the posterior at the end of each episode.
+
+    Up to `columns` goals have a column each; of more, the three most probable ones are named.
+    """
     table = Table(box=None, pad_edge=False)
     for name in ("person", "episode"):
         table.add_column(name)
-    several = len(found.goals) > MOST_COLUMNS
+    several = len(found.goals) > columns
     for name in ("actions", "beta", *([] if several else found.goals)):
         table.add_column(name, justify="right")
     if several:

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, HTTPException, Request, Response
 from pydantic import BaseModel, Field
 
-from ...userstudy.cohort import LONGEST_REASON, StudyEvent
+from ...live.course import LONGEST_REASON
+from ...userstudy.cohort import StudyEvent
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
 from ..authorization import READ, WRITE, Operator, Own, refusals
