@@ -62,7 +62,7 @@ class Begun:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.sessions: list[Session] = []
 
-        def serve(plan: server.Plan, session: Session, listening: Any, _: Any) -> None:
+        def serve(plan: server.Plan, session: Session, listening: Any, *_: Any) -> None:
             self.plan = plan
             self.sessions.append(session)
             listening.close()

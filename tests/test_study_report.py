@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import KITTING, ROOT
+from conftest import KITTING
 from fuzz import here
 from matplotlib.text import Text
 from scipy import stats
@@ -17,7 +17,6 @@ from studies import TINY, write
 
 from assist.reports.study_report import Report
 from assist.reports.study_summary import Found
-from assist.reports.wording import interval
 from assist.study.protocol import read
 from assist.study.runner import load_study, run_study, without_suggestions
 from assist.study.study import Study
@@ -220,11 +219,3 @@ def test_the_papers_protocol_makes_its_whole_report(tmp_path: Path) -> None:
     assert "24.48" in report.text
     assert [each.name for each in report.pictures] == ["team-size", "benefit", "categories", "trade-off", "belief"]
     assert len(report.summary["readings"]) == 3 * (2 * 3 * 2 + 2 + 1)
-
-
-def test_the_pages_figures_are_those_of_the_record() -> None:
-    record = json.loads((ROOT / "bench" / "records" / "study.json").read_text())["headline"]["instances"]
-    page = (ROOT / "docs" / "results" / "study.md").read_text().split("saves, reduced |")[1]
-    for key in ("actions_vs_none", "actions_vs_reactive", "interventions_vs_reactive"):
-        cells = [interval(record[instance][key]) for instance in ("paper", "paper-fixed")]
-        assert f"| {key.replace('_vs_', ', against ')} | {' | '.join(cells)} |" in page

@@ -1,12 +1,13 @@
 """A camera above a bench sees what somebody does, and reports it: python vision.py LINK PERSON.
 
 LINK is the operator's. Here the camera is played: it sees a person who does what is suggested to them, and otherwise
-the first thing that they can do and have not done before.
+what they have done least often so far.
 """
 
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Iterator
 
 from assist.web.client import Client, RefusedError
@@ -14,11 +15,10 @@ from assist.web.client import Client, RefusedError
 
 def camera(service: Client, person: str) -> Iterator[str]:
     """See one action after the other, until the task is done; a real camera looks at the bench instead."""
-    done: set[str] = set()
+    done = Counter[str]()
     while not (seen := service.see(person))["finished"]:
-        new = [action for action in seen["applicable"] if action not in done]
-        action = seen["suggestion"] or (new or seen["applicable"])[0]
-        done.add(action)
+        action = seen["suggestion"] or min(seen["applicable"], key=lambda one: done[one])
+        done[action] += 1
         yield action
 
 
