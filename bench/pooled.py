@@ -19,7 +19,7 @@ def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: i
 
     All people have the same model, and all distances are equal.
     """
-    solved, pomdp = priority.presence(pool.policies[0]), pool.policies[0].pomdp
+    solved, pomdp = priority.solved(pool.policies[0]), pool.policies[0].pomdp
     model, choices, setting = pomdp.model, pomdp.model.choices, pool.setting
     arrays, rng = ProblemArrays.of(pomdp), np.random.default_rng(robots)
     minds = Minds(
