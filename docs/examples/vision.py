@@ -1,13 +1,14 @@
 """A camera above a bench sees what somebody does, and reports it: python vision.py LINK PERSON.
 
 LINK is the operator's. Here the camera is played: it sees a person who does what is suggested to them, and otherwise
-what they have done least often so far.
+anything that they can do.
 """
 
 from __future__ import annotations
 
+import random
 import sys
-from collections import Counter
+import time
 from collections.abc import Iterator
 
 from assist.web.client import Client, RefusedError
@@ -15,11 +16,11 @@ from assist.web.client import Client, RefusedError
 
 def camera(service: Client, person: str) -> Iterator[str]:
     """See one action after the other, until the task is done; a real camera looks at the bench instead."""
-    done = Counter[str]()
-    while not (seen := service.see(person))["finished"]:
-        action = seen["suggestion"] or min(seen["applicable"], key=lambda one: done[one])
-        done[action] += 1
-        yield action
+    chance = random.Random(0)
+    while not service.see(person)["finished"]:
+        time.sleep(0.5)  # a person takes time to act, and meanwhile a robot may arrive
+        seen = service.see(person)
+        yield seen["suggestion"] or chance.choice(seen["applicable"])
 
 
 def main(link: str, person: str) -> None:
