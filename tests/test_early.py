@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,15 @@ from planner import Limits, Table, instance, load, verify
 from planner.batch import solve_batch as batch
 from planner.batch.results_folder import Results
 from planner.batch.solve_batch import solve_batch
-from planner.batch.solve_instance import COMPARING, SWEEPING, SolveOptions, SolveRecord, saved_files, solve_instance
+from planner.batch.solve_instance import (
+    COMPARING,
+    SWEEPING,
+    SolveOptions,
+    SolveRecord,
+    _Phases,
+    saved_files,
+    solve_instance,
+)  # fmt: skip
 from planner.costtogo.first_answer import Early
 from planner.costtogo.sweep import sweep
 from planner.grounding import fast_downward
@@ -252,3 +261,24 @@ def test_ctrl_c_in_the_comparison_keeps_the_record(tmp_path: Path) -> None:
     ]  # fmt: skip
     again = subprocess.run([command, *words, "--resume", "--json"], capture_output=True, text=True, timeout=300)
     assert json.loads(again.stdout) == [record]
+
+
+def test_records_are_reported_one_at_a_time_and_a_late_first_answer_replaces_none() -> None:
+    """The first answer comes from a thread of its own, perhaps while the last record is written."""
+    inside, told = [0], list[tuple[int, bool]]()
+
+    def tell(record: SolveRecord, saved: bool) -> None:
+        inside[0] += 1
+        assert inside[0] == 1
+        time.sleep(0.01)
+        told.append((record["cost"], saved))
+        inside[0] -= 1
+
+    phases = _Phases(None, None, lambda *_: None, tell)
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(lambda cost: phases.tell({"cost": cost}, saved=False), range(4)))
+        list(threads.map(lambda cost: phases.tell({"cost": cost}, saved=cost > 3), range(8)))
+    assert sorted(told[:4]) == [(cost, False) for cost in range(4)]
+    assert phases.told is not None
+    assert (phases.told["cost"], told[-1][1]) == (told[-1][0], True)
+    assert [saved for _, saved in told] == sorted(saved for _, saved in told)

@@ -11,6 +11,7 @@ import errno
 import math
 import os
 import platform
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -89,7 +90,10 @@ COMPILING = "compiling"
 
 
 class _Phases:
-    """Time spent in each phase, the common deadline, and the latest intermediate record."""
+    """Time spent in each phase, the common deadline, and the latest intermediate record.
+
+    The first answer comes from a thread of its own. `lock` is held while files and their record are written.
+    """
 
     def __init__(
         self,
@@ -102,6 +106,7 @@ class _Phases:
         self.memory_mb = memory_mb
         self.progress = progress
         self.told: SolveRecord | None = None
+        self.lock, self.saved = threading.RLock(), False
         self._tell = tell
         self.start = time.monotonic()
         self.deadline = None if limit is None else self.start + limit
@@ -130,10 +135,12 @@ class _Phases:
         return Limits(None if self.deadline is None else max(0.01, self.left()), self.memory_mb)
 
     def tell(self, record: SolveRecord, *, saved: bool) -> None:
-        """Report an intermediate record."""
-        self.told = self.measured(record)
-        if self._tell is not None:
-            self._tell(self.told, saved)
+        """Report an intermediate record. One without saved files does not replace one with them."""
+        with self.lock:
+            if saved >= self.saved:
+                self.saved, self.told = saved, self.measured(record)
+                if self._tell is not None:
+                    self._tell(self.told, saved)
 
     def measured(self, record: SolveRecord) -> SolveRecord:
         """Return the record with its times and peak memory."""
@@ -293,10 +300,11 @@ def _solve(
     use: Callable[[Table], None] | None,
 ) -> SolveRecord:
     def answered(answer: Answer) -> None:
-        if place is not None and answer[1] is not None:
-            save_plan(saved_files(place)[1], task, answer[1])
-        found = {"method": "on-demand", "verified": 1, "note": _joined(task.note, SWEEPING)}
-        phases.tell(empty_record(task.instance, "solved", None) | _outcome(*answer) | found, saved=False)
+        with phases.lock:
+            if place is not None and answer[1] is not None and not phases.saved:
+                save_plan(saved_files(place)[1], task, answer[1])
+            found = {"method": "on-demand", "verified": 1, "note": _joined(task.note, SWEEPING)}
+            phases.tell(empty_record(task.instance, "solved", None) | _outcome(*answer) | found, saved=False)
 
     # Memory is limited only now, since imported libraries map far more memory than they use.
     search = Early(task, phases.limits(), answered, delay=options.search_delay)
@@ -306,9 +314,10 @@ def _solve(
             swept = _sweep(task, options, phases, early)
         record = _found(task, swept, early, options, phases)
         whole = swept.table if swept.known is swept.table else None
-        if place is not None:
-            _save(place, task, whole, record["plan"], phases)
-        phases.tell({**record, "note": _joined(record["note"], COMPARING)}, saved=True)
+        with phases.lock:
+            if place is not None:
+                _save(place, task, whole, record["plan"], phases)
+            phases.tell({**record, "note": _joined(record["note"], COMPARING)}, saved=True)
         if task.note is None and record["plan"] is not None:
             with phases.phase("validate", "checking the plan"):
                 unchecked = checker.check(record["plan"], min(PATIENCE, max(0.01, phases.left())))
