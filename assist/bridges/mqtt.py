@@ -28,9 +28,9 @@ from planner.system.errors import MissingExtraError
 
 from ..web.client import RefusedError
 from .messages import MessageError, Report, fields_of
+from .mqtt_settings import MqttSettings
 from .ordering import Acknowledgements, InOrder
 from .session_client import SessionClient
-from .settings import MqttSettings
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -136,7 +136,7 @@ class MqttBridge:
             for sender in self._senders.values():
                 if sender.timer is not None:
                     sender.timer.cancel()
-            self._session.close()
+            await self._session.close()
 
     # The broker.
 

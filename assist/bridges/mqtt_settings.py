@@ -1,9 +1,8 @@
-"""The settings of a bridge, from one TOML file. Passwords and certificates come from the environment."""
+"""The settings of the MQTT bridge, from one TOML file. Passwords and certificates come from the environment."""
 
 from __future__ import annotations
 
 import os
-import re
 import ssl
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct, field
 
 from planner.system import typed_toml
-from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
+from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located, regular_expression
 
 from .messages import Source, Topic
 
@@ -218,8 +217,5 @@ def _source(content: Any, names: Mapping[str, str], file: Path, place: str) -> S
         topic = Topic(table.topic)
     except ValueError as error:
         raise fault(file, f"{place}.topic", str(error)) from None
-    try:
-        pattern = None if table.pattern is None else re.compile(table.pattern)
-    except re.error as error:
-        raise fault(file, f"{place}.pattern", f"{table.pattern!r} is no regular expression: {error}") from None
+    pattern = regular_expression(table.pattern, file, f"{place}.pattern")
     return Source(topic, table.action, table.id, table.person, table.number, table.seq, pattern, names, table.begins)

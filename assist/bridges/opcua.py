@@ -111,7 +111,7 @@ class OpcUaBridge:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            self._session.close()
+            await self._session.close()
 
     async def _server(self) -> None:
         """Stay connected to the server."""

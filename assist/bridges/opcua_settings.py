@@ -10,7 +10,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from planner.system import typed_toml
-from planner.system.typed_toml import Text, convert, fault, located
+from planner.system.typed_toml import Text, convert, fault, located, regular_expression
 
 from .messages import Source, Topic
 
@@ -108,11 +108,7 @@ class OpcUaSettings:
             for number, one in enumerate(tables.observe, start=1):
                 place = f"observe[{number}]"
                 nodes = (_node(one.node, file, f"{place}.node"), _node(one.answer, file, f"{place}.answer"))
-                try:
-                    pattern = None if one.pattern is None else re.compile(one.pattern)
-                except re.error as error:
-                    why = f"{one.pattern!r} is no regular expression: {error}"
-                    raise fault(file, f"{place}.pattern", why) from None
+                pattern = regular_expression(one.pattern, file, f"{place}.pattern")
                 source = Source(
                     Topic("node"), one.action, one.id or "{id}", one.person, pattern=pattern, names=tables.names or {}
                 )

@@ -47,7 +47,7 @@ class InOrder(Generic[T]):
         return any(number in numbers for numbers in self._passed)
 
     def pass_over(self) -> list[T]:
-        """Give up the missing numbers before the first item that is held back; return what can be processed then."""
+        """Skip the missing numbers before the first item that is held back; return what can be processed then."""
         if self.held:
             first = min(self.held)
             self._passed.append(range(self.next, first))

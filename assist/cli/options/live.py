@@ -123,8 +123,8 @@ def bridge_of(file: Path) -> Callable[[str], Bridge]:
         from planner.system import typed_toml
 
         from ...bridges import mqtt, opcua
+        from ...bridges.mqtt_settings import MqttSettings
         from ...bridges.opcua_settings import OpcUaSettings
-        from ...bridges.settings import MqttSettings
     except ImportError as error:  # of the library for typed tables
         raise MissingExtraError("a bridge needs", str(error.name), "mqtt") from None
     try:
