@@ -32,7 +32,7 @@ from tables import Columns, cell, record_option, write_record
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
-from assist.live.course import Event
+from assist.live.events import Event
 from assist.live.session import Session
 from assist.team.settings import Setting
 from planner import cost_to_go, load

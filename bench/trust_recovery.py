@@ -20,7 +20,8 @@ from simulated_people import People, observed, record_with_trust
 from tables import cell, record_option, write_record
 
 from assist.learning import Observations
-from assist.learning.trust_fit import compare_trust, fit_influence
+from assist.learning.trust_comparison import compare_trust
+from assist.learning.trust_fit import fit_influence
 from assist.people.trust_rules import LEAST, EquationSeven, TrustRule, constant, outcome, outcome_at_disagreement
 from planner import CostToGo, cost_to_go, load
 

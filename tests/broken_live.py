@@ -28,7 +28,7 @@ STEPS = 6
 
 def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) -> None:
     """Replace `assist.web.server.serve`: each person acts a few times, pages are drawn, and the session ends."""
-    from assist.live.course import Event
+    from assist.live.events import Event
     from assist.web.task_drawings import Pictures
     from assist.web.tokens import AccessTokens
 

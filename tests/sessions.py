@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from assist.live.course import Event
+from assist.live.events import Event
 from assist.live.session import Session
 from assist.people.human import Population
 from assist.team.settings import Setting

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from assist.person.policy import Later
+from assist.person.policy import LazyPolicy
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
@@ -44,7 +44,7 @@ def reachable(thing: Any, path: str, found: dict[str, np.ndarray]) -> dict[str, 
     elif isinstance(thing, tuple | list):
         for number, item in enumerate(thing[:1]):  # one person stands for all
             reachable(item, f"{path}[{number}]", found)
-    elif isinstance(thing, Later):
+    elif isinstance(thing, LazyPolicy):
         reachable(thing.prepare(), path, found)
     elif is_dataclass(thing):
         for name in {field.name for field in fields(thing)} | set(vars(thing)):

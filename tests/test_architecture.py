@@ -39,7 +39,8 @@ ROOMS = {
         suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
-        fit goals comparison trust_log trust_fit""",
+        fit joint_states goals comparison rule_families trust_log influence_population rule_search trust_fit
+        trust_comparison""",
     "assist.team": "travel state settings attention attention_subproblem priority policies",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates compliance_relaxation truncated_bound
         truncated_policy person_problem""",
@@ -48,8 +49,8 @@ ROOMS = {
     "assist.coupled": "agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.explain": "continuations contrast catalogue explanation",
-    "assist.live": """live_task roster advice decision_point assistant old_journal store course event_sourced header
-        session simulated_person""",
+    "assist.live": """live_task events roster advice decision_point assistant old_journal store course event_sourced
+        header session simulated_person""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": "prices certificate computation team_bound",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
@@ -61,7 +62,7 @@ ROOMS = {
     "assist.web": """tokens cookies measures service schemas authorization request_limits task_drawings routes metrics
         websocket openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
-    "assist.bridges": "messages ordering settings session_client mqtt opcua_settings opcua",
+    "assist.bridges": "messages ordering session_client mqtt_settings mqtt opcua_settings opcua",
     "assist.cli.terminal": "interrupts console",
     "assist.cli.options": "common task population person travel team policies help live log goals trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables

@@ -20,7 +20,7 @@ from hypothesis import given, settings
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, former, happen
 from userstudies import PLAN, Part, written
 
-from assist.live.course import AbsentError, Event
+from assist.live.events import AbsentError, Event
 from assist.live.live_task import LiveTask
 from assist.live.session import Session
 from assist.live.store import EventStore, JournalError, stored

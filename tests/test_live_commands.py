@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import KITTING, ROOT, invoke
 
-from assist.live.course import Event
+from assist.live.events import Event
 from assist.live.session import Session
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choice_model import Weighted

@@ -15,7 +15,7 @@ import pytest
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from assist.live.course import Event
+from assist.live.events import Event
 from assist.live.session import Session
 from assist.live.store import JournalError
 from assist.people.human import Population

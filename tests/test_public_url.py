@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from test_live_pages import CHROMIUM, chromium
 from userstudies import PLAN, written
 
-from assist.live.course import Event
+from assist.live.events import Event
 from assist.live.session import Session
 from assist.team.settings import Setting
 from assist.userstudy.plan import read

@@ -29,7 +29,8 @@ from assist.learning.log import Log
 from assist.learning.maximum_likelihood import Method
 from assist.live.advice import Advice
 from assist.live.assistant import Assistant
-from assist.live.course import Course, Event, InapplicableError
+from assist.live.course import Course, InapplicableError
+from assist.live.events import Event
 from assist.people import user_code
 from assist.people.action_names import Matcher, UnmatchedError
 from assist.people.choice_model import ChoiceModelError, Weighted, boltzmann, value

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, former, happen
 
 from assist.live.assistant import Assistant
-from assist.live.course import AbsentError, Event
+from assist.live.events import AbsentError, Event
 from assist.live.live_task import InapplicableError, UnknownError
 from assist.live.session import Session
 from assist.live.store import JournalError, database, stored

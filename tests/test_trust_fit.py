@@ -17,15 +17,11 @@ from recorded import write_log
 from assist.learning import Method, Observations
 from assist.learning.advice_log import COLUMNS
 from assist.learning.fit import LogError
+from assist.learning.influence_population import InfluencePopulation
 from assist.learning.population import trust_of
-from assist.learning.trust_fit import (
-    InfluencePopulation,
-    RuleFamily,
-    _interval,
-    compare_trust,
-    families,
-    fit_influence,
-)
+from assist.learning.rule_families import RuleFamily, families
+from assist.learning.trust_comparison import compare_trust
+from assist.learning.trust_fit import _interval, fit_influence
 from assist.learning.trust_log import TrustLog
 from assist.learning.trust_scores import TrustComparison, holm, ratio
 from assist.people.choices import Choices

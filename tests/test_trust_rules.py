@@ -263,12 +263,12 @@ def test_somebody_who_ignores_suggestions_is_believed_to() -> None:
     (7).
     """
     theta, at = advised(lambda _: False)
-    assert len(at) < 12 or theta[11] < 0.3
+    assert theta[11] < 0.3
     assert theta == sorted(theta, reverse=True)
     paper = {"setting": Setting(c_suggest=0.05, trust="paper"), "population": Population()}
     before, often = advised(lambda _: False, **paper)
     assert before[-1] > 0.99
-    assert len(at) < 12 or at[11] - at[3] > 2 * (often[11] - often[3])
+    assert at[11] - at[3] > 2 * (often[11] - often[3])
 
 
 def test_somebody_who_follows_every_second_suggestion_is_believed_to() -> None:

@@ -16,6 +16,7 @@ from .goals import EpisodeGoals as EpisodeGoals
 from .goals import InferredGoals as InferredGoals
 from .goals import infer_goals as infer_goals
 from .hierarchy import Hierarchy as Hierarchy
+from .influence_population import InfluencePopulation as InfluencePopulation
 from .likelihood import Method as Method
 from .likelihood import log_likelihood as log_likelihood
 from .log import Entry as Entry
@@ -36,11 +37,10 @@ from .population import fit_population as fit_population
 from .population import mixture as mixture
 from .replay import Recording as Recording
 from .replay import replay as replay
+from .rule_families import RuleFamily as RuleFamily
+from .trust_comparison import compare_trust as compare_trust
 from .trust_fit import Influence as Influence
 from .trust_fit import InfluenceFit as InfluenceFit
-from .trust_fit import InfluencePopulation as InfluencePopulation
-from .trust_fit import RuleFamily as RuleFamily
-from .trust_fit import compare_trust as compare_trust
 from .trust_fit import fit_influence as fit_influence
 from .trust_scores import TrustComparison as TrustComparison
 from .trust_scores import TrustScore as TrustScore

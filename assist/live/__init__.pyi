@@ -2,9 +2,9 @@ from .advice import Advice as Advice
 from .advice import PersonState as PersonState
 from .advice import Reason as Reason
 from .assistant import Assistant as Assistant
-from .course import AbsentError as AbsentError
-from .course import Event as Event
 from .event_sourced import Outlook as Outlook
+from .events import AbsentError as AbsentError
+from .events import Event as Event
 from .live_task import InapplicableError as InapplicableError
 from .live_task import UnknownError as UnknownError
 from .session import Session as Session

@@ -1,4 +1,4 @@
-"""The events of a live session, the robot's decision after each, and the views of people and of the operator.
+"""The state of a live session after its events: the robot's decision after each, and the views of all.
 
 Timing. A decision follows every event: an action, an undo, a person who joins, leaves or begins a task, the robot's
 arrival. Idle people cause no events, and the robot does one thing per decision. So a person who needs help while no one
@@ -12,7 +12,6 @@ for bit, without computing a decision again.
 from __future__ import annotations
 
 import math
-import re
 from array import array
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -30,70 +29,11 @@ from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
+from .events import ERASED, KINDS, NAME, VACANT, AbsentError, Event, InvalidError, require_record
 from .live_task import InapplicableError, UnknownError
 from .store import Change
 
-FIELDS: Mapping[str, type | tuple[type, ...]] = {
-    "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
-    "followed": bool, "unheard": bool, "advice": dict,
-}  # fmt: skip
-"""Fields of an event's record, and their types."""
-
-BY_PEOPLE = frozenset({"joined", "left", "began", "acted", "undone"})
-"""Kinds of events of one person."""
-
-KINDS = BY_PEOPLE | {"arrived", "elapsed", "paused", "resumed"}
-"""Kinds of events that can be reported."""
-
-LONGEST_REASON = 200
-"""Number of characters of a reason for an erasure, a withdrawal or an exclusion; more would invite personal data."""
-
-VACANT, ERASED = "vacant", "erased"
-"""Kinds of records in place of a person's first event and of the later ones, after their records were erased."""
-
-NAME = re.compile(r"(?=.*\w)[\w.\- ]{1,64}")
-"""Valid names of people; they are part of addresses of pages."""
-
 NOTHING = Advice(None, None, None, arrived=True)
-
-
-class AbsentError(UnknownError):
-    """The person is not present."""
-
-
-class InvalidError(ValueError):
-    """The report of an event is malformed."""
-
-
-@dataclass(frozen=True)
-class Event:
-    """An event, as reported.
-
-    Attributes
-    ----------
-    kind : str
-        "joined", "left", "began", "acted", "undone", "arrived", "elapsed", "paused" or "resumed".
-    person : str or None
-        The person who acted, joined or left, or at whom the robot has arrived; None for other events.
-    action : str or None
-        The action, in PDDL notation.
-    followed : bool or None
-        Whether the suggestion was followed; None if it is not reported.
-    seen : int or None
-        The `seq` of the view on which the person acted; they have not seen a later suggestion.
-    task : str or None
-        The task of a person who joins or begins.
-    id : str or None
-        The client's id: a repeated event with this id has no effect, and gets the first answer.
-    """
-
-    kind: str
-    person: str | None = None
-    action: str | None = None
-    followed: bool | None = None
-    seen: int | None = None
-    task: str | None = None
-    id: str | None = None
 
 
 class Explains(Protocol):
@@ -102,28 +42,6 @@ class Explains(Protocol):
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
         """Return a function that explains a person's suggestion, or why there is none."""
         ...
-
-
-def require_record(record: Mapping[str, Any]) -> None:
-    """Check a record of an event.
-
-    Raises
-    ------
-    ValueError
-        A field is missing, unknown, or of the wrong type.
-    """
-    for name, value in record.items():
-        expected = FIELDS.get(name, ())
-        if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
-            raise ValueError(f"'{name[:40]}' is {str(value)[:40]!r}")
-    if missing := [name for name in ("n", "time", "event", "step") if name not in record]:
-        raise ValueError(f"there is no '{missing[0]}'")
-    kind = record["event"]
-    if kind not in (*KINDS, VACANT, ERASED) or not math.isfinite(record["time"]):
-        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(sorted(KINDS))}")
-    needed = {"person": kind in (*BY_PEOPLE, VACANT), "action": kind == "acted", "task": kind == VACANT}
-    if missing := [name for name, so in needed.items() if so and name not in record]:
-        raise ValueError(f"there is no '{missing[0]}'")
 
 
 @dataclass

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from planner import CostToGo
 
 from .advice import Advice
-from .course import Event
+from .events import Event
 from .store import Change
 
 

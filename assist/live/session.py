@@ -29,8 +29,9 @@ from ..people.human import Mixture, Population
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice
-from .course import LONGEST_REASON, Course, Event, InvalidError
+from .course import Course
 from .event_sourced import EventSourced, Outlook
+from .events import LONGEST_REASON, Event, InvalidError
 from .header import header_of, require_same
 from .live_task import InapplicableError, UnknownError
 from .store import EventStore, JournalError, Tombstone, utc

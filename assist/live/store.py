@@ -104,7 +104,7 @@ class EventStore:
         self._db: sqlite3.Connection = None  # type: ignore[assignment]  # until it is connected
         self._full = False
         try:
-            self._take()
+            self._lock_file()
             os.close(os.open(self.file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY))
             with suppress(PermissionError):  # the file is another user's, who shares it
                 self.file.chmod(OWNER_ONLY)  # SQLite gives its log the same permissions
@@ -119,7 +119,7 @@ class EventStore:
             self.close()
             raise
 
-    def _take(self) -> None:
+    def _lock_file(self) -> None:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -128,7 +128,7 @@ class EventStore:
             ) from None
 
     def _connected(self) -> sqlite3.Connection:
-        with self._told():
+        with self._sqlite_errors():
             # It waits up to ten seconds for a reader, which needs much less.
             db = sqlite3.connect(self.file, timeout=10.0, isolation_level=None, check_same_thread=False)
             try:
@@ -146,7 +146,7 @@ class EventStore:
         return db
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _sqlite_errors(self) -> Iterator[None]:
         """Turn errors of SQLite into the errors of this class."""
         try:
             yield
@@ -161,13 +161,13 @@ class EventStore:
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         """Yield the record of each event in order, without answers."""
-        with self._told():
+        with self._sqlite_errors():
             for n, record in self._db.execute("SELECT n, record FROM events ORDER BY n"):
                 yield _document(record, self.file, n)
 
     def answer(self, person: str | None, id: str) -> tuple[str, dict[str, Any]] | None:
         """Return the kind of the event of this person and id, and its answer; None if there is none."""
-        with self._told():
+        with self._sqlite_errors():
             row = self._db.execute(
                 "SELECT n, record, answer FROM events WHERE person = ? AND id = ?", (person or "", id)
             ).fetchone()
@@ -178,7 +178,7 @@ class EventStore:
 
     def tombstones(self) -> list[Tombstone]:
         """Return what remains of the people whose records were erased."""
-        with self._told():
+        with self._sqlite_errors():
             return [Tombstone(*row) for row in self._db.execute("SELECT label, at, reason, events FROM erased")]
 
     # Writing.
@@ -193,10 +193,10 @@ class EventStore:
             It cannot be written.
         """
         try:
-            with self._told():
+            with self._sqlite_errors():
                 self._db.execute("BEGIN IMMEDIATE")
             yield
-            with self._told():
+            with self._sqlite_errors():
                 self._db.execute("COMMIT")
         except BaseException as error:
             self._full = self._full or isinstance(error, JournalError)
@@ -214,14 +214,14 @@ class EventStore:
 
     def begin(self, header: Mapping[str, Any]) -> None:
         """Write the header of a new session."""
-        with self._told():
+        with self._sqlite_errors():
             self._db.execute("INSERT INTO header VALUES (?)", (_text(header),))
 
     def add(self, record: Mapping[str, Any], answer: Any = None, *, at: str | None = None) -> None:
         """Add an event within a transaction; `answer` is stored if the record has an id."""
         person, id = record.get("person") or "", record.get("id")
         row = record["n"], at, person, id, _text(record), None if id is None else _text(answer)
-        with self._told():
+        with self._sqlite_errors():
             self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?)", row)
 
     def check(self) -> None:
@@ -235,7 +235,7 @@ class EventStore:
         if self._full:
             with self.transaction():
                 self.begin({"room": " " * PROBE})
-            with self.transaction(), self._told():
+            with self.transaction(), self._sqlite_errors():
                 self._db.execute("DELETE FROM header WHERE rowid > 1")
             self._full = False
 
@@ -292,7 +292,7 @@ class EventStore:
     def rewrite(self, person: str, label: str, reason: str, change: Change) -> Tombstone:
         """Apply a change to all events within a transaction, and add the tombstone of a person."""
         count = 0
-        with self._told():
+        with self._sqlite_errors():
             for n, owner, record, answer in self._db.execute(
                 "SELECT n, person, record, answer FROM events ORDER BY n"
             ).fetchall():

@@ -158,7 +158,7 @@ class Policy:
         del entry, limits
 
 
-class Later(Policy):
+class LazyPolicy(Policy):
     """A policy that is solved on first use.
 
     The problem is available without solving. Any attribute that a `Policy` does not have is that of the solved policy.
@@ -176,7 +176,7 @@ class Later(Policy):
         self._lock, self._solved = threading.Lock(), list[Policy]()
 
     def __repr__(self) -> str:
-        return f"Later({self._solved[0] if self._solved else self.pomdp!r})"
+        return f"LazyPolicy({self._solved[0] if self._solved else self.pomdp!r})"
 
     def prepare(self) -> Policy:
         """Return the solved policy; the solver is called once."""

@@ -18,7 +18,7 @@ from ..people.arguments import Seed, entropy, positive, whole
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
 from ..people.memory import choices_of
-from ..person.policy import Later, Policy
+from ..person.policy import LazyPolicy, Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import qmdp
 from ..team.attention_subproblem import policy_bytes
@@ -195,7 +195,7 @@ class Pool:
         for policy in self.policies:
             policy.require_enumerated("priced")
         policies = tuple(
-            Later(policy.pomdp.priced(c_suggest), getattr(policy, "solver", qmdp)) for policy in self.policies
+            LazyPolicy(policy.pomdp.priced(c_suggest), getattr(policy, "solver", qmdp)) for policy in self.policies
         )
         return replace(self, setting=replace(self.setting, c_suggest=c_suggest), policies=policies)
 
@@ -243,7 +243,7 @@ def _enumerated(
     advance = adding(progress, "setting up people's POMDPs", len(known))
     policies: list[Policy] = []
     for human in known:
-        policies.append(Later(setting.problem(choices, human, prior), solver))
+        policies.append(LazyPolicy(setting.problem(choices, human, prior), solver))
         advance(1)
     return policies
 

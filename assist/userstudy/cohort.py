@@ -22,16 +22,8 @@ from planner import CostToGo
 
 from ..explain.explanation import Explanation
 from ..live.advice import Advice
-from ..live.course import (
-    ERASED,
-    LONGEST_REASON,
-    NOTHING,
-    VACANT,
-    AbsentError,
-    Course,
-    Event,
-    InvalidError,
-)  # fmt: skip
+from ..live.course import NOTHING, Course
+from ..live.events import ERASED, LONGEST_REASON, VACANT, AbsentError, Event, InvalidError
 from ..live.live_task import InapplicableError, UnknownError
 from ..live.simulated_person import SimulatedPerson
 from ..live.store import Change

@@ -12,7 +12,8 @@ from typing import Any
 
 from planner import CostToGo
 
-from ..live.course import Course, Event
+from ..live.course import Course
+from ..live.events import Event
 from ..live.simulated_person import SimulatedPerson
 
 Sub = dict[str, Any]

@@ -15,7 +15,7 @@ from typing import Any
 
 from planner.system.errors import DamagedFileError
 
-from ..live.course import ERASED, VACANT
+from ..live.events import ERASED, VACANT
 from ..live.store import stored
 from .plan import Stage, UserStudy
 from .session import FORMAT

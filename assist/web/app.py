@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException as StarletteHTTPException
 
 from planner import LimitError
 
-from ..live.course import AbsentError
+from ..live.events import AbsentError
 from ..live.live_task import InapplicableError
 from ..live.store import JournalError
 from . import metrics, page_routes, routes, websocket

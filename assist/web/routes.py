@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
 
 from ..explain.catalogue import languages
-from ..live.course import LONGEST_REASON, Event
+from ..live.events import LONGEST_REASON, Event
 from . import cookies
 from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
 from .schemas import (

@@ -21,7 +21,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from planner import CostToGo
 
-from ..live.course import AbsentError, Event
+from ..live.events import AbsentError, Event
 from ..live.live_task import InapplicableError
 from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson

@@ -23,8 +23,9 @@ from functools import partial
 from typing import Any, cast
 
 from ..explain.explanation import Explanation
-from ..live.course import AbsentError, Event, Explains
+from ..live.course import Explains
 from ..live.event_sourced import Outlook
+from ..live.events import AbsentError, Event
 from ..live.live_task import InapplicableError
 from ..live.session import Outcome, Session
 from ..live.store import JournalError

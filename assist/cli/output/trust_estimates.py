@@ -28,7 +28,9 @@ def show_trust(
 ) -> bool:  # fmt: skip
     """Estimate influence under a rule, or compare all rules. Return whether every line of the log was used."""
     from ...learning.fit import LogError, observed
-    from ...learning.trust_fit import compare_trust, families, fit_influence
+    from ...learning.rule_families import families
+    from ...learning.trust_comparison import compare_trust
+    from ...learning.trust_fit import fit_influence
 
     carry, method, name = wanted.carry, known.method, known.log.name
     try:

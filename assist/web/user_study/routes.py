@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, HTTPException, Request, Response
 from pydantic import BaseModel, Field
 
-from ...live.course import LONGEST_REASON
+from ...live.events import LONGEST_REASON
 from ...userstudy.cohort import StudyEvent
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy

@@ -9,7 +9,7 @@ import json
 from typing import Any
 from urllib.parse import urlencode
 
-from ...live.course import AbsentError, Event
+from ...live.events import AbsentError, Event
 from ...live.live_task import InapplicableError
 from ...userstudy.cohort import HERE, LETTERS, Cohort, FullError, StudyEvent
 from ...userstudy.session import StudySession

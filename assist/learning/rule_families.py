@@ -1,0 +1,73 @@
+"""The shipped trust rules with the ranges of their parameters, for estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+
+from ..people.trust_rules import EquationSeven, TrustRule, constant, outcome, outcome_at_disagreement
+from .likelihood import Method
+from .trust_scores import REFERENCE
+
+STEP_SIZES = (0.1, 0.2, 0.4, 0.8)
+"""Steps of logit(theta) that are tried for gain and for loss, in log-odds."""
+
+LARGEST_STEP = 3.0
+"""Largest step that is estimated, in log-odds: from theta = .18 to .82 at once."""
+
+RATES = (0.02, 0.05, 0.1, 0.2, 0.4)
+"""Values of eta that are tried."""
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class RuleFamily:
+    """A shipped trust rule whose parameters are to be estimated.
+
+    Attributes
+    ----------
+    make : callable
+        Returns the rule with the parameters.
+    ranges : mapping of str to (float, float)
+        Range of each parameter, by name.
+    tried : tuple of tuple of float
+        Values of the parameters that are tried before the best are refined.
+    """
+
+    make: Callable[..., TrustRule]
+    ranges: Mapping[str, Interval]
+    tried: tuple[tuple[float, ...], ...]
+
+    def rule(self, values: Sequence[float]) -> TrustRule:
+        """Return the rule with these parameters, in the order of `ranges`."""
+        return self.make(**dict(zip(self.ranges, values, strict=True)))
+
+    @classmethod
+    def of(cls, rule: TrustRule) -> RuleFamily:
+        """Return the family of one rule, without parameters to estimate."""
+        return cls(lambda: rule, {}, ((),))
+
+
+def families(method: Method) -> dict[str, RuleFamily]:
+    """Return the shipped rules by name; eta is the method's if it is known."""
+    paper = partial(EquationSeven, utility_scale=method.utility_scale)
+    steps, pairs = {"gain": (0.0, LARGEST_STEP), "loss": (0.0, LARGEST_STEP)}, tuple(product(STEP_SIZES, STEP_SIZES))
+    return {
+        REFERENCE: RuleFamily.of(constant()),
+        "paper": RuleFamily(paper, {"eta": (0.0, 1.0)}, tuple((rate,) for rate in RATES))
+        if method.eta is None
+        else RuleFamily.of(paper(eta=method.eta)),
+        "outcome": RuleFamily(outcome, steps, pairs),
+        "outcome-at-disagreement": RuleFamily(
+            outcome_at_disagreement, {"agreement": (-1.0, 1.0), **steps},
+            tuple((agreement, *pair) for agreement in (0.0, 0.1) for pair in pairs),
+        ),
+    }  # fmt: skip
+
+
+def parameters_of(rule: TrustRule) -> dict[str, float]:
+    """Return the numbers that a rule has, by name."""
+    return {name: float(value) for name, value in vars(rule).items() if type(value) in (int, float)}

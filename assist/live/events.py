@@ -1,0 +1,93 @@
+"""The events of a live session, as reported, and the records of them that are stored."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from .live_task import UnknownError
+
+FIELDS: Mapping[str, type | tuple[type, ...]] = {
+    "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
+    "followed": bool, "unheard": bool, "advice": dict,
+}  # fmt: skip
+"""Fields of an event's record, and their types."""
+
+BY_PEOPLE = frozenset({"joined", "left", "began", "acted", "undone"})
+"""Kinds of events of one person."""
+
+KINDS = BY_PEOPLE | {"arrived", "elapsed", "paused", "resumed"}
+"""Kinds of events that can be reported."""
+
+LONGEST_REASON = 200
+"""Number of characters of a reason for an erasure, a withdrawal or an exclusion; more would invite personal data."""
+
+VACANT, ERASED = "vacant", "erased"
+"""Kinds of records in place of a person's first event and of the later ones, after their records were erased."""
+
+NAME = re.compile(r"(?=.*\w)[\w.\- ]{1,64}")
+"""Valid names of people; they are part of addresses of pages."""
+
+
+class AbsentError(UnknownError):
+    """The person is not present."""
+
+
+class InvalidError(ValueError):
+    """The report of an event is malformed."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """An event, as reported.
+
+    Attributes
+    ----------
+    kind : str
+        "joined", "left", "began", "acted", "undone", "arrived", "elapsed", "paused" or "resumed".
+    person : str or None
+        The person who acted, joined or left, or at whom the robot has arrived; None for other events.
+    action : str or None
+        The action, in PDDL notation.
+    followed : bool or None
+        Whether the suggestion was followed; None if it is not reported.
+    seen : int or None
+        The `seq` of the view on which the person acted; they have not seen a later suggestion.
+    task : str or None
+        The task of a person who joins or begins.
+    id : str or None
+        The client's id: a repeated event with this id has no effect, and gets the first answer.
+    """
+
+    kind: str
+    person: str | None = None
+    action: str | None = None
+    followed: bool | None = None
+    seen: int | None = None
+    task: str | None = None
+    id: str | None = None
+
+
+def require_record(record: Mapping[str, Any]) -> None:
+    """Check a record of an event.
+
+    Raises
+    ------
+    ValueError
+        A field is missing, unknown, or of the wrong type.
+    """
+    for name, value in record.items():
+        expected = FIELDS.get(name, ())
+        if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
+            raise ValueError(f"'{name[:40]}' is {str(value)[:40]!r}")
+    if missing := [name for name in ("n", "time", "event", "step") if name not in record]:
+        raise ValueError(f"there is no '{missing[0]}'")
+    kind = record["event"]
+    if kind not in (*KINDS, VACANT, ERASED) or not math.isfinite(record["time"]):
+        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(sorted(KINDS))}")
+    needed = {"person": kind in (*BY_PEOPLE, VACANT), "action": kind == "acted", "task": kind == VACANT}
+    if missing := [name for name, so in needed.items() if so and name not in record]:
+        raise ValueError(f"there is no '{missing[0]}'")
