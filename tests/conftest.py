@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -51,6 +52,11 @@ LARGE = {
 }  # fmt: skip
 PROGRESS = re.compile(r"^.+, \d+ s(: [\d,]+(,| of) .+)?\n", re.M)
 SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]
+
+
+# A shell starts what runs in the background with Ctrl-C ignored, which processes that tests start would inherit.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_xdist_auto_num_workers() -> int:
