@@ -69,8 +69,7 @@ class Assistant:
     people : iterable of str, or mapping of str to task
         Names of the people, or a task for each name. More people may `join`.
     policy : str or callable
-        A team policy: "none", "reactive", "attention", "attention-never", "priority", or a function as in
-        `assist.team`.
+        A team policy: one of `assist.team.POLICIES`, or a function as in `assist.team`.
     setting : Setting, optional
         Costs, discount, trust. Without a trust rule, theta is constant: data of real people do not support equation
         (7). `knowledge` and `max_steps` are not used, because only the task of real people is known.

@@ -57,8 +57,9 @@ LOOKS = {
     "attention": PolicyLook(BLUE, "o"),
     "attention-never": PolicyLook(SKY, "D", (0, (5, 1.5, 1, 1.5))),
     "priority": PolicyLook(GREEN, "P"),
+    "whittle": PolicyLook(PURPLE, "X", (0, (3, 1, 1, 1))),
 }
-OTHERS = ((VERMILLION, "v"), (PURPLE, "X"), ("#999933", "<"), ("#A0522D", "p"))
+OTHERS = ((VERMILLION, "v"), ("#999933", "<"), ("#A0522D", "p"))
 
 
 def looks(policies: Iterable[str]) -> dict[str, PolicyLook]:

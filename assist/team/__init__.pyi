@@ -14,3 +14,4 @@ from .state import TeamAction as TeamAction
 from .state import TeamPolicy as TeamPolicy
 from .state import TeamState as TeamState
 from .travel import Travel as Travel
+from .whittle import Whittle as Whittle

@@ -18,8 +18,9 @@ from .attention import AttentionSwitching, NoAssistance, Reactive
 from .priority import Priority
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
 from .travel import Travel
+from .whittle import Whittle
 
-POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
+POLICIES = ("none", "reactive", "attention", "attention-never", "priority", "whittle")
 """The names that `named` accepts."""
 
 
@@ -31,8 +32,8 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
     Parameters
     ----------
     name : str
-        The paper's "none", "reactive" and "attention"; "attention-never" for the other reading of its Algorithm 1; or
-        our "priority".
+        The paper's "none", "reactive" and "attention"; "attention-never" for the other reading of its Algorithm 1;
+        "whittle" for Whittle indices; or our "priority".
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
@@ -54,6 +55,8 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
         return AttentionSwitching.against_never(policies)
     if name == "priority":
         return Priority.of(policies, travel)
+    if name == "whittle":
+        return Whittle.of(policies, travel)
     raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', or a function')}")
 
 

@@ -31,6 +31,24 @@ def coming(travel: Travel) -> tuple[float, int, int]:
     return entry, round(float(travel.steps[:, :-1][way].mean())), int(travel.steps.max())
 
 
+def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, staying: Floats) -> TeamAction:
+    """Return the action of going where it is worth most, if that is more than staying and more than 0.
+
+    Parameters
+    ----------
+    team : TeamState
+    robot : int array, shape (N, K)
+        Robot action for each person.
+    going : float array, shape (N, K)
+        Worth of going to each person.
+    staying : float array, shape (N,)
+        Worth of staying without a suggestion.
+    """
+    teams = np.arange(len(team.x))
+    best = going.argmax(axis=1)
+    return team.act(np.where(going[teams, best] > np.maximum(staying, 0), best, NOBODY), robot)
+
+
 @dataclass(frozen=True, eq=False)
 class SolvedSubproblem:
     """One person's problem with a robot that comes and goes, with its solution.
@@ -138,10 +156,7 @@ class Priority:
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return the action of going to the best person, or of staying, in every team."""
-        robot, going, holding = self.worth(team)
-        teams = np.arange(len(team.x))
-        best = going.argmax(axis=1)
-        return team.act(np.where(going[teams, best] > np.maximum(holding, 0), best, NOBODY), robot)
+        return to_the_best(team, *self.worth(team))
 
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Return each person's robot action and the value of going there, (N, K), and that of staying, (N,)."""
