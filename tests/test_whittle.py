@@ -67,7 +67,7 @@ def test_indices_equal_those_by_bisection(tiny: Table) -> None:
 
 
 def test_the_robot_goes_to_the_largest_index_and_not_for_less_than_the_way(tiny: Table) -> None:
-    pool = Pool.sample(tiny, 3, seed=2, setting=Setting(c_suggest=0.1, c_move=0.1, knowledge="exact"))
+    pool = Pool.sample(tiny, 3, seed=2, setting=Setting(c_suggest=0.02, c_move=0.01, knowledge="exact"))
     one = state(pool, [pool.choices(0).initial] * 3)
     policy = pool.policy("whittle")
     _, going, staying = policy.worth(one)

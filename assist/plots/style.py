@@ -25,7 +25,7 @@ P = ParamSpec("P")
 
 # Colours of Okabe and Ito, which can be distinguished with any colour vision.
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#8C8C8C"
-SKY, VERMILLION, PURPLE = "#56B4E9", "#D55E00", "#CC79A7"
+SKY, VERMILLION, PURPLE, WINE = "#56B4E9", "#D55E00", "#CC79A7", "#882255"
 
 PAGE_WIDTH = 9.0  # inches, the text width of a landscape page
 FORMATS = (".png", ".svg", ".pdf")
@@ -57,9 +57,9 @@ LOOKS = {
     "attention": PolicyLook(BLUE, "o"),
     "attention-never": PolicyLook(SKY, "D", (0, (5, 1.5, 1, 1.5))),
     "priority": PolicyLook(GREEN, "P"),
-    "whittle": PolicyLook(PURPLE, "X", (0, (3, 1, 1, 1))),
+    "whittle": PolicyLook(WINE, "*", (0, (3, 1, 1, 1))),
 }
-OTHERS = ((VERMILLION, "v"), ("#999933", "<"), ("#A0522D", "p"))
+OTHERS = ((VERMILLION, "v"), (PURPLE, "X"), ("#999933", "<"), ("#A0522D", "p"))
 
 
 def looks(policies: Iterable[str]) -> dict[str, PolicyLook]:
