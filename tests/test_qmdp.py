@@ -16,11 +16,13 @@ from hypothesis.extra import numpy as arrays
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, trust
-from assist.people.human import Human, HumanModel
+from assist.people.human import Human, HumanModel, Population
+from assist.people.trust_rules import constant
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import QMDP, qmdp
+from assist.person.solution_cache import SolutionCache
 from planner import Table, sweep
 
 GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.4, 1.0]))
@@ -156,3 +158,21 @@ def test_one_compiled_form_serves_every_problem(tiny_choices: Choices, sent: boo
         == numba.typeof(ProblemArrays.of(other))
         == numba.typeof(vectors._arrays)
     )
+
+
+def test_kept_solutions_are_those_of_the_solver_and_only_for_equal_problems(tiny_choices: Choices) -> None:
+    solutions = SolutionCache()
+    wide, high = Population(theta=(0.0, 1.0)), Population(theta=(0.7, 0.9))
+
+    def values(**options: object) -> np.ndarray:
+        problem = make(tiny_choices, **options)
+        found = solutions.qmdp(problem)
+        assert (found.q_mdp == qmdp(problem).q_mdp).all()
+        return found.value_mdp
+
+    first = values(population=wide)
+    assert values(population=high) is first, "the prior does not matter to the values"
+    for other in ({"c_suggest": 0.2}, {"trust": constant()}):
+        assert values(population=wide, **other) is not first
+    nothing = SolutionCache(limit_mb=0.0)
+    assert (nothing.qmdp(make(tiny_choices)).value_mdp == first).all(), "what is not kept is solved again"

@@ -20,7 +20,7 @@ from ..people.human import Human, Mixture, Population
 from ..people.memory import choices_of
 from ..person.policy import LazyPolicy, Policy
 from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import qmdp
+from ..person.qmdp import QMDP, qmdp
 from ..team.attention_subproblem import policy_bytes
 from ..team.policies import named
 from ..team.settings import Setting
@@ -203,7 +203,9 @@ class Pool:
         """Return the choices of a person's task."""
         return self.policies[self.model[person]].pomdp.model.choices
 
-    def policy(self, name: str, travel: Travel | None = None) -> TeamPolicy:
+    def policy(
+        self, name: str, travel: Travel | None = None, solver: Callable[[AssistPOMDP], QMDP] = qmdp
+    ) -> TeamPolicy:
         """Return a team policy by its name; people's problems are solved on its first use.
 
         Parameters
@@ -212,9 +214,11 @@ class Pool:
             One of `POLICIES`.
         travel : Travel, optional
             Travel between the places; by default that of the setting.
+        solver : callable
+            As in `team.policies.named`.
         """
         # All distances are equal, so that travel between two places has the same costs as between more.
-        return named(name, self.policies, travel or self.setting.travel(2))
+        return named(name, self.policies, travel or self.setting.travel(2), solver)
 
 
 def _choices(

@@ -22,6 +22,7 @@ from ..people.human import Mixture, Population
 from ..people.memory import choices_of
 from ..person.pomdp import LeafBounds
 from ..person.qmdp import qmdp
+from ..person.solution_cache import SolutionCache
 from ..simulation.episodes import Episodes
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
@@ -45,7 +46,7 @@ def pool_of(study: Study, cell: Cell) -> Pool:
     tolerance = 1e-3  # of values, in cost units; far below any cost that a policy weighs
     return Pool.sample(
         task, study.pool, seed=study.seed_of(cell.repeat), setting=study.setting(cell),
-        population=population, prior=prior, solver=partial(qmdp, tolerance=tolerance) if whole else qmdp,
+        population=population, prior=prior, solver=partial(_solutions().qmdp, tolerance=tolerance) if whole else qmdp,
     )  # fmt: skip
 
 
@@ -59,7 +60,7 @@ def policy_of(study: Study, name: str, pool: Pool) -> TeamPolicy:
     pool : Pool
     """
     own = dict(study.own_policies)
-    return _own(*own[name]) if name in own else pool.policy(name)
+    return _own(*own[name]) if name in own else pool.policy(name, solver=_solutions().qmdp)
 
 
 @dataclass(frozen=True)
@@ -171,6 +172,12 @@ def _part(task: CostToGo | Choices) -> tuple[Choices, LeafBounds | None]:
     region = StateCache(task).around(np.array([task.initial]))
     bound = np.zeros(len(region.frontier))
     return region.choices, LeafBounds(region.frontier, np.zeros((len(bound), 2)), bound)
+
+
+@cache
+def _solutions() -> SolutionCache:
+    """Return the solutions that the cells of a process share. Neither priors nor people's true rule matter to them."""
+    return SolutionCache()
 
 
 @cache

@@ -14,6 +14,8 @@ from planner.system.errors import expected
 
 from ..people import user_code
 from ..person.policy import Policy
+from ..person.pomdp import AssistPOMDP
+from ..person.qmdp import QMDP, qmdp
 from .attention import AttentionSwitching, NoAssistance, Reactive
 from .priority import Priority
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
@@ -24,7 +26,9 @@ POLICIES = ("none", "reactive", "attention", "attention-never", "priority", "whi
 """The names that `named` accepts."""
 
 
-def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
+def named(
+    name: str, policies: Sequence[Policy], travel: Travel, solver: Callable[[AssistPOMDP], QMDP] = qmdp
+) -> TeamPolicy:  # fmt: skip
     """Return a team policy by its name.
 
     The data that it needs about each person are computed on first use, or by `prepare`.
@@ -37,6 +41,8 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
+    solver : callable
+        Solves what "priority" needs about each person.
 
     Raises
     ------
@@ -54,7 +60,7 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
             policy.require_enumerated(f"policy {name!r}")
         return AttentionSwitching.against_never(policies)
     if name == "priority":
-        return Priority.of(policies, travel)
+        return Priority.of(policies, travel, solver=solver)
     if name == "whittle":
         return Whittle.of(policies, travel)
     raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', or a function')}")

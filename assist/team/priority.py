@@ -9,7 +9,7 @@ all steps, or one for each step, as a bound on the team determines them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
 from ..person.policy import Policy
+from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from .attention_subproblem import HERE, AttentionSubproblem, backwards
 from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
@@ -107,6 +108,7 @@ class Priority:
         policies: Sequence[Policy],
         travel: Travel,
         price: ArrayLike | None = None,
+        solver: Callable[[AssistPOMDP], QMDP] = qmdp,
     ) -> Priority:
         """Return the policy for people with the given policies and travel.
 
@@ -123,6 +125,8 @@ class Priority:
             to 100 people. An array holds prices of the steps from 0 on, followed by 0. It needs enumerated tasks, and
             people who all begin at step 0. The policy then knows the states that are reachable by each step, and
             refuses a person in another state.
+        solver : callable
+            Solves people's problems.
 
         Raises
         ------
@@ -139,9 +143,9 @@ class Priority:
         def presence(policy: Policy) -> SolvedSubproblem:
             free = AttentionSubproblem.of(policy.pomdp, entry, steps, longest=longest)
             if not each.ndim:
-                return SolvedSubproblem.of(free, qmdp(free.at_price(float(each))))
+                return SolvedSubproblem.of(free, solver(free.at_price(float(each))))
             visits = AttentionSubproblem.of(policy.pomdp, entry, steps, each, longest=longest)
-            return SolvedSubproblem.of(visits, backwards(visits, qmdp(free.pomdp).value_mdp))
+            return SolvedSubproblem.of(visits, backwards(visits, solver(free.pomdp).value_mdp))
 
         prices = np.append(each, 0.0) if each.ndim else each.reshape(1)
         return cls(entry, steps, longest, prices, ByPolicy(policies, presence))
