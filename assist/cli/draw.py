@@ -12,7 +12,7 @@ from planner.system.files import each_record
 from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option
 from .options.help import command
 from .options.task import one_instance
-from .terminal.console import EXIT_FAILED, fail, print_json
+from .terminal.console import ExitCode, fail, print_json
 
 
 @command("draw kitting/tiny --out tiny.svg")
@@ -63,11 +63,11 @@ def draw(
             values = read_state(state, artist.subject) if state else artist.subject.initial
             rows = [(Frame(tuple(values), "State" if state else "Start"),)]
     except UnicodeDecodeError:
-        fail(f"{plan}: not a text file in UTF-8", EXIT_FAILED)
+        fail(f"{plan}: not a text file in UTF-8", ExitCode.FAILED)
     except FramesError as error:
-        fail(f"{plan or trace}: {error}", EXIT_FAILED)
+        fail(f"{plan or trace}: {error}", ExitCode.FAILED)
     except (ProfileError, StateError) as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)
     frames = save(artist, rows, out, width=width)
     record = {
         "instance": str(found.problem), "domain": str(found.domain), "out": str(out), "people": len(rows),

@@ -13,7 +13,7 @@ from .options.common import OUTPUT_FILE, instance_argument
 from .options.help import command
 from .options.person import person_options, person_problem
 from .options.task import table_of
-from .terminal.console import EXIT_FAILED, fail, one_line_errors, print_json
+from .terminal.console import ExitCode, fail, one_line_errors, print_json
 
 
 @command("export kitting/tiny --out tiny.pomdpx")
@@ -40,7 +40,7 @@ def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) ->
             table = problem.known if isinstance(problem.known, Table) else None
             {"pomdpx": write_pomdpx, "pomdp": write_pomdp}[form](pomdp, out, table)
         except ValueError as error:
-            fail(f"{found}: {error}", EXIT_FAILED)
+            fail(f"{found}: {error}", ExitCode.FAILED)
         record = {
             "instance": str(found.problem),
             "domain": str(found.domain),

@@ -22,7 +22,7 @@ from .options.task import one_instance
 from .options.trust import Confidence, fit_trust_options, trust_of
 from .output.people_estimates import show_comparison, show_people
 from .output.trust_estimates import show_advice, show_trust
-from .terminal.console import EXIT_FAILED, one_line_errors
+from .terminal.console import ExitCode, one_line_errors
 
 
 @command("fit kitting/paper log.csv --out people.jsonl")
@@ -92,4 +92,4 @@ def fit(
             )  # fmt: skip
             complete = show_people(learned, out, population, family, figures, as_json=as_json)
     if not complete:
-        sys.exit(EXIT_FAILED)
+        sys.exit(ExitCode.FAILED)

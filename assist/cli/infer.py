@@ -12,7 +12,7 @@ from .options.common import INPUT_FILE, OUTPUT_FILE, Range, domain_option, lapse
 from .options.goals import goals_of, prior_of
 from .options.help import command
 from .options.log import log_of, reading_options, renamed
-from .terminal.console import EXIT_FAILED, fail, one_line_errors
+from .terminal.console import ExitCode, fail, one_line_errors
 
 
 @command("infer kits/travel.pddl kits/mend.pddl log.jsonl")
@@ -57,11 +57,11 @@ def infer(
                 goals, log, prior=shares, beta=grid, lapse=lapse, drop=drop, rename=names, strict=strict,
             )  # fmt: skip
         except LogError as error:
-            fail(str(error), EXIT_FAILED)
+            fail(str(error), ExitCode.FAILED)
         except ValueError as error:
             raise click.UsageError(str(error)) from None
         for line in [*told(found.faults, file), *found.notes]:
             click.echo(line, err=True)
         show_goals(found, out, as_json=as_json)
     if found.faults or found.left_out:
-        sys.exit(EXIT_FAILED)
+        sys.exit(ExitCode.FAILED)

@@ -17,7 +17,7 @@ from .options.common import JOBS, OUTPUT_FOLDER, domain_option, max_states_optio
 from .options.help import command
 from .output.solve_progress import solving
 from .output.solve_records import Answers
-from .terminal.console import EXIT_FAILED, one_line_errors
+from .terminal.console import ExitCode, one_line_errors
 
 
 @command("solve kitting --out results")
@@ -66,4 +66,4 @@ def solve(
             raise
     answers.show(records)
     if any(record["status"] not in DONE for record in records):
-        sys.exit(EXIT_FAILED)
+        sys.exit(ExitCode.FAILED)

@@ -12,7 +12,7 @@ from planner.system.progress import stages
 
 from .options.common import JOBS, OUTPUT_FOLDER
 from .options.help import command
-from .terminal.console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table
+from .terminal.console import ExitCode, fail, one_line_errors, print_json, print_table
 
 
 @command("study --out study")
@@ -58,11 +58,14 @@ def study(
             with stages() as show:
                 failed = run_study(planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=show, warn=say)
         except InputFileError as error:
-            fail(str(error), EXIT_USAGE)
+            fail(str(error), ExitCode.USAGE)
         for cell, reason in failed:
             say(f"{cell}: {reason if isinstance(reason, InputFileError | PolicyError) else repr(reason)}")
         if failed:
-            fail(f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again", EXIT_FAILED)
+            fail(
+                f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again",
+                ExitCode.FAILED,
+            )
         summary = write_report(planned, out, jobs=jobs)
     if as_json:
         print_json(summary)

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from .options.common import OUTPUT_FOLDER, json_option
 from .options.help import command
-from .terminal.console import EXIT_FAILED, fail, print_json, print_table
+from .terminal.console import ExitCode, fail, print_json, print_table
 
 
 @command("study-report data", "study-report")
@@ -29,7 +29,7 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     try:
         summary = write_report(folder, out or folder / "report")
     except (InputFileError, DamagedFileError, OSError) as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)
     if as_json:
         print_json(summary)
         return

@@ -15,7 +15,7 @@ from planner.system.errors import MissingExtraError
 
 from .options.common import is_given
 from .options.task import costs_of
-from .terminal.console import EXIT_USAGE, fail
+from .terminal.console import ExitCode, fail
 
 if TYPE_CHECKING:
     import socket
@@ -113,7 +113,7 @@ def conduct(
     try:
         study = read(file)
     except InputFileError as error:
-        fail(str(error), EXIT_USAGE)
+        fail(str(error), ExitCode.USAGE)
     if study.participants is not None and rehearse > study.participants:
         raise click.UsageError(f"--rehearse {rehearse}: the study is planned for {study.participants} participants")
     if data is None and not rehearse:
@@ -135,7 +135,7 @@ def conduct(
             trusted_proxies=trusted_proxies,
         )  # fmt: skip
     except PolicyError as error:
-        fail(str(error), EXIT_USAGE)
+        fail(str(error), ExitCode.USAGE)
     if rehearse:
         _report(folder)
 

@@ -42,17 +42,37 @@ from ..people.arguments import positive, whole
 from .agents import Agents, Floats
 from .kernels import backwards, expected_uses
 
-TRUNCATION = 1e-6
-"""Share of the largest possible reward of all steps that may be left after the longest window."""
 
-FIRST_WINDOW = 64
-"""Number of steps with prices at first; it is doubled while the last prices are positive."""
+@dataclass(frozen=True)
+class BoundOptions:
+    """Effort of the search for prices.
 
-HEATS = (0.1, 0.01, 0.001, 0.0001)
-"""Temperatures of the smoothed maximum, as shares of the largest difference of rewards, from the first to the last."""
+    Attributes
+    ----------
+    first_window : int
+        Number of steps with prices at first; it is doubled while the last prices are positive.
+    temperatures : tuple of float
+        Temperatures of the smoothed maximum, in this order, as shares of the largest difference of rewards.
+    updates : float
+        Largest number of updates of a state at all temperatures. The default takes about half a minute.
 
-WORK = 8e9
-"""Number of updates of a state that the optimisation takes at most; about half a minute."""
+    Raises
+    ------
+    ValueError
+        A field is not positive, or there is no temperature.
+    """
+
+    first_window: int = 64
+    temperatures: tuple[float, ...] = (0.1, 0.01, 0.001, 0.0001)
+    updates: float = 8e9
+
+    def __post_init__(self) -> None:
+        whole("first_window", self.first_window, 1)
+        positive("updates", self.updates)
+        if not self.temperatures:
+            raise ValueError("temperatures: expected at least one")
+        for temperature in self.temperatures:
+            positive("temperatures", temperature)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +109,9 @@ class PriceBound:
         return self.values[min(step, len(self.prices))].reshape(-1)
 
 
-def horizon(gamma: float) -> int:
-    """Return the number of steps after which at most `TRUNCATION` of the largest possible reward remains."""
-    return 1 if gamma == 0 else max(1, math.ceil(math.log(TRUNCATION) / math.log(gamma)))
+def horizon(gamma: float, remainder: float = 1e-6) -> int:
+    """Return the number of steps after which at most the share `remainder` of the largest possible reward is left."""
+    return 1 if gamma == 0 else max(1, math.ceil(math.log(remainder) / math.log(gamma)))
 
 
 def free_values(agents: Agents) -> Floats:
@@ -109,7 +129,10 @@ def free_values(agents: Agents) -> Floats:
             return values + change * agents.gamma / (1 - agents.gamma)
 
 
-def bound(agents: Agents, resources: float, *, window: int | None = None, prices: Floats | None = None) -> PriceBound:
+def bound(
+    agents: Agents, resources: float, *, window: int | None = None, prices: Floats | None = None,
+    options: BoundOptions = BoundOptions(),
+) -> PriceBound:  # fmt: skip
     """Return the Lagrangian bound at optimised prices, one per step.
 
     Prices minimise a smoothed bound at decreasing temperatures by L-BFGS-B. The result is the bound without
@@ -121,9 +144,10 @@ def bound(agents: Agents, resources: float, *, window: int | None = None, prices
     resources : float
         Units of the resource at each step, 0 or more.
     window : int, optional
-        Number of steps with prices. Default: 64, doubled while the last prices are positive.
+        Number of steps with prices. Default: `options.first_window`, doubled while the last prices are positive.
     prices : float array, shape (W,), optional
         Prices to use as they are, 0 or more.
+    options : BoundOptions
 
     Raises
     ------
@@ -138,15 +162,15 @@ def bound(agents: Agents, resources: float, *, window: int | None = None, prices
             raise ValueError("prices: expected a vector of finite numbers of 0 or more")
         return _bound_at(agents, limit, given, tail)
     longest = horizon(agents.gamma)
-    steps = min(FIRST_WINDOW, longest) if window is None else whole("window", window, 1)
-    scale = float(np.ptp(agents.R)) or 1.0
+    steps = min(options.first_window, longest) if window is None else whole("window", window, 1)
+    scale, heats = float(np.ptp(agents.R)) or 1.0, options.temperatures
     found = np.zeros(steps)
     while window is None:
-        found = _optimised(agents, limit, found, tail, HEATS[:1], scale)
+        found = _optimised(agents, limit, found, tail, options, heats[:1], scale)
         if found[-max(1, len(found) // 8) :].max() <= 1e-3 * scale or len(found) >= longest:
             break
         found = np.pad(found, (0, min(len(found), longest - len(found))))
-    found = _optimised(agents, limit, found, tail, HEATS if window else HEATS[1:], scale)
+    found = _optimised(agents, limit, found, tail, options, heats if window else heats[1:], scale)
     return _bound_at(agents, limit, found, tail)
 
 
@@ -166,8 +190,9 @@ def _bound_at(agents: Agents, limit: float, prices: Floats, tail: Floats) -> Pri
 
 
 def _optimised(
-    agents: Agents, limit: float, prices: Floats, tail: Floats, heats: tuple[float, ...], scale: float
-) -> Floats:
+    agents: Agents, limit: float, prices: Floats, tail: Floats, options: BoundOptions, heats: tuple[float, ...],
+    scale: float,
+) -> Floats:  # fmt: skip
     """Return prices that minimise the smoothed bound, at each temperature from the result of the one before.
 
     In a state that nothing leaves and that has no rewards, all actions without the resource are optimal at any prices.
@@ -178,7 +203,7 @@ def _optimised(
     graph = _arrays(agents)
     discount = agents.gamma ** np.arange(len(prices))
     # The bound is divided by the scale of rewards, so that the stopping rule does not depend on their unit.
-    updates = max(10, int(WORK / (len(heats) * len(prices) * 10 * reward.size)))
+    updates = max(10, int(options.updates / (len(heats) * len(prices) * 10 * reward.size)))
 
     def smoothed(x: Floats, heat: float) -> tuple[float, Floats]:
         price = x * scale

@@ -18,9 +18,6 @@ from planner.system.arrays import outline, read_only
 
 from .agents import Agents, Floats
 
-SAME = 1e-9
-"""Rates of change and differences of prices up to this count as 0; larger ones are far above rounding errors."""
-
 
 @dataclass(frozen=True, eq=False)
 class WhittleIndex:
@@ -90,9 +87,12 @@ def whittle_index(agents: Agents) -> WhittleIndex:
 
 def _next_change(
     agents: Agents, P: Floats, active: NDArray[np.bool_], alone: NDArray[np.bool_], price: Floats, unit: Floats,
-    kinds: NDArray[np.int64],
+    kinds: NDArray[np.int64], same: float = 1e-9,
 ) -> tuple[tuple[NDArray[np.int64], Floats], NDArray[np.bool_]]:  # fmt: skip
-    """Return for each kind the state that changes its action next, the price, and whether it begins to act."""
+    """Return for each kind the state that changes its action next, the price, and whether it begins to act.
+
+    Rates of change and differences of prices up to `same` count as 0; larger ones are far above rounding errors.
+    """
     S, acts = P.shape[-1], active[kinds]
     chosen = np.where(acts[:, :, None], P[1, kinds], P[0, kinds])
     reward = np.where(acts, agents.R[kinds, 1], agents.R[kinds, 0])
@@ -102,14 +102,14 @@ def _next_change(
     gain = agents.R[kinds, 1] - agents.R[kinds, 0] + ahead[..., 0]
     rate = unit[kinds, None] + ahead[..., 1]
     # The advantage of acting is gain - price * rate.
-    stops = acts & ~alone[kinds] & (rate > SAME)
-    starts = ~acts & agents.allowed[kinds, 1] & (rate < -SAME)
+    stops = acts & ~alone[kinds] & (rate > same)
+    starts = ~acts & agents.allowed[kinds, 1] & (rate < -same)
     with np.errstate(divide="ignore", invalid="ignore"):
         at = np.where(stops | starts, gain / rate, np.inf)
     # A state that has just stopped is at an advantage of 0; its rounding errors are no change.
     at = np.where(stops, np.maximum(at, price[kinds, None]), at)
     at[
-        starts & (at <= price[kinds, None] + SAME * (1 + abs(np.where(np.isfinite(price), price, 0.0)[kinds, None])))
+        starts & (at <= price[kinds, None] + same * (1 + abs(np.where(np.isfinite(price), price, 0.0)[kinds, None])))
     ] = np.inf
     state = at.argmin(axis=1)
     rows = np.arange(len(kinds))

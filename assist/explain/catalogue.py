@@ -17,8 +17,6 @@ from typing import Any
 
 FOLDER = Path(__file__).parent / "texts"
 FIRST = "en"
-SMALLEST = 0.01
-"""Expectations below this, in cost units, are only said to be less."""
 
 
 def languages() -> tuple[str, ...]:
@@ -62,10 +60,10 @@ class Catalogue:
         text = f"{value:.0f}" if abs(value) >= 10 else f"{float(f'{value:.2g}'):g}"
         return text.replace(".", self.texts["decimal"])
 
-    def about(self, value: float) -> str:
-        """Return a positive expectation, in cost units."""
-        if value < SMALLEST:
-            return self.texts["less_than"].format(n=self.number(SMALLEST))
+    def about(self, value: float, smallest: float = 0.01) -> str:
+        """Return a positive expectation, in cost units; below `smallest`, only that it is less."""
+        if value < smallest:
+            return self.texts["less_than"].format(n=self.number(smallest))
         return self.texts["about"].format(n=self.number(value))
 
     def below(self, value: float) -> str:

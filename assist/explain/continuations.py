@@ -20,12 +20,6 @@ from ..people.decision import Floats
 
 Ints = NDArray[np.int64]
 
-LARGEST = 5_000
-"""Largest number of states of a graph of optimal continuations; a graph of this size takes about 50 ms."""
-
-LARGEST_LOOKED_UP = 200
-"""The same where choices are computed state by state, which takes about 5 ms each."""
-
 
 class Edges(NamedTuple):
     """The choices in N states, shape (m,) each: position of the state, action, successor, cost, and whether optimal."""
@@ -100,7 +94,7 @@ class OptimalContinuations:
     level: Ints
 
     @classmethod
-    def of(cls, known: Choices | CostToGo, state: int, largest: int = LARGEST) -> OptimalContinuations | None:
+    def of(cls, known: Choices | CostToGo, state: int, largest: int) -> OptimalContinuations | None:
         """Return the graph of a state with finite h*; None if it has more than `largest` states.
 
         Parameters

@@ -22,8 +22,6 @@ from planner import CostToGo
 from ..people.action_names import Matcher, words_of
 from ..people.choices import Choices
 from .continuations import (
-    LARGEST,
-    LARGEST_LOOKED_UP,
     OptimalContinuations,
     action_name,
     cost_to_go,
@@ -162,9 +160,9 @@ def _consequence(known: Choices | CostToGo, state: int, a: int, b: int, say: Say
     to_a, to_b = int(here.target[a]), int(here.target[b])
     if to_a == to_b:
         return Consequence("same")
-    largest = LARGEST
-    if not isinstance(known, Choices):  # a search for each state would take too long; two plans are two searches
-        largest = 0 if known.searches else LARGEST_LOOKED_UP
+    largest = 5_000  # states of a graph, which take about 50 ms
+    if not isinstance(known, Choices):  # a look-up takes 5 ms a state; a search for each state would take too long
+        largest = 0 if known.searches else 200
     graph_a = OptimalContinuations.of(known, to_a, largest) if largest else None
     graph_b = OptimalContinuations.of(known, to_b, largest) if graph_a is not None else None
     if graph_a is None or graph_b is None:

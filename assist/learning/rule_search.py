@@ -14,9 +14,6 @@ from .influence_population import InfluencePopulation
 from .rule_families import Interval, RuleFamily
 from .trust_log import TrustLog
 
-TOLERANCE = 3e-3
-"""Accuracy of estimated steps and rates: a fraction of the standard error that 100 people and 60 suggestions leave."""
-
 
 class RuleSearch:
     """The search for the parameters of a rule; the population that fits best is found for each."""
@@ -37,10 +34,11 @@ class RuleSearch:
         ends = np.array(list(self.family.ranges.values()))
         return self.at(np.clip(values, ends[:, 0], ends[:, 1]).tolist())[0]
 
-    def best(self, start: tuple[float, ...] | None = None) -> tuple[float, ...]:
+    def best(self, start: tuple[float, ...] | None = None, tolerance: float = 3e-3) -> tuple[float, ...]:
         """Return the parameters of largest likelihood, by the simplex method.
 
-        It begins with the best of those tried, unless a start is given.
+        It begins with the best of those tried, unless a start is given. The tolerance of each parameter is a fraction
+        of the standard error that 100 people and 60 suggestions leave.
         """
         if not self.family.ranges:
             return ()
@@ -54,7 +52,7 @@ class RuleSearch:
 
         found = minimize(
             loss, list(start), method="Nelder-Mead", bounds=list(self.family.ranges.values()),
-            options={"initial_simplex": corners, "xatol": TOLERANCE, "fatol": 0.01},
+            options={"initial_simplex": corners, "xatol": tolerance, "fatol": 0.01},
         )  # fmt: skip
         return tuple(found.x.tolist())
 

@@ -27,9 +27,6 @@ from planner.system.errors import DamagedFileError, ResultsExistError
 
 from . import old_journal
 
-PROBE = 1 << 16
-"""Number of bytes that must fit on the disk, after it was full, before events are accepted again."""
-
 OWNER_ONLY = stat.S_IRUSR | stat.S_IWUSR
 
 TABLES = """
@@ -224,8 +221,8 @@ class EventStore:
         with self._sqlite_errors():
             self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?)", row)
 
-    def check(self) -> None:
-        """Check, after the disk was full, whether there is room again.
+    def check(self, room: int = 1 << 16) -> None:
+        """Check, after the disk was full, whether there is room again for at least `room` bytes.
 
         Raises
         ------
@@ -234,7 +231,7 @@ class EventStore:
         """
         if self._full:
             with self.transaction():
-                self.begin({"room": " " * PROBE})
+                self.begin({"room": " " * room})
             with self.transaction(), self._sqlite_errors():
                 self._db.execute("DELETE FROM header WHERE rowid > 1")
             self._full = False

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.text import Annotation
 
 FONT, NOTE_FONT = 8.5, 8  # points
-SAMPLES = 60  # samples of each line segment, to detect overlap with text
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ def note_points(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
                 )
                 over = sum(bool((np.abs(other - middle) < (size + its) / 2 + pixels).all()) for other, its in written)
                 lines = (np.abs(covered - middle) < size / 2 + pixels).all(axis=1).sum()
-                tie = np.linspace(at, middle, SAMPLES if distance > distances[0] else 0)
+                tie = _samples(at, middle) if distance > distances[0] else np.empty((0, 2))
                 over += sum(bool((np.abs(tie - other) < its / 2 + pixels).all(axis=1).any()) for other, its in written)
                 hidden.append(len(covered) * (over + out.any()) + lines + distance / 10)
             best = int(np.argmin(hidden))
@@ -106,7 +105,7 @@ def note_points(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
             words.set(ha=("center", "left", "right")[right], va=("center", "bottom", "top")[up])
             words.xyann = (distance * right, distance * up)
             if distance > distances[0]:
-                covered = np.concatenate([covered, np.linspace(at, middles[best], SAMPLES)])
+                covered = np.concatenate([covered, _samples(at, middles[best])])
             elif words.arrow_patch is not None:
                 words.arrow_patch.set_visible(False)
 
@@ -121,6 +120,11 @@ def _words(axis: Axes, note: Note) -> Annotation:
     )  # fmt: skip
 
 
+def _samples(start: Floats, end: Floats, count: int = 60) -> Floats:
+    """Return evenly spaced points of a line, shape (count, 2), dense enough to show whether it crosses a text."""
+    return np.linspace(start, end, count)
+
+
 def _ink(axis: Axes) -> Floats:
     """Return dense samples of everything that is drawn, in pixels, shape (n, 2)."""
     from matplotlib.collections import LineCollection
@@ -132,5 +136,5 @@ def _ink(axis: Axes) -> Floats:
     ]  # fmt: skip
     # The interval of a single pool is NaN.
     lines = [axis.transData.transform(points) for points in drawn if points.ndim == 2 and np.isfinite(points).all()]
-    pieces = [np.linspace(start, end, SAMPLES) for line in lines for start, end in pairwise(line)]
+    pieces = [_samples(start, end) for line in lines for start, end in pairwise(line)]
     return np.concatenate([*pieces, *lines, np.empty((0, 2))])

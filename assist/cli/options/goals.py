@@ -14,7 +14,7 @@ from planner.system.machine import processors
 from planner.system.progress import stages
 from planner.system.threads import on_threads
 
-from ..terminal.console import EXIT_FAILED, fail
+from ..terminal.console import ExitCode, fail
 from .task import tell_note, tell_of_compiling
 
 
@@ -45,7 +45,7 @@ def goals_of(
         every = [OnDemand(task, cache=Cache(task, cache), jobs=jobs, limits=limits) for task in tasks]
     for costs in every:
         if costs.lookup([costs.initial])[0] == float("inf"):
-            fail(f"{costs.task.instance}: the goal cannot be reached from the initial state", EXIT_FAILED)
+            fail(f"{costs.task.instance}: the goal cannot be reached from the initial state", ExitCode.FAILED)
     return dict(zip(names, every, strict=True))
 
 
@@ -55,7 +55,7 @@ def _same_domain(found: Sequence[Instance]) -> None:
     for other in found[1:]:
         files = first.domain, other.domain
         if files[0] != files[1] and len({file.read_bytes() for file in files if file.is_file()}) > 1:
-            fail(f"{other}: its domain is {files[1]}; expected {files[0]}, as for {first}", EXIT_FAILED)
+            fail(f"{other}: its domain is {files[1]}; expected {files[0]}, as for {first}", ExitCode.FAILED)
 
 
 def prior_of(given: Sequence[str]) -> dict[str, float] | None:

@@ -13,7 +13,7 @@ from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, l
 from planner.system.machine import processors
 from planner.system.progress import progress_bar, stages
 
-from ..terminal.console import EXIT_FAILED, fail
+from ..terminal.console import ExitCode, fail
 from .common import (
     JOBS,
     NUMBER,
@@ -156,7 +156,7 @@ def replayed(
     tell_note(task)
     if task.decided_by_translator:
         why = "the goal is unreachable or holds in the initial state, so nothing can be estimated"
-        fail(f"{found}: {why}", EXIT_FAILED)
+        fail(f"{found}: {why}", ExitCode.FAILED)
     walked = OnDemand(task)
     try:
         recording, more = replay(log, walked, drop=drop, rename=names)
@@ -166,12 +166,12 @@ def replayed(
     for line in told(faults, file):
         click.echo(line, err=True)
     if strict and faults:
-        fail(f"{file}: nothing is fitted, because of --strict", EXIT_FAILED)
+        fail(f"{file}: nothing is fitted, because of --strict", ExitCode.FAILED)
     jobs = jobs or processors()
     try:
         require_actions(log, recording, walked)
     except LogError as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)
     evaluated = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
     return Replayed(log, walked, recording, evaluated, faults, method, jobs)
 
@@ -188,7 +188,7 @@ def people_of(
     try:
         chooses = None if people is None else choice_model(people)
     except UserCodeError as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     task = known.walked.task
@@ -203,7 +203,7 @@ def people_of(
                 progress=advance,
             )  # fmt: skip
     except (LogError, ChoiceModelError) as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)
 
 
 def comparison_of(known: Replayed, folds: int) -> Comparison:
@@ -217,7 +217,7 @@ def comparison_of(known: Replayed, folds: int) -> Comparison:
         with progress_bar("comparing models", len(TERMS) + 2) as advance:
             return compare_observed(observations, known.method, folds=folds, name=str(known.log.name), progress=advance)
     except LogError as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)
 
 
 def log_of(file: Path, columns: tuple[str, ...], *, gaps: bool) -> Log:

@@ -13,7 +13,7 @@ from planner.system.errors import expected
 from ...people.user_code import parse
 from ...team.policies import POLICIES, UserPolicy
 from ...team.state import PolicyError
-from ..terminal.console import EXIT_FAILED, fail
+from ..terminal.console import ExitCode, fail
 from .common import Option
 
 CHOICES = f"{', '.join(POLICIES)}, or FILE.py:FUNCTION"
@@ -66,4 +66,4 @@ def policy_errors() -> Iterator[None]:
     try:
         yield
     except PolicyError as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)

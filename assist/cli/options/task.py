@@ -7,7 +7,7 @@ import click
 from planner import Cache, CostToGo, Instance, InstanceError, Table, Task, cost_to_go, find_instances, load
 from planner.system.progress import compiling_line, stages
 
-from ..terminal.console import EXIT_FAILED, fail
+from ..terminal.console import ExitCode, fail
 
 
 def one_instance(instance: str, domain: str | None) -> Instance:
@@ -44,7 +44,7 @@ def table_of(instance: Instance) -> Table:
     try:
         table = tasks.table_of(instance)
     except InputFileError as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)
     tell_note(table.task)
     return table
 
@@ -63,5 +63,5 @@ def costs_of(instance: Instance, *, max_states: int, memory_limit_mb: float | No
     try:
         require_goal(float(known.lookup([known.initial])[0]))
     except ValueError as error:
-        fail(f"{instance}: {error}", EXIT_FAILED)
+        fail(f"{instance}: {error}", ExitCode.FAILED)
     return known

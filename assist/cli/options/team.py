@@ -9,7 +9,7 @@ import click
 
 from planner import Instance, LimitError
 
-from ..terminal.console import EXIT_FAILED, fail
+from ..terminal.console import ExitCode, fail
 from .common import (
     INPUT_FILE,
     SEED,
@@ -82,7 +82,7 @@ class TeamSetup(NamedTuple):
         try:
             return self.pool.policy(policy, self.travel)
         except ValueError as error:  # the policy needs a problem that is not truncated
-            fail(f"{self.instance}: {error} (--region-states)", EXIT_FAILED)
+            fail(f"{self.instance}: {error} (--region-states)", ExitCode.FAILED)
 
 
 def team_of(
@@ -111,7 +111,7 @@ def team_of(
             region=region_states if known.method == "sweep" or is_given("region_states") else None,
         )  # fmt: skip
     except LimitError as error:
-        fail(f"{found}: {error} (--memory-limit)", EXIT_FAILED)
+        fail(f"{found}: {error} (--memory-limit)", ExitCode.FAILED)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     return TeamSetup(found, population, pool, travel)

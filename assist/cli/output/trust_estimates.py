@@ -15,7 +15,7 @@ from planner.system.progress import progress_bar
 
 from ..options.log import Replayed
 from ..options.trust import TrustOptions
-from ..terminal.console import EXIT_FAILED, fail, print_json, print_table
+from ..terminal.console import ExitCode, fail, print_json, print_table
 from .people_estimates import write_population
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def show_trust(
                 write_population(found.distribution(), population)
             _show_influence(found, out, as_json=as_json)
     except LogError as error:
-        fail(f"{name}: {str(error).removeprefix(f'{name}: ')}", EXIT_FAILED)
+        fail(f"{name}: {str(error).removeprefix(f'{name}: ')}", ExitCode.FAILED)
     return not known.faults and sum(len(o) for o in observations) == len(known.recording)
 
 
@@ -60,12 +60,12 @@ def show_advice(wanted: TrustOptions, folds: int, level: float, out: Path | None
     try:
         log = read_advice(wanted.advice, confidence=wanted.confidence)
     except InputFileError as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)
     if wanted.rule is None:
         try:
             compared = compare_advice(log, folds=folds, level=level)
         except ValueError as error:
-            fail(f"{wanted.advice}: {error}", EXIT_FAILED)
+            fail(f"{wanted.advice}: {error}", ExitCode.FAILED)
         _show_comparison(compared, out, as_json=as_json)
         return
     found = fit_advice(log, wanted.rule)

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -18,8 +19,12 @@ from planner.system.threads import NO_MORE_THREADS
 if TYPE_CHECKING:
     from rich.table import Table
 
-EXIT_FAILED = 1
-EXIT_USAGE = 2
+
+class ExitCode(IntEnum):
+    """The exit codes of commands that do not succeed, as `docs/commands.md` has them."""
+
+    FAILED = 1
+    USAGE = 2
 
 
 def fail(message: str, exit_code: int) -> NoReturn:
@@ -34,19 +39,19 @@ def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
     try:
         yield
     except (InstanceError, ResultsExistError, DamagedFileError) as error:
-        fail(str(error), EXIT_USAGE)
+        fail(str(error), ExitCode.USAGE)
     except (PDDLError, LimitError, FastDownwardError, MissingExtraError) as error:
-        fail(str(error), EXIT_FAILED)
+        fail(str(error), ExitCode.FAILED)
     except MemoryError as error:
-        fail(f"out of memory{f': {error}' if str(error) else ''}", EXIT_FAILED)
+        fail(f"out of memory{f': {error}' if str(error) else ''}", ExitCode.FAILED)
     except RuntimeError as error:
         if str(error) != NO_MORE_THREADS:
             raise
-        fail(f"out of memory: {error}", EXIT_FAILED)
+        fail(f"out of memory: {error}", ExitCode.FAILED)
     except OSError as error:
         if isinstance(error, BrokenPipeError) and error.filename is None:
             raise  # the reader closed the pipe; click exits silently
-        fail(_said(error), EXIT_FAILED)
+        fail(_said(error), ExitCode.FAILED)
     except KeyboardInterrupt as error:
         fail(interrupted, getattr(error, "exit_code", 130))  # 128 + SIGINT, as shells report it
 
