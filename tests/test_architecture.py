@@ -41,7 +41,7 @@ ROOMS = {
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
         fit joint_states goals comparison rule_families trust_log influence_population rule_search trust_fit
         trust_comparison""",
-    "assist.team": "travel state settings attention attention_subproblem priority whittle policies",
+    "assist.team": "travel state settings assignment attention attention_subproblem priority whittle policies",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates compliance_relaxation truncated_bound
         truncated_policy person_problem""",
     "assist.simulation": """pool schedule common_random_numbers episodes dynamics task_view run simulate

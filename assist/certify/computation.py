@@ -81,9 +81,9 @@ class Relaxation:
 
     @property
     def paid(self) -> float:
-        """The discounted sum of the prices, in cost units."""
+        """The discounted sum of the prices that all robots pay, in cost units."""
         gamma = self.kinds[0].pool.setting.gamma
-        return float(self.price @ gamma ** np.arange(len(self.price)))
+        return self.kinds[0].pool.setting.robots * float(self.price @ gamma ** np.arange(len(self.price)))
 
     @property
     def upper(self) -> float:
@@ -175,13 +175,13 @@ class Computation:
             kinds, steps = self._with_outer(most if priced and len(self.team) > 1 else 0, window is not None)
         else:
             kinds, steps = self.kinds(together, False), together
-        if len(self.team) == 1 or not steps:
+        if len(self.team) <= self.pool.setting.robots or not steps:  # robots never have to choose
             return together, kinds, np.zeros(0)
         # On truncated tasks the outer relaxations have had 30 % of the time, and the solver needs more of the rest.
         for_prices = 0.3 + 0.25 if self.needs_outer else 0.4
         price = search(
             kinds, steps, rounds=self.options.price_rounds, episodes=self.options.price_episodes, seed=self.seed,
-            deadline=self.start + for_prices * self.for_people, tell=self.tell,
+            deadline=self.start + for_prices * self.for_people, tell=self.tell, robots=self.pool.setting.robots,
         )  # fmt: skip
         if self.needs_outer and not len(price):
             kinds = self.kinds(0, self.paths > 0)

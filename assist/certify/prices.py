@@ -1,8 +1,8 @@
 """Prices of the robot's attention, optimised by simulation of each person's problem.
 
-The prices are the dual variables of the constraint that one robot attends to at most one person in each step. A
-stochastic subgradient method raises the price of a step in which more than one robot would be busy, and lowers it
-otherwise. Every price vector gives a valid bound; the method approaches the tightest one.
+The prices are the dual variables of the constraint that M robots attend to at most M people in each step. A stochastic
+subgradient method raises the price of a step in which more than M robots would be busy, and lowers it otherwise. Every
+price vector gives a valid bound; the method approaches the tightest one.
 """
 
 from __future__ import annotations
@@ -110,8 +110,8 @@ class SubproblemKind:
             return TeamAction(np.zeros_like(robot), robot)
 
         human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
-        # Travel is part of the subproblem, so that the simulation has none.
-        setting = replace(self.pool.setting, c_move=0.0, travel_time=0.0, max_steps=steps)
+        # Travel is part of the subproblem, so that the simulation has none. A person's problem has one robot.
+        setting = replace(self.pool.setting, c_move=0.0, travel_time=0.0, max_steps=steps, robots=1)
         pool = Pool(setting, (human,), (policy(0, np.arange(1)),), np.zeros(1, dtype=np.int64))
         run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
         return number / episodes, run.discounted_return
@@ -206,14 +206,14 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5,
     """Return the number of steps with prices; any number gives a valid bound.
 
     It is twice the number of actions of the longest optimal plan, or more for a large team: as many steps as more than
-    `at_work` people would still be at work without a robot, but at most `plans` times that number of actions. The
+    `at_work` people per robot would still be at work without any, but at most `plans` times that number of actions. The
     number of actions is estimated as the cost of the plan divided by the smallest positive cost.
     """
     shortest = max(float(c.h[c.initial]) / c.unit for c in map(pool.choices, team))
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
     steps = np.arange(math.ceil(plans * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)
-    return max(math.ceil(2 * shortest), int((working > at_work).sum()))
+    return max(math.ceil(2 * shortest), int((working > at_work * pool.setting.robots).sum()))
 
 
 def search(
@@ -225,6 +225,7 @@ def search(
     seed: int,
     deadline: float,
     tell: Progress,
+    robots: int = 1,
 ) -> Floats:
     """Optimise prices by a stochastic subgradient method, until `rounds` rounds are done or the deadline has passed.
 
@@ -242,6 +243,8 @@ def search(
         Time on the clock of `time.perf_counter()`.
     tell : callable
         Receives progress reports.
+    robots : int
+        Number of robots of the team.
 
     Returns
     -------
@@ -263,7 +266,7 @@ def search(
             # far enough. Gradients are relative to the number of busy robots. Otherwise the first rounds of a large
             # team, with dozens of busy robots, would make all later steps too short. A first step changes a price by at
             # most 0.5 cost units.
-            slope = (busy - 1) / np.maximum(busy, 1)
+            slope = (busy - robots) / np.maximum(busy, robots)
             past += slope**2
             price = np.maximum(0.0, price + 0.5 * slope / np.sqrt(past + 1e-12))
             if round_ >= rounds // 2:

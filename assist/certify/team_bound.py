@@ -1,25 +1,26 @@
 """A certified upper bound on the value of all team policies, and the distance of a policy from it.
 
-In each step the robot attends to at most one person: it is at their place or on its way to them. A Lagrangian
-relaxation of this constraint, with a price lambda_t for each step of attention, separates the team into the attention
-subproblems of single people (`assist.team.attention_subproblem`).
+In each step a robot attends to at most one person: it is at their place or on its way to them. M robots attend to at
+most M people. A Lagrangian relaxation of this constraint, with a price lambda_t for each step of attention, separates
+the team into the attention subproblems of single people (`assist.team.attention_subproblem`).
 
 Assumptions. People's choices are independent of each other, given the robot's actions. A move to a person costs at
 least as much, and takes at least as long, as a move from the nearest other place.
 
 Claim. For all prices lambda_t >= 0, the optimal value J* of the team is at most
 
-    sum_t gamma^t lambda_t  +  sum_k V_k(lambda),
+    M sum_t gamma^t lambda_t  +  sum_k V_k(lambda),
 
 where V_k is the optimal value of person k's subproblem: attention has the price lambda_t in step t, coming costs as
 much as from the nearest other place, and leaving is free.
 
-Proof. Consider any policy of the team. Let a_k(t) be 1 in a step in which the robot attends to person k, and 0
-otherwise. As sum_k a_k(t) <= 1, the return increases or stays the same if sum_t gamma^t lambda_t (1 - sum_k a_k(t)) is
-added to it. The result is sum_t gamma^t lambda_t plus, for each person, a return in which attention has its price. The
-robot's behaviour towards person k is a policy of their subproblem, at costs that are not higher there. This policy also
-depends on the other people's states, which are independent of person k and act like additional random numbers. So the
-mean of the return is at most V_k.
+Proof. Consider any policy of the team. Let a_k(t) be 1 in a step in which any robot attends to person k, and 0
+otherwise. As sum_k a_k(t) <= M, the return increases or stays the same if sum_t gamma^t lambda_t (M - sum_k a_k(t)) is
+added to it. The result is M sum_t gamma^t lambda_t plus, for each person, a return in which attention has its price.
+The robots' behaviour towards person k is a policy of their subproblem, at costs that are not higher there: the robot in
+it comes when the first of them sets out, and leaves with the last. This policy also depends on the other people's
+states, which are independent of person k and act like additional random numbers. So the mean of the return is at most
+V_k.
 
 The prices are optimised (`assist.certify.prices`). Each V_k is bounded from above with hidden beta and theta
 (`assist.person.solver`), so that the bound does not assume more knowledge of people than a robot has.
@@ -114,7 +115,8 @@ class TeamBound:
             policy.require_enumerated("relaxed")
         episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
         gamma = self.pool.setting.gamma
-        total, variance = float(self.price @ gamma ** np.arange(len(self.price))), 0.0
+        paid = self.pool.setting.robots * float(self.price @ gamma ** np.arange(len(self.price)))
+        total, variance = paid, 0.0
         kinds = kinds_of(self.pool, self.team, self.travel, len(self.price))
         for number, kind in enumerate(kinds):  # independent random numbers, so that variances add up
             value = kind.simulated(self.price, horizon(gamma), episodes, seed_number + number)[1]
@@ -216,6 +218,8 @@ def upper_bound(
 
     Raises
     ------
+    ValueError
+        A parameter is out of its range; sample paths are requested for several robots.
     LimitError
         The subproblems would exceed the memory limit.
     """
@@ -223,6 +227,8 @@ def upper_bound(
     start = time.perf_counter()
     limit = math.inf if time_limit is None else positive("time_limit", time_limit)
     members = _members(pool, team)
+    if whole("paths", paths, 0):
+        pool.setting.require_one_robot("the bound from sample paths")
     travel = travel or pool.setting.travel(len(members))
     if len(travel) != len(members):
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")

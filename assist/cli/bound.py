@@ -47,6 +47,8 @@ def bound(
     from .output.person_bounds import show_samples
 
     start = time.perf_counter()
+    if samples and team["robots"] > 1:
+        raise click.UsageError(f"--samples with --robots {team['robots']}: expected one robot")
     with policy_errors():
         policies = policies_of(names)
         made = team_of(instance, size=team["humans"], **team)

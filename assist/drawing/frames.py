@@ -123,7 +123,7 @@ def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: 
                     row["suggestion"] = _meant(artist, row["suggestion"], values, place_in)[0]
                 if row.get("action"):
                     row["action"], after = _meant(artist, row["action"], values, place_in)
-            frames.append(_frame(artist, values, person, step, row, place, _robot_place(mine, step)))
+            frames.append(_frame(artist, values, person, step, row, place, _robot_places(mine, step)))
             values = after
         found.append((*frames, Frame(tuple(values), f"{person}, end")))
     return found
@@ -136,19 +136,20 @@ def _meant(artist: Artist, text: str, values: Sequence[int], where: str) -> tupl
         raise FramesError(f"{where}: {error}") from None
 
 
-def _robot_place(rows: Iterable[Mapping[str, Any]], step: int) -> int | None:
-    return next((row.get("robot_place") for row in rows if row["step"] == step), None)
+def _robot_places(rows: Iterable[Mapping[str, Any]], step: int) -> list[int | None]:
+    row = next((row for row in rows if row["step"] == step), {})
+    return row.get("robot_places", [row.get("robot_place")])
 
 
 def _frame(
     artist: Artist, values: Sequence[int], person: str, step: int, row: Mapping[str, Any] | None, place: int,
-    robot: int | None,
+    robots: list[int | None],
 ) -> Frame:  # fmt: skip
     title = f"{person}, step {step + 1}"
     if row is None or not row.get("action"):
         return Frame(tuple(values), title, "has finished" if row is None else "waits")
     action, suggestion = str(row["action"]), row.get("suggestion")
-    there = place == robot if "robot_place" in row else suggestion is not None
+    there = place in robots if {"robot_place", "robot_places"} & set(row) else suggestion is not None
     if suggestion is None:
         return Frame(tuple(values), title, artist.say(action), acted=_objects(action), robot=there)
     followed = suggestion == action

@@ -56,7 +56,7 @@ class Teams:
     Raises
     ------
     ValueError
-        The pool is of a truncated task.
+        The pool is of a truncated task, or has several robots.
     """
 
     def __init__(
@@ -71,6 +71,7 @@ class Teams:
     ) -> None:
         for policy in pool.policies:
             policy.require_enumerated("pool")
+        pool.setting.require_one_robot("an environment")
         self.pool, self.on_grid = pool, world == "model"
         self.travel = pool.setting.travel(places, distance)
         self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}

@@ -99,6 +99,7 @@ class Assistant:
         if isinstance(people, str):
             raise TypeError(f"people {people!r}: expected a list of names")
         self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
+        self.setting.require_one_robot("a live team")
         if self.setting.execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy

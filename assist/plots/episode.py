@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from ..simulation.episodes import Episode, Trace
+from ..simulation.episodes import Episode, Trace, robot_is_at
 from .style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, require
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
 
 def _panel(axis: Axes, place: int, rows: Trace, alone: Trace) -> None:
     """Plot one person's cost-to-go with the robot and without it, the suggestions, and when the robot was there."""
-    for step in {row["step"] for row in rows if row["robot_place"] == place}:
+    for step in {row["step"] for row in rows if robot_is_at(row, place)}:
         axis.axvspan(step, step + 1, color=ORANGE, alpha=0.22, linewidth=0)
     _line(axis, alone, GREY, "--", 1.3)
     _line(axis, rows, BLUE, "-", 2.0)

@@ -13,7 +13,7 @@ from ..people.belief import Spread
 from ..people.decision import Floats
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
-from .episodes import Episode, Trace
+from .episodes import Episode, Trace, robot_is_at
 from .pool import Pool
 from .schedule import Schedule
 from .simulate import simulate
@@ -94,7 +94,7 @@ def beliefs_of_episode(
                 "beta_true": found.beta[place],
                 "theta_true": action["theta"],
                 "suggestion": action["suggestion"] is not None,
-                "robot_here": action["robot_place"] == place,
+                "robot_here": robot_is_at(action, place),
             }
         )
     return found, rows

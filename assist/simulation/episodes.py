@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -198,6 +198,11 @@ SHOWN = {
 
 Trace = list[dict[str, Any]]
 """A list with one dictionary for each action of each person."""
+
+
+def robot_is_at(row: Mapping[str, Any], place: int) -> bool:
+    """Whether a row of a trace says that a robot was at a person's place: its only robot, or one of several."""
+    return place in row.get("robot_places", [row.get("robot_place")])
 
 
 @dataclass(frozen=True)

@@ -169,7 +169,7 @@ class Pool:
         """Return the union of pools with different tasks, models or costs of suggestions.
 
         The setting is that of the first pool. Fields that concern one person only are part of the policies and may
-        differ. Fields of the whole team (`gamma`, `c_move`, `travel_time` and `max_steps`) must be the same.
+        differ. Fields of the whole team (`gamma`, `c_move`, `travel_time`, `max_steps` and `robots`) must be the same.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class Pool:
         """
         if not pools:
             raise ValueError("joined: expected one pool or more")
-        for name in ("gamma", "c_move", "travel_time", "max_steps"):
+        for name in ("gamma", "c_move", "travel_time", "max_steps", "robots"):
             values = [getattr(pool.setting, name) for pool in pools]
             if len(set(values)) > 1:
                 raise ValueError(f"joined: {name} is {values} in these pools; expected the same in all")

@@ -62,8 +62,9 @@ class Run:
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]
         self.erred = np.zeros(shape, dtype=bool)
-        self.location = np.full(len(numbers), BASE, dtype=np.int64)
-        self.busy_until = np.zeros(len(numbers), dtype=np.int64)
+        self.robots = pool.setting.robots
+        self.location = np.full((len(numbers), self.robots), BASE, dtype=np.int64)
+        self.busy_until = np.zeros((len(numbers), self.robots), dtype=np.int64)
         self.belief: Floats | None = None
         if getattr(policy, "uses_belief", True):
             self.belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
@@ -126,34 +127,36 @@ class Run:
     def _robot(
         self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: StepView
     ) -> tuple[NDArray[np.int64], Floats]:
-        """Return the robot's action towards each person and its cost, both of shape (N, K), as chosen by the policy."""
+        """Return the robots' action towards each person and its cost, both of shape (N, K), as chosen by the policy."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
-        free = running[(self.busy_until[running] <= step) & active[running].any(axis=1)]
+        arrived = self.busy_until <= step
+        free = running[arrived[running].any(axis=1) & active[running].any(axis=1)]
         if not len(free):
             return robot, charged
         every = slice(None) if len(free) == len(self.x) else free
         team = TeamState(
             step=step, x=view.x[every], active=active[every], erred=self.erred[every],
-            location=self.location[every], model=view.model[every],
+            location=self.location[every] if self.robots > 1 else self.location[every, 0], model=view.model[every],
             belief=None if self.belief is None else _rows(self.belief, every), policies=view.policies,
-            travel=self.travel,
+            travel=self.travel, free=arrived[every] if self.robots > 1 else None,
         )  # fmt: skip
         action = self.policy(team)
         try:
             team.check(action)
         except PolicyError as error:
             raise PolicyError(f"{getattr(self.policy, 'place', self.name)}: {error}") from None
-        goes = action.person != NOBODY
-        teams, to, does = free[goes], action.person[goes], action.robot[goes]
-        origin = self.location[teams]
+        person, does = (array.reshape(len(free), self.robots) for array in (action.person, action.robot))
+        rows, number = np.nonzero(person != NOBODY)
+        teams, to, does = free[rows], person[rows, number], does[rows, number]
+        origin = self.location[teams, number]
         charged[teams, to] = self.travel.c_move * self.travel.distance[origin, to]
-        self.busy_until[teams] = step + self.travel.steps[origin, to]
-        self.moves[teams] += origin != to
-        self.location[teams] = to
+        self.busy_until[teams, number] = step + self.travel.steps[origin, to]
+        np.add.at(self.moves, teams, origin != to)
+        self.location[teams, number] = to
         robot[teams, to] = does
-        for number, rows in by_model(view.model[teams, to], np.flatnonzero(does > 0), len(view.policies)):
+        for model, rows in by_model(view.model[teams, to], np.flatnonzero(does > 0), len(view.policies)):
             at = (teams[rows], to[rows])
-            arrays = view.groups[number].arrays
+            arrays = view.groups[model].arrays
             charged[at] += arrays.robot_costs[view.x[at], does[rows]]
             self.executed[at] += arrays.suggested[view.x[at], does[rows]] == NOTHING
         self.helped[teams, to] += does > 0
@@ -177,7 +180,10 @@ class Run:
             choices, x, r = pomdp.model.choices, int(before[e, k]), int(robot[e, k])
             suggested = int(pomdp.suggested[x, r])
             place = int(pomdp.afterstate[x, r])
-            there = self.location[e] != BASE and self.busy_until[e] <= step
+            there = [
+                place if place != BASE and until <= step else None
+                for place, until in zip(self.location[e].tolist(), self.busy_until[e].tolist(), strict=True)
+            ]
             row = {
                 "person": f"human-{self.people[e, k] + 1}",
                 "episode": f"{self.name}-{self.numbers[e]}",
@@ -187,7 +193,7 @@ class Run:
                 **({"executed": pomdp.executes(x, r)} if self.pool.setting.execute else {}),
                 "policy": self.name,
                 "place": k,
-                "robot_place": int(self.location[e]) if there else None,
+                **({"robot_place": there[0]} if self.robots == 1 else {"robot_places": there}),
                 "cost": float(choices.costs[place, slot[i]]) if slot[i] >= 0 else 0.0,
                 "cost_to_go": finite(choices.h[x]),
                 "cost_to_go_after": finite(choices.h[view.x[e, k]]),

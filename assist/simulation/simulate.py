@@ -1,4 +1,4 @@
-"""Simulation of episodes of a team: several people at work, and one robot.
+"""Simulation of episodes of a team: several people at work, and the robots of the setting, one by default.
 
 Only the problems of people who are in a team are solved, and only if the policy needs them.
 

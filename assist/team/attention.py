@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..people.decision import Floats
 from ..person.policy import Policy
 from ..person.qmdp import evaluate
+from .assignment import assigned
 from .state import NOBODY, ByPolicy, TeamAction, TeamState
 from .travel import Travel
 
@@ -23,7 +24,7 @@ class NoAssistance:
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return no action for every team."""
-        nobody = np.full(len(team.x), NOBODY, dtype=np.int64)
+        nobody = np.full(team.location.shape, NOBODY, dtype=np.int64)
         return TeamAction(nobody, np.zeros_like(nobody))
 
 
@@ -33,8 +34,9 @@ class Reactive:
 
     A mistake is an action that is not an optimal choice, that is, no optimal plan from the state begins with it.
     (Whether h* decreased is another question, because costs differ between actions and may be 0.) If several people
-    have erred, the robot stays with the present person if possible; otherwise it goes to the first of them. In a dead
-    end no action is optimal, so that nothing is suggested.
+    have erred, the robot stays with the present person if possible; otherwise it goes to the first of them. Several
+    robots help as many people as possible, the nearest ones. In a dead end no action is optimal, so that nothing is
+    suggested.
     """
 
     uses_belief = False
@@ -43,6 +45,10 @@ class Reactive:
         """Return an action for a person who has erred, in every team that has one."""
         robot = np.where(team.erred, team.first_optimal(), 0)
         wanted = robot > 0
+        if team.is_joint:
+            far = team.travel.distance[team.location][:, :, :-1]
+            nearness = 1.0 + float(team.travel.distance.max()) - far  # positive, so that it never pays to be idle
+            return team.act(assigned(team, np.where(wanted[:, None], nearness, -np.inf)), robot)
         teams = np.arange(len(team.x))
         stay = (team.location >= 0) & wanted[teams, team.location]
         person = np.where(stay, team.location, np.where(wanted.any(axis=1), wanted.argmax(axis=1), NOBODY))
@@ -58,7 +64,8 @@ class AttentionSwitching:
 
         score_k = Q^k(b^k, a^k) - reference_k - c_move * distance(location, k)
 
-    The robot acts on the largest score; it does nothing if no score is positive. The paper's text allows two readings.
+    The robot acts on the largest score; it does nothing if no score is positive. Several robots act on the largest sum
+    of scores, each for another person. The paper's text allows two readings.
     The reference is the value of doing nothing *once* and following the person's policy from the next step on
     (`AttentionSwitching()`), or that of *never* helping this person again (`against_never`).
 
@@ -93,12 +100,14 @@ class AttentionSwitching:
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return an action for the person with the largest positive score, in every team that has one."""
         robot, score = self.scores(team)
+        if team.is_joint:
+            return team.act(assigned(team, score), robot)
         teams = np.arange(len(team.x))
         best = score.argmax(axis=1)
         return team.act(np.where(score[teams, best] > 0, best, NOBODY), robot)
 
     def scores(self, team: TeamState) -> tuple[NDArray[np.int64], Floats]:
-        """Return each person's robot action and its score, both of shape (N, K)."""
+        """Return each person's robot action, shape (N, K), and its score, shape (N, K), or (N, M, K) with M robots."""
         q = team.q_values()
         robot = q.argmax(axis=2)
         reference = q[:, :, 0] if self.never is None else team.of_each(self._if_never)[:, :, 0]
@@ -107,7 +116,7 @@ class AttentionSwitching:
         score = np.subtract(worth, reference, out=np.full(team.x.shape, -np.inf), where=team.active)
         # Doing nothing is no reason to move, even if its value exceeds that of never helping again.
         score[robot == 0] = -np.inf
-        return robot, score - team.to()
+        return robot, (score[:, None] if team.is_joint else score) - team.to()
 
     def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         assert self.never is not None

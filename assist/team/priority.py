@@ -20,6 +20,7 @@ from ..people.decision import Floats
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
+from .assignment import assigned
 from .attention_subproblem import HERE, AttentionSubproblem, backwards
 from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
 from .travel import Travel
@@ -35,16 +36,28 @@ def coming(travel: Travel) -> tuple[float, int, int]:
 def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, staying: Floats) -> TeamAction:
     """Return the action of going where it is worth most, if that is more than staying and more than 0.
 
+    Several robots go where the sum of their worths is largest, each to another person. No robot goes to a person with
+    whom another one stays.
+
     Parameters
     ----------
     team : TeamState
     robot : int array, shape (N, K)
         Robot action for each person.
-    going : float array, shape (N, K)
+    going : float array, shape (N, K), or (N, M, K) with M robots
         Worth of going to each person.
-    staying : float array, shape (N,)
+    staying : float array, shape (N,), or (N, M) with M robots
         Worth of staying without a suggestion.
     """
+    if team.is_joint:
+        there = np.nonzero(team.location != BASE)
+        own = (*there, team.location[there])
+        worth = going.copy()
+        worth[own] = np.maximum(going[own], staying[there])
+        person = assigned(team, worth)
+        stays = (staying[there] >= going[own]) & (person[there] == team.location[there])
+        person[there] = np.where(stays, NOBODY, person[there])
+        return team.act(person, robot)
     teams = np.arange(len(team.x))
     best = going.argmax(axis=1)
     return team.act(np.where(going[teams, best] > np.maximum(staying, 0), best, NOBODY), robot)
@@ -80,7 +93,8 @@ class Priority:
 
     The value of presence for a person is the Q-value with the robot there, minus that without it in this step. Presence
     means to make a suggestion, to stay without one, or to arrive after the travel and continue from there. The cost of
-    moving is subtracted. The robot acts on the largest difference.
+    moving is subtracted. The robot acts on the largest difference. Several robots act on the largest sum of
+    differences, each for another person.
 
     Attributes
     ----------
@@ -163,9 +177,12 @@ class Priority:
         return to_the_best(team, *self.worth(team))
 
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Return each person's robot action and the value of going there, (N, K), and that of staying, (N,)."""
-        robot, going, holding = np.zeros_like(team.x), np.full(team.x.shape, -np.inf), np.zeros(len(team.x))
-        steps = team.travel.steps[team.location][:, :-1]
+        """Return each person's robot action and the value of going there, (N, K), and that of staying, (N,).
+
+        With M robots per team, M > 1, the values have the shapes (N, M, K) and (N, M).
+        """
+        steps = team.travel.steps[team.location][..., :-1]
+        robot, going, holding = np.zeros_like(team.x), np.full(steps.shape, -np.inf), np.zeros(team.location.shape)
         if steps.max(initial=0) > self.longest:
             raise ValueError(
                 f"a way of {steps.max()} steps: this policy was made for at most {self.longest}; "
@@ -181,12 +198,15 @@ class Priority:
         np.subtract(q[:, :, 1:] + price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
         if q.shape[2] > 2:
             robot = np.where(team.active, gain[:, :, 2:].argmax(axis=2) + 1, 0)
-            going = gain[:, :, 2:].max(axis=2)
-        e, k = np.nonzero(team.active & (steps > 0))
-        going[e, k] = arriving[e, k, steps[e, k] - 1] + price - q[e, k, 0]
-        with_them = np.flatnonzero(team.location != BASE)
-        with_them = with_them[team.active[with_them, team.location[with_them]]]
-        holding[with_them] = gain[with_them, team.location[with_them], 1]
+            best = gain[:, :, 2:].max(axis=2)
+            going[:] = best[:, None] if team.is_joint else best
+        active = team.active[:, None] if team.is_joint else team.active
+        away = np.nonzero(active & (steps > 0))
+        e, k = away[0], away[-1]
+        going[away] = arriving[e, k, steps[away] - 1] + price - q[e, k, 0]
+        with_them = np.nonzero(team.location != BASE)
+        at = team.location[with_them]
+        holding[with_them] = np.where(team.active[with_them[0], at], gain[with_them[0], at, 1], 0.0)
         return robot, going - team.to(), holding
 
     @cached_property

@@ -52,6 +52,8 @@ class Setting:
         Cost of an action executed by the robot, in cost units.
     max_steps : int
         Largest number of steps of an episode.
+    robots : int
+        Number of robots of a team, M. They are alike, and begin at the base.
     trust : str or TrustRule, optional
         How theta moves, for people and in the robot's model of them: "paper" (equation 7 with `eta` and
         `utility_scale`), "constant", "outcome", "outcome-at-disagreement", or a rule. Unless given it is the paper's
@@ -79,6 +81,7 @@ class Setting:
     max_steps: int = 500
     trust: str | TrustRule | None = None
     believed_trust: str | TrustRule | None = None
+    robots: int = 1
 
     def __post_init__(self) -> None:
         for name in ("gamma", "c_suggest", "c_move", "travel_time", "eta", "utility_scale", "lapse", "c_execute"):
@@ -99,6 +102,7 @@ class Setting:
             raise ValueError(f"execute {self.execute!r}: expected True or False")  # noqa: TRY004
         object.__setattr__(self, "execute", bool(self.execute))
         object.__setattr__(self, "max_steps", whole("max_steps", self.max_steps, 1))
+        object.__setattr__(self, "robots", whole("robots", self.robots, 1))
         for name in RULES_OF:
             plain: object = getattr(self, name)
             if isinstance(plain, Mapping):  # as `as_dict` writes a rule
@@ -125,7 +129,9 @@ class Setting:
         return replace(self, trust="constant") if self.trust is None else self
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain data, from which `Setting` makes an equal one; trust rules only if they are given.
+        """Return the fields as plain data, from which `Setting` makes an equal one.
+
+        Trust rules are included only if they are given, and the number of robots only if there are several.
 
         Raises
         ------
@@ -133,6 +139,8 @@ class Setting:
             The trust rule is the user's own, which is not saved.
         """
         plain = asdict(self)
+        if self.robots == 1:
+            del plain["robots"]
         for name in RULES_OF:
             rule = getattr(self, name)
             if rule is None:
@@ -140,6 +148,17 @@ class Setting:
             elif not isinstance(rule, str | LogitSteps):
                 raise ValueError(f"{name} {rule!r}: a rule that is not saved; expected a name or LogitSteps")
         return plain
+
+    def require_one_robot(self, what: str) -> None:
+        """Raise an error if a team has several robots, where only one is possible.
+
+        Raises
+        ------
+        ValueError
+            It names `what` needs one robot.
+        """
+        if self.robots > 1:
+            raise ValueError(f"robots {self.robots}: expected 1, as {what} has one robot")
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Return the travel between `places` people; `distance` as in `Travel.of`."""

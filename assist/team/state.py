@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -66,12 +66,13 @@ class ByPolicy(Generic[T]):
 
 @dataclass(frozen=True)
 class TeamAction:
-    """The robot's action in each of N teams.
+    """The robot's action in each of N teams; with M robots per team, M > 1, both arrays have the shape (N, M).
 
     Attributes
     ----------
     person : int array, shape (N,)
-        The person to whom the robot goes, or `NOBODY`: then it stays where it is and makes no suggestion.
+        The person to whom the robot goes, or `NOBODY`: then it stays where it is and makes no suggestion. A robot that
+        is under way must have `NOBODY`.
     robot : int array, shape (N,)
         Robot action in that person's POMDP; 0 makes no suggestion. It must be 0 if the travel takes time.
     """
@@ -119,8 +120,8 @@ class TeamState:
         Whether the person is present and has not finished.
     erred : bool array, shape (N, K)
         Whether the person's last action was not an optimal choice.
-    location : int array, shape (N,)
-        The person at whose place the robot is, or `BASE`.
+    location : int array, shape (N,), or (N, M) if each team has M > 1 robots
+        The person at whose place the robot is, or `BASE`; of a robot that is under way, the person to whom it goes.
     model : int array, shape (N, K)
         Index of the policy that models each person.
     belief : float array, shape (N, K, B, T), or None
@@ -128,6 +129,9 @@ class TeamState:
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
+    free : bool array, shape (N, M), or None
+        Which of several robots are not under way; None if all are free. A policy for one robot is only asked when that
+        robot is free.
     """
 
     step: int
@@ -139,16 +143,31 @@ class TeamState:
     belief: Floats | None
     policies: Sequence[Policy]
     travel: Travel
+    free: NDArray[np.bool_] | None = field(default=None, kw_only=True)
 
     __repr__ = outline
 
     def __post_init__(self) -> None:
-        for name in ("x", "active", "erred", "location", "model", "belief"):
+        for name in ("x", "active", "erred", "location", "model", "belief", "free"):
             array = getattr(self, name)
             if array is not None and array.flags.writeable:  # the owner of the array may still write to it
                 view = array.view()
                 view.flags.writeable = False
                 object.__setattr__(self, name, view)
+
+    @property
+    def robots(self) -> int:
+        """The number of robots of each team, M."""
+        return self.location.shape[1] if self.is_joint else 1
+
+    @property
+    def is_joint(self) -> bool:
+        """Whether `location` has an axis of robots, so that actions need one, too."""
+        return self.location.ndim > 1
+
+    def may_choose(self) -> NDArray[np.bool_]:
+        """Return which robots are not under way, in the shape of `location`."""
+        return np.ones(self.location.shape, dtype=bool) if self.free is None else self.free
 
     def groups(self) -> list[tuple[int, NDArray[np.int64]]]:
         """Return each model that an active person has, with the indices of its people in the flattened arrays."""
@@ -199,16 +218,16 @@ class TeamState:
         return h.reshape(self.x.shape)
 
     def to(self) -> Floats:
-        """Return the cost of moving to each person from the robot's place, shape (N, K)."""
-        return self.travel.c_move * self.travel.distance[self.location][:, :-1]
+        """Return the cost of moving to each person from the robot's place, shape (N, K), or (N, M, K)."""
+        return self.travel.c_move * self.travel.distance[self.location][..., :-1]
 
     def act(self, person: NDArray[np.int64], robot: NDArray[np.int64]) -> TeamAction:
         """Return the action of going to a person in each team.
 
-        `person` has the shape (N,), and `robot` holds the robot actions of all people, shape (N, K). If the travel
-        takes time, the robot makes no suggestion; it chooses again after its arrival.
+        `person` has the shape (N,), or (N, M) with M robots, and `robot` holds the robot actions of all people, shape
+        (N, K). If the travel takes time, the robot makes no suggestion; it chooses again after its arrival.
         """
-        teams = np.arange(len(self.x))
+        teams = np.arange(len(self.x)).reshape(-1, *[1] * (person.ndim - 1))
         speaks = (person != NOBODY) & (self.travel.steps[self.location, person] == 0)
         return TeamAction(person, np.where(speaks, robot[teams, person], 0))
 
@@ -220,7 +239,7 @@ class TeamState:
         PolicyError
             It names the fault and the step.
         """
-        shape, people = (len(self.x),), self.x.shape[1]
+        shape, people = self.location.shape, self.x.shape[1]
 
         def refused(fault: str) -> PolicyError:
             return PolicyError(f"step {self.step}: the policy {fault}")
@@ -230,16 +249,25 @@ class TeamState:
         for array in (action.person, action.robot):
             if not isinstance(array, np.ndarray) or array.dtype.kind not in "iu" or array.shape != shape:
                 found = f"an array of {array.dtype}, shape {array.shape}" if isinstance(array, np.ndarray) else array
-                raise refused(f"chose {found!s:.80}; expected two int arrays of shape {shape}, an entry for each team")
+                each = "robot of each team" if len(shape) > 1 else "team"
+                raise refused(
+                    f"chose {found!s:.80}; expected two int arrays of shape {shape}, an entry for each {each}"
+                )
         wrong = (action.person < NOBODY) | (action.person >= people)
         if wrong.any():
             raise refused(f"goes to person {action.person[wrong][0]} in a team of {people}")
-        teams = np.flatnonzero(action.person != NOBODY)
-        to, robot = action.person[teams], action.robot[teams]
+        goes = np.nonzero(action.person != NOBODY)
+        teams, to, robot = goes[0], action.person[goes], action.robot[goes]
         if not self.active[teams, to].all():
             raise refused("goes to a person who has finished or is not there")
-        if (robot[self.travel.steps[self.location[teams], to] > 0] != 0).any():
+        if (robot[self.travel.steps[self.location[goes], to] > 0] != 0).any():
             raise refused("speaks to a person before the robot has arrived")
+        if self.is_joint:
+            if self.free is not None and not self.free[goes].all():
+                raise refused("sends a robot that is under way")
+            after = np.sort(np.where(action.person == NOBODY, self.location, action.person), axis=1)
+            if ((after[:, 1:] == after[:, :-1]) & (after[:, 1:] != BASE)).any():
+                raise refused("lets two robots be with one person, or on their way there")
         for number, rows in by_model(self.model[teams, to], np.flatnonzero(robot != 0), len(self.policies)):
             count = self.policies[number].pomdp.robot_actions[self.x[teams[rows], to[rows]]]
             if ((robot[rows] < 0) | (robot[rows] >= count)).any():

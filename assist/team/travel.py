@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,11 @@ class Travel:
     def __len__(self) -> int:
         return len(self.distance) - 1
 
+    @cached_property
+    def equally_far(self) -> bool:
+        """Whether all places, the base included, are equally far from each other, in distance and in time."""
+        return _off_the_diagonal_equal(self.distance) and _off_the_diagonal_equal(self.steps)
+
     @property
     def entry(self) -> Floats:
         """The smallest cost of coming to each person from any other place, shape (K,)."""
@@ -103,6 +109,12 @@ class Travel:
     def entry_steps(self) -> NDArray[np.int64]:
         """The smallest number of steps for coming to each person from any other place, shape (K,)."""
         return np.array([np.delete(column, k).min() for k, column in enumerate(self.steps.T[:-1])], dtype=np.int64)
+
+
+def _off_the_diagonal_equal(matrix: NDArray[Any]) -> bool:
+    return all(
+        bool((row[:k] == matrix[0, 1]).all() and (row[k + 1 :] == matrix[0, 1]).all()) for k, row in enumerate(matrix)
+    )
 
 
 def _whole_steps(steps: Floats) -> NDArray[np.int64]:

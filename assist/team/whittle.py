@@ -27,7 +27,8 @@ class Whittle:
     """Go to the person with the largest Whittle index; stay if that of staying is larger.
 
     The advantage of presence is computed at a few prices, and interpolated linearly between them. The cost of moving is
-    subtracted before the index is determined. People whose index is negative are not attended to.
+    subtracted before the index is determined. People whose index is negative are not attended to. Several robots go where
+    the sum of indices is largest, each to another person.
 
     Attributes
     ----------
@@ -82,7 +83,8 @@ class Whittle:
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Return each person's robot action and the index of going there, (N, K), and the index of staying, (N,).
 
-        The robot action is the best one at the highest price, among those computed, that is not above the index.
+        The robot action is the best one at the highest price, among those computed, that is not above the index. With M
+        robots, the indices have the shapes (N, M, K) and (N, M), and the robot action is that of the largest index.
         """
         found = [one.worth(team) for one in self.at_prices]
         prices = np.array([one.price[0] for one in self.at_prices])
@@ -90,6 +92,7 @@ class Whittle:
         # The worth counts the price from the next step on; a robot that is present also pays for this step.
         going, below = _zero(prices, np.stack([going for _, going, _ in found], axis=-1) - prices)
         staying, _ = _zero(prices, np.stack([holding for _, _, holding in found], axis=-1) - prices)
+        below = below.max(axis=1) if team.is_joint else below
         return np.take_along_axis(robots, below[..., None], axis=-1)[..., 0], going, staying
 
 

@@ -369,6 +369,8 @@ def _setting(file: Path, content: dict[str, Any]) -> Setting:
         raise fault(file, "setting.travel_time", message)
     if setting.execute:
         raise fault(file, "setting.execute", "true; expected a robot that suggests")
+    if setting.robots > 1:
+        raise fault(file, "setting.robots", f"{setting.robots}; expected 1")
     return setting
 
 

@@ -22,8 +22,8 @@ GROUPS = {
         "--level", "--largest-beta",
     ),
     "Robot": (
-        "--policy", "--knowledge", "--suggestions", "--execute", "--gamma", "--c-suggest", "--c-execute", "--c-move",
-        "--travel-time", "--distances", "--lapse",
+        "--robots", "--policy", "--knowledge", "--suggestions", "--execute", "--gamma", "--c-suggest", "--c-execute",
+        "--c-move", "--travel-time", "--distances", "--lapse",
     ),
     "Service": (
         "--study", "--rehearse", "--port", "--host", "--public-url", "--trusted-proxy", "--bridge", "--tick", "--data",

@@ -1,0 +1,84 @@
+"""Joint assignment of several robots to people: each robot to at most one person, and no person to two robots.
+
+The worth of an assignment is the sum of the worths of its pairs of robot and person. Where all places are equally far
+from each other, the best assignment serves the people with the largest worths, and a robot that is with one of them
+stays. Elsewhere the best one is a matching of maximum weight (`scipy.optimize.linear_sum_assignment`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from ..people.decision import Floats
+from .state import BASE, NOBODY, TeamState
+
+Ints = NDArray[np.int64]
+
+
+def assigned(team: TeamState, worth: Floats) -> Ints:
+    """Return the person to whom each robot of some teams goes, shape (N, M), at the largest total worth.
+
+    Robots under way, and those without a person at a positive worth, have `NOBODY`.
+
+    Parameters
+    ----------
+    team : TeamState
+        N teams of K people and M robots.
+    worth : float array, shape (N, M, K)
+        Value of sending each robot to each person, in cost units; minus infinity where nobody may be sent.
+    """
+    free = team.may_choose()
+    under_way = np.nonzero(~free)
+    worth = np.where(free[:, :, None] & team.active[:, None], worth, -np.inf)
+    worth[under_way[0], :, team.location[under_way]] = -np.inf  # the person to whom another robot is on its way
+    return (_best_served if team.travel.equally_far else _matched)(worth, team.location, free)
+
+
+def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
+    """Return the assignment where each person is worth the same to all robots that are not with them."""
+    teams, robots, people = worth.shape
+    each = worth.max(axis=1)
+    served = np.zeros((teams, people), dtype=bool)
+    first = np.argsort(-each, axis=1, kind="stable")[:, :robots]
+    enough = (np.take_along_axis(each, first, axis=1) > 0) & (np.arange(first.shape[1]) < free.sum(axis=1)[:, None])
+    np.put_along_axis(served, first, enough, axis=1)
+
+    staying = free & (location != BASE) & np.take_along_axis(served, location.clip(0), axis=1)
+    n, m = np.nonzero(staying)
+    owner = np.full((teams, people), NOBODY)
+    owner[n[::-1], location[n, m][::-1]] = m[::-1]  # the first of several robots that are said to be with a person
+    staying[n, m] = owner[n, location[n, m]] == m
+    person = np.where(staying, location, NOBODY)
+
+    waiting, idle = served & (owner == NOBODY), free & ~staying
+    going = idle & (np.cumsum(idle, axis=1) <= waiting.sum(axis=1)[:, None])
+    person[going] = np.nonzero(waiting)[1]  # robots and people are both in the order of the teams
+    return person
+
+
+def _matched(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
+    """Return the assignment by matching, for any distances."""
+    person = np.full(location.shape, NOBODY)
+    for n in np.flatnonzero((worth > 0).any(axis=(1, 2))).tolist():
+        gain = worth[n].clip(0)
+        robots, people = linear_sum_assignment(gain, maximize=True)
+        good = gain[robots, people] > 0
+        person[n, robots[good]] = people[good]
+        _stay_rather_than_swap(person[n], location[n], free[n])
+    return person
+
+
+def _stay_rather_than_swap(person: Ints, location: Ints, free: NDArray[np.bool_]) -> None:
+    """Let a robot without a person serve the one whom it is with, if another robot was to come to them.
+
+    This is at least as good, since staying costs nothing. Where moves are free, a matching does not prefer it.
+    """
+    idle = np.flatnonzero((person == NOBODY) & free & (location != BASE)).tolist()
+    while idle:
+        m = idle.pop()
+        for other in np.flatnonzero((person == location[m]) & (location != location[m])).tolist():
+            person[m], person[other] = location[m], NOBODY
+            if location[other] != BASE:
+                idle.append(other)

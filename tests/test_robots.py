@@ -1,0 +1,249 @@
+"""Teams of several robots: their joint assignment, simulation with every policy, and the bound."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import graph_task, invoke
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from teams import state
+
+from assist.certify.computation import BoundOptions
+from assist.certify.team_bound import upper_bound
+from assist.people.choices import Choices
+from assist.people.human import Population
+from assist.simulation.episodes import Episodes, Trace
+from assist.simulation.pool import Pool
+from assist.simulation.simulate import simulate
+from assist.team.assignment import assigned
+from assist.team.policies import POLICIES
+from assist.team.settings import Setting
+from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
+from assist.team.travel import Travel
+from planner import sweep
+
+FAR: list[list[float]] = [[0, 1, 2, 3], [1, 0, 1.5, 1], [2, 1.5, 0, 2], [3, 1, 2, 0]]
+
+
+@pytest.fixture(scope="module")
+def strangers() -> Pool:
+    """Four people on a chain from 3 to the goal 0, on which a step back from 2 costs 4; one policy for all."""
+    task = graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 4), (1, 2, 1)], start=3)
+    setting = Setting(knowledge="exact", gamma=0.9, c_suggest=0.05, c_move=0.05)
+    return Pool.sample(Choices.of(sweep(task)), 4, seed=1, setting=setting, population=Population(beta=(0.1, 0.5)))
+
+
+def of(pool: Pool, robots: int, **setting: Any) -> Pool:
+    return replace(pool, setting=replace(pool.setting, robots=robots, **setting))
+
+
+def run(pool: Pool, policy: str, humans: int = 3, episodes: int = 50, **options: Any) -> Episodes:
+    return simulate(pool, policy, humans=humans, episodes=episodes, seed=3, explain=False, **options)
+
+
+@st.composite
+def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndarray]:
+    """Travel between four people, where robots are, which may choose, and what each person is worth without the way."""
+    apart = draw(st.booleans())
+    distance = None
+    if apart:
+        between = np.array(draw(st.lists(st.integers(1, 9), min_size=25, max_size=25)), dtype=float).reshape(5, 5)
+        distance = np.triu(between, 1) + np.triu(between, 1).T
+        for via in range(5):  # a way is never longer than by another place
+            distance = np.minimum(distance, distance[:, via, None] + distance[None, via])
+    travel = Travel.of(4, c_move=draw(st.sampled_from([0.0, 0.25])), distance=distance)
+    robots = draw(st.integers(1, 5))
+    places = draw(st.permutations([0, 1, 2, 3]))
+    at = [place if draw(st.booleans()) else BASE for place in (*places, BASE)[:robots]]
+    free = [draw(st.booleans()) or place == BASE for place in at]
+    worth = [draw(st.integers(-8, 24)) / 8 for _ in range(4)]
+    return travel, np.array([at]), np.array([free]), np.array([worth])
+
+
+@settings(max_examples=120, deadline=None)
+@given(situations())
+def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray]) -> None:
+    travel, location, free, worth = found
+    nobody = np.zeros((1, 4), dtype=np.int64)
+    team = TeamState(0, nobody, nobody == 0, nobody > 0, location, nobody, None, [], travel, free=free)
+    net = worth[:, None] - team.to()
+    person = assigned(team, net)
+    team.check(TeamAction(person, np.zeros_like(person)))
+    assert (person[~free] == NOBODY).all()
+    taken = set(location[~free])
+    options = [[NOBODY, *sorted({0, 1, 2, 3} - taken)] if one else [NOBODY] for one in free[0]]
+    best = max(
+        sum(net[0, m, k] for m, k in enumerate(each) if k != NOBODY)
+        for each in itertools.product(*options)
+        if len({k for k in each if k != NOBODY}) == sum(k != NOBODY for k in each)
+    )
+    assert sum(net[0, m, k] for m, k in enumerate(person[0]) if k != NOBODY) == pytest.approx(best)
+
+
+@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("distance", [None, FAR])
+def test_the_joint_assignment_of_one_robot_is_the_choice_of_one_robot(
+    pool: Pool, name: str, distance: list[list[float]] | None
+) -> None:
+    rng = np.random.default_rng(5)
+    start = pool.choices(0).initial
+    steps = np.flatnonzero(pool.choices(0).h > 0)
+    policy = pool.policy(name, travel := pool.setting.travel(3, distance))
+    for _ in range(8):
+        team = state(
+            pool, [start, *rng.choice(steps, 2).tolist()], erred=[False, True, True],
+            location=int(rng.integers(-1, 3)), travel=travel,
+        )  # fmt: skip
+        alone, joint = policy(team), policy(replace(team, location=team.location[:, None]))
+        if name == "reactive" and distance is not None:  # several robots are sent to the nearest people
+            continue
+        np.testing.assert_array_equal(joint.person[:, 0], alone.person)
+        np.testing.assert_array_equal(joint.robot[:, 0], alone.robot)
+
+
+@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize(("travel_time", "distance"), [(0, None), (1, None), (0.7, FAR)])
+def test_two_robots_never_attend_the_same_person(
+    pool: Pool, name: str, travel_time: float, distance: list[list[float]] | None
+) -> None:
+    trace: Trace = []
+    two = of(pool, 2, travel_time=travel_time)
+    travel = two.setting.travel(3, distance)
+    episodes = run(two, name, episodes=20, trace=trace, travel=travel)
+    for episode in episodes:
+        rows = [row for row in trace if row["episode"] == f"{name}-{episode.episode}"]
+        assert sum(row["suggestion"] is not None for row in rows) == episode.interventions
+        for row in rows:
+            there = [place for place in row["robot_places"] if place is not None]
+            assert len(set(there)) == len(there)
+            assert row["suggestion"] is None or row["place"] in there
+    assert (episodes.interventions > 0).any() == (name != "none")
+    if travel_time:
+        return
+    both = {tuple(row["robot_places"]) for row in trace if None not in row["robot_places"]}
+    assert bool(both) == (name != "none")  # two robots are with two people at a time
+
+
+def test_with_a_robot_each_everybody_is_always_attended_to(pool: Pool) -> None:
+    """If moves are free, as many robots as people serve each person like a robot of their own."""
+    each = of(pool, 3, c_move=0.0)
+    policy = each.policy("attention")
+
+    def everybody(team: TeamState) -> TeamAction:
+        q = team.q_values()
+        robot = np.where(team.active, q.argmax(axis=2), 0)
+        person = np.where(robot > 0, np.arange(3), NOBODY)
+        return TeamAction(person, robot)
+
+    def checked(team: TeamState) -> TeamAction:
+        action = policy(team)
+        said = np.zeros_like(team.x)
+        n, m = np.nonzero(action.person != NOBODY)
+        said[n, action.person[n, m]] = action.robot[n, m]
+        np.testing.assert_array_equal(said, everybody(team).robot)
+        return action
+
+    found = simulate(each, checked, humans=3, episodes=50, seed=3)
+    assert (found.discounted_return == simulate(each, everybody, humans=3, episodes=50, seed=3).discounted_return).all()
+    more = run(of(pool, 4, c_move=0.0), "attention")
+    assert (more.discounted_return == found.discounted_return).all()
+
+
+# Sums of returns, and of moves, of 40 episodes before a team could have several robots.
+ONE_ROBOT = {
+    "none": (-952.3699800051611, 0, -952.3699800051611, 0),
+    "reactive": (-1000.6717509828836, 59, -1017.0754235388016, 56),
+    "attention": (-909.4931999904669, 37, -937.2841934494932, 19),
+    "attention-never": (-930.1507422602385, 63, -945.6616567038274, 58),
+    "priority": (-914.7394355332974, 41, -927.9910723764501, 44),
+}
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_one_robot_does_what_it_always_did(pool: Pool, name: str) -> None:
+    slow = replace(pool, setting=replace(pool.setting, travel_time=0.7))
+    near, far = run(pool, name, episodes=40), run(slow, name, episodes=40, travel=slow.setting.travel(3, FAR))
+    values = (near.discounted_return.sum(), near.moves.sum(), far.discounted_return.sum(), far.moves.sum())
+    assert values == pytest.approx(ONE_ROBOT[name], abs=1e-9)
+
+
+def test_more_robots_are_worth_more(strangers: Pool) -> None:
+    found = [run(of(strangers, robots), "priority", 4, 1000).discounted_return for robots in (1, 2, 3, 4)]
+    for fewer, more in itertools.pairwise(found):
+        difference = more - fewer
+        assert difference.mean() > -2 * difference.std() / np.sqrt(len(difference))
+    assert (found[1] - found[0]).mean() > 0.01
+
+
+@pytest.mark.parametrize("robots", [2, 3])
+def test_no_policy_exceeds_the_bound(strangers: Pool, robots: int) -> None:
+    several, options = of(strangers, robots), BoundOptions(price_episodes=200)
+    bound = upper_bound(several, (0, 1, 2), window=4, gap=1e-3, options=options)
+    one = upper_bound(strangers, (0, 1, 2), window=4, gap=1e-3, options=options)
+    assert one.upper < bound.upper
+    assert (len(bound.price) > 0) == (robots < 3)  # as many robots as people never have to choose
+    policies = {name: name for name in POLICIES} | {"prices": bound.policy()}
+    for name, policy in policies.items():
+        certificate = bound.certify(policy, name, episodes=2000)
+        assert certificate.value - 3 * certificate.value_stderr <= bound.upper
+        if name == "prices":
+            assert certificate.gap_percent < 2
+    relaxed, error = bound.relaxed(episodes=2000)
+    assert relaxed - 3 * error <= bound.upper
+
+
+def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:
+    team = replace(state(pool, [pool.choices(0).initial] * 3), location=np.array([[BASE, 1]]))
+    for person, complaint in (
+        ([0, 0], "lets two robots be with one person"),
+        ([1, NOBODY], "lets two robots be with one person"),
+        ([0, 3], "goes to person 3 in a team of 3"),
+    ):
+        with pytest.raises(PolicyError, match=complaint):
+            team.check(TeamAction(np.array([person]), np.zeros((1, 2), dtype=np.int64)))
+    team.check(TeamAction(np.array([[1, 0]]), np.zeros((1, 2), dtype=np.int64)))
+    with pytest.raises(PolicyError, match=r"shape \(1, 2\), an entry for each robot"):
+        team.check(TeamAction(np.array([0]), np.array([0])))
+    under_way = replace(team, free=np.array([[True, False]]))
+    with pytest.raises(PolicyError, match="sends a robot that is under way"):
+        under_way.check(TeamAction(np.array([[NOBODY, 2]]), np.zeros((1, 2), dtype=np.int64)))
+
+
+@pytest.mark.parametrize("robots", [0, -1, 1.5, "two"])
+def test_a_team_has_a_whole_number_of_robots(robots: object) -> None:
+    with pytest.raises(ValueError, match="robots"):
+        Setting(robots=robots)  # type: ignore[arg-type]
+    assert "robots" not in Setting().as_dict()
+    assert Setting(**Setting(robots=3).as_dict()).robots == 3
+
+
+def test_what_several_robots_cannot_do_yet(strangers: Pool) -> None:
+    with pytest.raises(ValueError, match="robots 2: expected 1, as the bound from sample paths has one robot"):
+        upper_bound(of(strangers, 2), paths=30)
+
+
+def test_commands_with_several_robots(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.jsonl"
+    costs = ("--c-suggest", 0.1, "--c-move", 0.2, "--knowledge", "exact", "--json")
+    found = invoke(
+        "simulate", "kitting/tiny", "--humans", 3, "--robots", 2, "--policy", "priority", "--episodes", 20, *costs,
+        "--trace", trace,
+    )  # fmt: skip
+    assert json.loads(found.stdout)["setting"]["robots"] == 2
+    assert len(json.loads(trace.read_text().splitlines()[0])["robot_places"]) == 2
+    found = invoke(
+        "bound", "kitting/tiny", "--humans", 2, "--robots", 2, "--policy", "priority", "--episodes", 500,
+        "--gap", 0.05, *costs,
+    )  # fmt: skip
+    record = json.loads(found.stdout)
+    assert record["value"] - 3 * record["value_stderr"] <= record["upper"]
+    found = invoke("bound", "kitting/tiny", "--humans", 3, "--robots", 2, "--samples", 40, *costs)
+    assert found.exit_code == 2
+    assert "--samples with --robots 2: expected one robot" in found.stderr
