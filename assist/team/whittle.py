@@ -27,8 +27,8 @@ class Whittle:
     """Go to the person with the largest Whittle index; stay if that of staying is larger.
 
     The advantage of presence is computed at a few prices, and interpolated linearly between them. The cost of moving is
-    subtracted before the index is determined. People whose index is negative are not attended to. Several robots go where
-    the sum of indices is largest, each to another person.
+    subtracted before the index is determined. People whose index is negative are not attended to. Several robots go
+    where the sum of indices is largest, each to another person.
 
     Attributes
     ----------
