@@ -62,7 +62,8 @@ ROOMS = {
     "assist.web": """tokens cookies measures service schemas authorization request_limits task_drawings routes metrics
         websocket openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
-    "assist.bridges": "messages ordering session_client mqtt_settings mqtt opcua_settings opcua",
+    "assist.bridges": """messages ordering session_client team_watch mqtt_settings mqtt opcua_settings opcua
+        ros2_settings ros2""",
     "assist.cli.terminal": "interrupts console",
     "assist.cli.options": "common task population person travel team policies help live log goals trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables

@@ -27,6 +27,7 @@ from assist.bridges.messages import MessageError, Report, Source, Topic, fields_
 from assist.bridges.mqtt_settings import MqttSettings
 from assist.bridges.opcua_settings import OpcUaSettings
 from assist.bridges.ordering import Acknowledgements, InOrder
+from assist.bridges.ros2_settings import Ros2Settings
 from assist.cli import main
 from assist.cli.options.live import bridge_of
 from assist.live import Event, Session
@@ -133,23 +134,24 @@ def broker() -> Iterator[Broker]:
 class Here:
     """A service in this process, with a bridge beside it."""
 
-    def __init__(self, folder: Path, people: list[str]) -> None:
+    def __init__(self, folder: Path, people: list[str], setting: Setting | None = None) -> None:
         folder.mkdir(exist_ok=True)
-        self.session = Session({"tiny": kit("tiny")}, folder / "journal.sqlite", setting=Setting(c_suggest=0.1))
+        setting = setting or Setting(c_suggest=0.1)
+        self.session = Session({"tiny": kit("tiny")}, folder / "journal.sqlite", setting=setting)
         self.session.report([Event("joined", name) for name in people])
         # No decisions by the clock: what a session does then follows from its events alone.
         self.service = Service(self.session, AccessTokens.kept(folder / "secret", "http://testserver"), tick=3600.0)
         self.app = make_app(self.service)
         self.headers = {"Authorization": f"Bearer {self.service.access.operator}"}
 
-    def run(self, file: Path, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    def run(self, file: Path, work: Callable[[], Coroutine[Any, Any, None]], **options: Any) -> None:
         """Serve until the work is done; a bridge with the settings in the file runs meanwhile."""
         listening = listen("127.0.0.1", 0)
         link = f"http://127.0.0.1:{listening.getsockname()[1]}/operator#{self.service.access.operator}"
         failed = list[Exception]()
 
         async def beside() -> None:
-            self.bridge = bridge_of(file)(link)
+            self.bridge = bridge_of(file)(link, **options)
             bridge = asyncio.create_task(self.bridge.run())
             try:
                 await asyncio.wait_for(work(), 60)
@@ -560,10 +562,13 @@ def test_faults_of_the_settings_are_said(text: str, message: str, tmp_path: Path
 
 def test_the_settings_in_the_documentation(tmp_path: Path) -> None:
     shown = [text for kind, text in BLOCK.findall((ROOT / "docs" / "line.md").read_text()) if kind == "toml"]
-    files = [tmp_path / "mqtt.toml", tmp_path / "opcua.toml"]
+    files = [tmp_path / "mqtt.toml", tmp_path / "opcua.toml", tmp_path / "ros2.toml"]
     for file, text in zip(files, shown, strict=True):
         file.write_text(text)
     assert OpcUaSettings.read(files[1]).advice == (("ns=2;s=A.Light", "ann"),)
+    go_to = Ros2Settings.read(files[2]).go_to
+    assert go_to is not None
+    assert go_to.goal_for("ann") == {"x": 1.0, "y": 2.5}
     settings = MqttSettings.read(files[0])
     (source,) = settings.sources
     payload = b'{"item": "4006381333931", "slot": "slot-1", "scan": "s-17", "n": 3}'

@@ -16,7 +16,7 @@ import json
 import logging
 import re
 from collections import Counter
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import suppress
 from itertools import count
 from random import Random
@@ -31,6 +31,7 @@ from .messages import MessageError, Report, fields_of
 from .mqtt_settings import MqttSettings
 from .ordering import Acknowledgements, InOrder
 from .session_client import SessionClient
+from .team_watch import Tasks, TeamWatch
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -105,14 +106,15 @@ class MqttBridge:
         self.settings, self._mqtt = settings, library()
         self.counts = Counter[str]()
         self._session = SessionClient(link)
-        self._every, self._longest_pause, self._publishers = every, longest_pause, publishers
+        self._longest_pause, self._publishers = longest_pause, publishers
         self._senders: dict[str, _Sender] = {}
-        self._advised: dict[str, asyncio.Task[None]] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks()
+        instructed = None if settings.robot is None else self._instructed
+        self._watch = TeamWatch(self._session, self._advise, instructed, every=every)
         self._kept: dict[str, bytes] = {}  # retained messages by topic
         self._waiting: dict[str | int, tuple[str, bytes, bool]] = {}  # to be published, in this order
         self._keys = count()
-        self._wake, self._moved = asyncio.Event(), asyncio.Event()
+        self._wake = asyncio.Event()
 
     async def run(self) -> None:
         """Work until cancelled. Lost connections to the broker and to the service are restored.
@@ -125,14 +127,14 @@ class MqttBridge:
             A file of the TLS settings cannot be read.
         """
         context = await asyncio.to_thread(self.settings.context)
-        tasks = [asyncio.create_task(one) for one in (self._team(), self._robot(), self._broker(context))]
+        tasks = [asyncio.create_task(one) for one in (self._watch.run(), self._broker(context))]
         try:
             await asyncio.gather(*tasks)
         finally:
-            tasks += self._tasks
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+            await self._tasks.cancel()
             for sender in self._senders.values():
                 if sender.timer is not None:
                     sender.timer.cancel()
@@ -240,21 +242,9 @@ class MqttBridge:
                     self._resume(own["person"], payload)
                 acknowledge()
             elif arrived is not None and arrived.fields(topic) is not None:
-                self._start(self._arrived(payload, acknowledge))
+                self._tasks.start(self._arrived(payload, acknowledge))
             else:
                 self._observed(topic, payload, acknowledge)
-
-    def _start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Run a coroutine beside the others; its failure is logged."""
-        task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._ended)
-        return task
-
-    def _ended(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            LOG.error("MQTT: a part of the bridge failed", exc_info=error)
 
     # Reports.
 
@@ -295,7 +285,7 @@ class MqttBridge:
         for item in items:
             sender.queue.put_nowait(item)
         if items and (sender.task is None or sender.task.done()):
-            sender.task = self._start(self._deliver(person, sender))
+            sender.task = self._tasks.start(self._deliver(person, sender))
         if items or not sender.order.held:
             if sender.timer is not None:
                 sender.timer.cancel()
@@ -337,7 +327,7 @@ class MqttBridge:
                 if error.status == ABSENT and report.number is None and sender.queue.empty():
                     self._senders.pop(person, None)  # a message about nobody costs no memory
             else:
-                self._follow(person)
+                self._watch.follow(person)
                 self._answer(person, report.id, report.number, "recorded", seq=view["seq"])
             acknowledge()
 
@@ -366,46 +356,26 @@ class MqttBridge:
             fields = fields_of(payload)
             body = {"person": fields.get("person")} | ({"id": fields["id"]} if "id" in fields else {})
             await self._session.ask("POST", "/api/robot/arrived", body)
-            self._moved.set()
+            self._watch.moved()
         except (MessageError, RefusedError) as error:
             LOG.warning("MQTT: arrival of the robot: %s", error)
         acknowledge()
 
     # Advice.
 
-    async def _team(self) -> None:
-        """Keep watching the views of everybody in the team."""
-        while True:
-            team = await self._session.ask("GET", "/api/team")
-            for one in team["people"]:
-                self._follow(one["person"])
-            self._moved.set()
-            await asyncio.sleep(self._every)
-
-    def _follow(self, person: str) -> None:
-        task = self._advised.get(person)
-        if task is None or task.done():
-            self._advised[person] = self._start(self._advise(person))
-
-    async def _advise(self, person: str) -> None:
+    def _advise(self, person: str, view: dict[str, Any] | None) -> None:
         """Publish a person's advice after every change; when they have left, the broker is to keep nothing of them."""
         output = self.settings.advice
-        async for view in self._session.watch(person):
-            if output is not None:
-                advice = {name: view[name] for name in output.fields}
-                self._publish(output.topic.fill(person=person), json.dumps(advice).encode())
-            self._moved.set()
         if output is not None:
-            self._publish(output.topic.fill(person=person), b"")
-        if self.settings.answers is not None and person in self._senders and self._senders[person].answered:
+            advice = b"" if view is None else json.dumps({name: view[name] for name in output.fields}).encode()
+            self._publish(output.topic.fill(person=person), advice)
+        answered = person in self._senders and self._senders[person].answered
+        if view is None and self.settings.answers is not None and answered:
             self._waiting[next(self._keys)] = (self.settings.answers.fill(person=person), b"", True)
             self._wake.set()
 
-    async def _robot(self) -> None:
+    def _instructed(self, errand: dict[str, Any]) -> None:
         """Publish the robot's instruction whenever it has changed."""
         output = self.settings.robot
-        while output is not None:
-            await self._moved.wait()
-            self._moved.clear()
-            errand = await self._session.ask("GET", "/api/robot")
-            self._publish(output.topic.text, json.dumps({name: errand[name] for name in output.fields}).encode())
+        assert output is not None
+        self._publish(output.topic.text, json.dumps({name: errand[name] for name in output.fields}).encode())

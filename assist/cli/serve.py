@@ -36,9 +36,7 @@ if TYPE_CHECKING:
     help=f"Port to listen on; 0 for any free one.  [default: {PORT}, or another if it is taken]",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all networks.")
-@click.option(
-    "--bridge", type=INPUT_FILE, metavar="FILE.toml", help="Connect the team to an MQTT broker or OPC UA server."
-)
+@click.option("--bridge", type=INPUT_FILE, metavar="FILE.toml", help="Connect the team to MQTT, OPC UA or ROS 2.")
 @public_url_option
 @trusted_proxy_option
 @live_options

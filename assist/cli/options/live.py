@@ -110,7 +110,8 @@ def plan_of(
 def bridge_of(file: Path) -> Callable[[str], Bridge]:
     """Read the settings of a bridge; return a function that makes the bridge, given the operator's link.
 
-    The settings of an OPC UA bridge have a table `server`; others are of an MQTT bridge.
+    The settings of an OPC UA bridge have a table `server`, those of a ROS 2 bridge a table `rosbridge`. Others are of
+    an MQTT bridge.
 
     Raises
     ------
@@ -125,10 +126,15 @@ def bridge_of(file: Path) -> Callable[[str], Bridge]:
         from ...bridges import mqtt, opcua
         from ...bridges.mqtt_settings import MqttSettings
         from ...bridges.opcua_settings import OpcUaSettings
+        from ...bridges.ros2 import Ros2Bridge
+        from ...bridges.ros2_settings import Ros2Settings
     except ImportError as error:  # of the library for typed tables
         raise MissingExtraError("a bridge needs", str(error.name), "mqtt") from None
     try:
-        if "server" in typed_toml.load(file):
+        tables = typed_toml.load(file)
+        if "rosbridge" in tables:
+            return partial(Ros2Bridge, Ros2Settings.read(file))
+        if "server" in tables:
             opcua.library()
             return partial(opcua.OpcUaBridge, OpcUaSettings.read(file))
         mqtt.library()

@@ -1,0 +1,273 @@
+"""The settings of the ROS 2 bridge, from one TOML file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+
+from planner.system import typed_toml
+from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located, regular_expression
+
+from .messages import FIELD, Fields, MessageError, Source, Topic, fields_of
+from .mqtt_settings import ADVICE, VIEW
+
+STRING = "std_msgs/msg/String"
+NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+TYPE = re.compile(r"[a-z]\w*/((msg|action)/)?[A-Z]\w*", re.ASCII)
+
+ANSWER = "person", "id", "status", "detail", "seq"
+NULLABLE = {"reason", "cost_to_go"}  # which messages of ROS cannot contain
+
+Names = Annotated[dict[str, str], Meta(description="a table of texts")]
+Places = Annotated[dict[str, dict[str, Any]], Meta(description="a table for each person")]
+
+
+class RosbridgeTable(Struct, forbid_unknown_fields=True):
+    """The table `rosbridge`."""
+
+    url: Text
+
+
+class ObserveTable(Struct, forbid_unknown_fields=True):
+    """A table `observe`."""
+
+    topic: Text
+    type: Text = STRING
+    action: Text = "{action}"
+    id: Text = "{id}"
+    person: Text = "{person}"
+    seq: Text | None = None
+    pattern: Text | None = None
+    begins: Truth = False
+
+
+class OutputTable(Struct, forbid_unknown_fields=True):
+    """A table `advice` or `answers`."""
+
+    topic: Text
+    type: Text = STRING
+    fields: Texts | None = None
+
+
+class GoToTable(Struct, forbid_unknown_fields=True):
+    """The table `go_to`."""
+
+    action: Text
+    type: Text
+    goal: AnyTable
+    places: Places = {}
+
+
+class FileTables(Struct, forbid_unknown_fields=True):
+    """The whole file."""
+
+    rosbridge: RosbridgeTable
+    observe: Annotated[AnyTable | list[dict[str, Any]], Meta(description="a table, or a list of tables")]
+    advice: OutputTable | None = None
+    answers: OutputTable | None = None
+    go_to: GoToTable | None = None
+    names: Names | None = None
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A ROS topic whose messages report actions.
+
+    Attributes
+    ----------
+    topic, type : str
+    source : Source
+        Templates of what a message reports. Fields are those of the message, or of the JSON object in a String.
+    """
+
+    topic: str
+    type: str
+    source: Source
+
+    def fields(self, message: Mapping[str, Any]) -> Fields:
+        """Return the fields of a message.
+
+        Raises
+        ------
+        MessageError
+            It is a String without a JSON object in it, or does not match the pattern.
+        """
+        if self.type == STRING:
+            return fields_of(str(message.get("data", "")).encode(errors="replace"), self.source.pattern)
+        return {
+            name: str(value)
+            for name, value in message.items()
+            if isinstance(value, str | int | float) and not isinstance(value, bool)
+        }
+
+
+@dataclass(frozen=True)
+class Output:
+    """A ROS topic on which the bridge publishes.
+
+    Attributes
+    ----------
+    topic, type : str
+    fields : tuple of str
+        Fields of the message, or of the JSON object in a String.
+    """
+
+    topic: str
+    type: str
+    fields: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class GoTo:
+    """The ROS action that takes the robot to a person.
+
+    Attributes
+    ----------
+    action, type : str
+    goal : dict
+        The goal, in which `{person}` and the fields of the person's place are filled in.
+    places : mapping of str to dict
+        Fields of each person's place, such as coordinates.
+    """
+
+    action: str
+    type: str
+    goal: Mapping[str, Any]
+    places: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def goal_for(self, person: str) -> dict[str, Any]:
+        """Return the goal that takes the robot to a person.
+
+        Raises
+        ------
+        MessageError
+            The person has no place.
+        """
+        fields = {**self.places.get(person, {}), "person": person}
+        if missing := sorted(_fields(self.goal) - set(fields)):
+            raise MessageError(f"go_to.places: {person!r} has no {' and no '.join(missing)}")
+        found: dict[str, Any] = _filled(self.goal, fields)
+        return found
+
+
+def _fields(template: Any) -> set[str]:
+    """Return the fields that occur in a goal."""
+    if isinstance(template, str):
+        return set(FIELD.findall(template))
+    values = template.values() if isinstance(template, Mapping) else template if isinstance(template, list) else ()
+    return set[str]().union(*map(_fields, values))
+
+
+def _filled(template: Any, fields: Mapping[str, Any]) -> Any:
+    """Return a goal with its fields filled in; a text of one field only becomes its value, whatever type that has."""
+    if isinstance(template, Mapping):
+        return {name: _filled(value, fields) for name, value in template.items()}
+    if isinstance(template, list):
+        return [_filled(value, fields) for value in template]
+    if not isinstance(template, str):
+        return template
+    alone = FIELD.fullmatch(template)
+    return fields[alone[1]] if alone else FIELD.sub(lambda found: str(fields[found[1]]), template)
+
+
+@dataclass(frozen=True)
+class Ros2Settings:
+    """Settings of the ROS 2 bridge.
+
+    Attributes
+    ----------
+    url : str
+        Address of the rosbridge server, `ws://host:port` or `wss://host:port`.
+    observed : tuple of Observed
+    advice, answers : Output or None
+        Where suggestions are published, and where reports are answered.
+    go_to : GoTo or None
+    """
+
+    url: str
+    observed: tuple[Observed, ...]
+    advice: Output | None = None
+    answers: Output | None = None
+    go_to: GoTo | None = None
+
+    @classmethod
+    def read(cls, file: str | Path) -> Ros2Settings:
+        """Read the settings from a TOML file.
+
+        Raises
+        ------
+        InputFileError
+            A field is missing, unknown or of the wrong type; the message has its place.
+        """
+        file = Path(file)
+        with located(file):
+            tables = convert(typed_toml.load(file), FileTables, file)
+            if not re.fullmatch(r"wss?://[^\s/:]+(:\d+)?(/\S*)?", tables.rosbridge.url):
+                raise fault(file, "rosbridge.url", f"{tables.rosbridge.url!r}; expected ws://host:port or wss://host")
+            several = tables.observe if isinstance(tables.observe, list) else [tables.observe]
+            if not several:
+                raise fault(file, "observe", "is empty; expected a table or more")
+            observed = tuple(
+                _observed(one, tables.names or {}, file, "observe" if one is tables.observe else f"observe[{number}]")
+                for number, one in enumerate(several, start=1)
+            )
+            if len({one.topic for one in observed}) < len(observed):
+                raise fault(file, "observe", "a topic occurs twice; expected one table for each")
+            return cls(
+                tables.rosbridge.url, observed,
+                advice=_output(tables.advice, ADVICE, VIEW, file, "advice"),
+                answers=_output(tables.answers, ANSWER, {*ANSWER}, file, "answers"),
+                go_to=_go_to(tables.go_to, file),
+            )  # fmt: skip
+
+
+def _checked(topic: str, type: str, file: Path, place: str) -> None:
+    """Check a name and a type of ROS."""
+    key = "action" if place == "go_to" else "topic"
+    if not NAME.fullmatch(topic):
+        raise fault(file, f"{place}.{key}", f"{topic!r}; expected a name of ROS: letters, digits, _ and / between them")
+    if not TYPE.fullmatch(type):
+        raise fault(file, f"{place}.type", f"{type!r}; expected a type of ROS, such as {STRING}")
+
+
+def _observed(content: Any, names: Mapping[str, str], file: Path, place: str) -> Observed:
+    table = convert(content, ObserveTable, file, place)
+    _checked(table.topic, table.type, file, place)
+    pattern = regular_expression(table.pattern, file, f"{place}.pattern")
+    if pattern is not None and table.type != STRING:
+        raise fault(file, f"{place}.pattern", f"applies to texts; expected the type {STRING}")
+    source = Source(
+        Topic("topic"), table.action, table.id, table.person, None, table.seq, pattern, names, table.begins
+    )  # fmt: skip
+    return Observed(table.topic, table.type, source)
+
+
+def _output(
+    table: OutputTable | None, usual: tuple[str, ...], known: set[str], file: Path, place: str
+) -> Output | None:
+    if table is None:
+        return None
+    _checked(table.topic, table.type, file, place)
+    known = known if table.type == STRING else known - NULLABLE
+    for name in table.fields or ():
+        if name not in known:
+            raise fault(file, f"{place}.fields", f"{name!r}; expected some of {', '.join(sorted(known))}")
+    return Output(table.topic, table.type, table.fields or usual)
+
+
+def _go_to(table: GoToTable | None, file: Path) -> GoTo | None:
+    if table is None:
+        return None
+    _checked(table.action, table.type, file, "go_to")
+    go_to = GoTo(table.action, table.type, table.goal, table.places)
+    for person in table.places:
+        try:
+            go_to.goal_for(person)
+        except MessageError as error:
+            raise fault(file, f"go_to.places.{person}", str(error).partition(": ")[2]) from None
+    return go_to
