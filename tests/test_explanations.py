@@ -6,7 +6,6 @@ import math
 import pickle
 from dataclasses import asdict, replace
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -206,16 +205,16 @@ def test_searched_tasks_compare_two_plans() -> None:
     assert replayed.check(state, found) == "possible"
 
 
-def test_large_graphs_compare_two_plans(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module("assist.explain.contrast"), "LARGEST", 1)
+def test_large_graphs_compare_two_plans() -> None:
     known = table("kitting/paper")
     choices = Choices.of(known)
-    found = contrast(choices, choices.initial, "(fetch box-b)", "(fetch box-a)")
+    found = contrast(choices, choices.initial, "(fetch box-b)", "(fetch box-a)", largest=1)
     assert found.consequence is None or found.consequence.kind in ("possible", "no-closer", "further")
     state = int(choices.targets[choices.initial, 0])
     names = [choices.name(state, slot) for slot in range(int(choices.applicable[state].sum()))]
     step = choices.name(state, int(choices.optimal[state].argmax()))
-    worse = [one for name in names if name != step and (one := contrast(choices, state, step, name)).difference > 0]
+    compared = [contrast(choices, state, step, name, largest=1) for name in names if name != step]
+    worse = [one for one in compared if one.difference > 0]
     kinds = [one.consequence.kind for one in worse if one.consequence is not None]
     assert "possible" in kinds
     for one in worse:

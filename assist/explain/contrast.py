@@ -108,6 +108,7 @@ def contrast(
     *,
     probability: float | None = None,
     say: Say = str,
+    largest: int = 5_000,
 ) -> Contrast:
     """Return the comparison of a step with another action that is applicable in the same state.
 
@@ -124,6 +125,9 @@ def contrast(
     say : callable, optional
         The domain's words, which may omit arguments. An action in the same words as the step is no consequence, since
         a reader could not tell them apart.
+    largest : int
+        Largest number of states of a graph of optimal continuations; with more, two plans are compared. The default
+        takes about 50 ms. Where each state is looked up, which takes 5 ms, at most 200 states are allowed.
 
     Raises
     ------
@@ -148,21 +152,20 @@ def contrast(
     elif difference == 0 and here.optimal[a] and not here.optimal[b]:  # as there are actions of cost 0
         consequence = Consequence("longer")
     elif difference > 0:
-        consequence = _consequence(known, state, a, b, say)
+        consequence = _consequence(known, state, a, b, say, largest)
     unit: Unit = "actions" if costs_are_one(known) else "cost"
     return Contrast(names[0], names[1], difference, unit, consequence, probability)
 
 
-def _consequence(known: Choices | CostToGo, state: int, a: int, b: int, say: Say) -> Consequence | None:
+def _consequence(known: Choices | CostToGo, state: int, a: int, b: int, say: Say, largest: int) -> Consequence | None:
     """Return the consequence of the choice in slot `b`, which is worse than that in slot `a` and no dead end."""
     here = edges(known, [state])
     step, alternative = (action_name(known, int(here.action[slot])) for slot in (a, b))
     to_a, to_b = int(here.target[a]), int(here.target[b])
     if to_a == to_b:
         return Consequence("same")
-    largest = 5_000  # states of a graph, which take about 50 ms
-    if not isinstance(known, Choices):  # a look-up takes 5 ms a state; a search for each state would take too long
-        largest = 0 if known.searches else 200
+    if not isinstance(known, Choices):  # a search for each state would take too long; two plans are two searches
+        largest = 0 if known.searches else min(largest, 200)
     graph_a = OptimalContinuations.of(known, to_a, largest) if largest else None
     graph_b = OptimalContinuations.of(known, to_b, largest) if graph_a is not None else None
     if graph_a is None or graph_b is None:

@@ -3,7 +3,7 @@
 `cost_to_go` sweeps all states if the limits allow it, and otherwise solves states on demand. If only some states are
 requested, both methods run concurrently, and the first to finish provides the result. Since each has about half of the
 processors, this takes at most about twice as long as the better method alone. At the start each method runs alone for a
-moment: the sweep for 0.008 seconds, then the single-state search for 0.03 seconds, which are enough for an easy
+moment: the sweep for `FIRST` seconds, then the single-state search for 0.03 seconds, which are enough for an easy
 state. If there are too many states for a sweep, one canonical state of each orbit is swept, provided that there are few
 enough orbits. The result is a `Table` or an `OnDemand`; both implement `CostToGo`.
 """
@@ -29,6 +29,9 @@ from .on_demand import OnDemand
 from .orbits import OrbitTable, orbits
 from .sweep import sweep
 from .table import Table
+
+FIRST = 0.008
+"""Seconds for which the sweep runs alone. A task of some ten thousand states is swept in that time."""
 
 
 class _Unswept(NamedTuple):
@@ -180,8 +183,7 @@ def _race(
     with ThreadPoolExecutor(1) as pool:
         try:
             sweep_of_all = pool.submit(sweeping)
-            # Seconds for which the sweep runs alone; a task of some ten thousand states is swept in that time.
-            if over.wait(0.008) and isinstance(table := sweep_of_all.result(), Table):
+            if over.wait(FIRST) and isinstance(table := sweep_of_all.result(), Table):
                 return table
             enough.pause(0.03)
             start = time.monotonic()

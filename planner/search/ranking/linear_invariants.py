@@ -23,6 +23,9 @@ from ...system.limits import Check, unchecked
 from ..kernels.unranking import PRIME
 from .transition_normal_form import TNFOperator
 
+STEPS_PER_CHECK = 1 << 28
+"""Multiplications between two checks of the limits."""
+
 
 @dataclass(frozen=True)
 class Determined:
@@ -148,11 +151,6 @@ def _without(space: Ints, first: Ints, variable: int, check: Callable[[], None])
     return _product(_null_space(_relative(space, first, variable).T, check), space, check)
 
 
-def _rows_per_check(each: int, multiplications: int = 1 << 28) -> int:
-    """Return the number of rows or columns between two checks of the limits, for `each` multiplications a row."""
-    return multiplications // (each + 1) + 1
-
-
 def _product(a: Ints, b: Ints, check: Callable[[], None]) -> Ints:
     """Return the product of two matrices modulo the prime.
 
@@ -160,7 +158,7 @@ def _product(a: Ints, b: Ints, check: Callable[[], None]) -> Ints:
     invariants.
     """
     product, factor = np.empty((len(a), b.shape[1]), dtype=np.int64), b.astype(np.float64)
-    step = _rows_per_check(b.size)
+    step = STEPS_PER_CHECK // (b.size + 1) + 1
     for begin in range(0, len(a), step):
         check()
         product[begin : begin + step] = a[begin : begin + step].astype(np.float64) @ factor % PRIME
@@ -182,7 +180,7 @@ def _null_space(matrix: Ints, check: Callable[[], None]) -> Ints:
 def _reduced(matrix: Ints, check: Callable[[], None]) -> Ints:
     """Reduce a matrix to row echelon form modulo the prime, in place; return each row's pivot column or -1."""
     pivots = np.full(len(matrix), -1, dtype=np.int64)
-    step, top = _rows_per_check(8 * matrix.size), 0
+    step, top = STEPS_PER_CHECK // (8 * matrix.size + 1) + 1, 0
     for column in range(0, matrix.shape[1], step):
         check()
         top = _reduce(matrix, pivots, top, column, min(column + step, matrix.shape[1]))

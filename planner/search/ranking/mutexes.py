@@ -22,6 +22,9 @@ from ...system.jit import njit
 from ...system.limits import Check, unchecked
 from .transition_normal_form import TNFOperator
 
+STEPS_PER_CHECK = 1 << 21
+"""Moves times facts between two checks of the limits."""
+
 
 @dataclass(frozen=True)
 class Mutexes:
@@ -72,7 +75,7 @@ class Mutexes:
         together[np.ix_(initial, initial)] = True
         possible = np.zeros(len(moves), dtype=bool)
         barred = np.zeros((len(moves), first[-1]), dtype=bool)
-        step = (1 << 21) // max(1, facts) + 1  # moves between two checks of the limits: milliseconds
+        step = STEPS_PER_CHECK // max(1, facts) + 1
         change = True
         while change:
             change = False

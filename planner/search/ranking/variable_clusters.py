@@ -26,6 +26,9 @@ from .mutexes import Mutexes
 MOST_VALUES = 1 << 16
 """Largest number of joint values of a cluster. Larger gives fewer ranks, but larger tables."""
 
+STEPS_PER_CHECK = 1 << 24
+"""Comparisons of values between two checks of the limits."""
+
 
 @dataclass(frozen=True)
 class Cluster:
@@ -112,7 +115,7 @@ class Projections:
         queue[0] = self.initial[columns] @ factors
         fill_slots(slots, queue, 0, 1)
         done, seen = 0, 1
-        step = (1 << 24) // (after.size + 1) + 1  # keys between two checks of the limits: 2^24 comparisons of values
+        step = STEPS_PER_CHECK // (after.size + 1) + 1
         while done < seen:
             if seen == len(queue):
                 slots = np.zeros(2 * len(slots), dtype=np.uint64)
