@@ -1,22 +1,7 @@
 """The compiled search for bounds on one person's problem, and the arrays that it works on.
 
-**Upper bound.** Each state has a `UpperHull`. Let V be the value function of a state on unnormalised beliefs, `corner`
-an upper bound on V at the unit vectors, and b_i beliefs with known bounds V(b_i) <= v_i.
-
-Claim: for all weights w >= 0 with  sum_i w_i b_i <= b,
-
-    V(b) <= corner . b + sum_i w_i d_i,     where d_i = v_i - corner . b_i.
-
-Proof: V is convex and positively homogeneous, hence subadditive. With r = b - sum_i w_i b_i >= 0 follows V(b) <= sum_i
-w_i V(b_i) + V(r). The first term is at most sum_i w_i v_i. By the same argument V(r) <= corner . r. The sum of both
-bounds is the right-hand side.
-
-Only points with d_i < 0 improve the bound. The best weights solve a linear program. The sawtooth bound of Hauskrecht
-("Value-function approximations for partially observable Markov decision processes", 2000) gives weight to one belief
-only, which is the first pivot of the simplex method. A few more pivots are cheap here: a basis contains few beliefs,
-and the slack variables cost nothing. They make the bound much tighter between the stored beliefs. The final weights are
-checked against both conditions of the claim. So every number of pivots, and any rounding in them, gives a valid bound.
-As the pivots stop early, this bound is not exactly convex; `upper_hull` computes one that is.
+**Upper bound.** Each state has a `UpperHull`: beliefs with known bounds, from which `upper_hull` derives the bound at
+any other. The search uses a few pivots of its linear program, so that the bound is not exactly convex.
 
 **Lower bound.** Each state has `AlphaVectors`: the returns of plans, for each (beta, theta).
 
@@ -37,10 +22,11 @@ from ..people.decision import Floats
 from ..people.influence_kernels import influence_factors
 from .belief_filter import child, split
 from .qmdp import ROUNDING
+from .upper_hull import new_program, solve
 
 FEW_VECTORS = 32  # length up to which the vector list of a state is not pruned; pruning takes time, long lists too
 NONE = -1
-ZERO, ONE, NEITHER = map(np.int64, (0, 1, NONE))  # numba would compile a function again for a literal argument
+ZERO, NEITHER = map(np.int64, (0, NONE))  # numba would compile a function again for a literal argument
 # TINY * HUGE is large, so that an entry that is 0 in both beliefs never limits a weight.
 TINY, HUGE = 1e-290, 1e300
 FAST = {"reassoc", "contract", "nsz", "nnan"}
@@ -56,7 +42,7 @@ class UpperHull(NamedTuple):
     belief, inverse : float arrays, shape (capacity, H)
         Beliefs of mass 1, and the reciprocal of each entry.
     drop : float array, shape (capacity,)
-        d_i of the module's claim, below 0: the bound at each belief minus corner . belief.
+        d_i in `upper_hull`, below 0: the bound at each belief minus corner . belief.
     state, after : int arrays, shape (capacity,)
         State of each belief (-1: unused entry), and the next belief of the same state (or the next unused entry).
     head : int array, shape (n,)
@@ -73,21 +59,6 @@ class UpperHull(NamedTuple):
     after: NDArray[np.int32]
     head: NDArray[np.int32]
     space: NDArray[np.int64]
-
-
-class Room(NamedTuple):
-    """Work arrays of the linear program: candidate beliefs, their possible contributions, and a basis."""
-
-    candidate: NDArray[np.int32]
-    worth: Floats
-    basis: NDArray[np.int32]
-    row: NDArray[np.int64]
-    weight: Floats
-    dual: Floats
-    direction: Floats
-    matrix: Floats
-    left: Floats
-    change: Floats
 
 
 class AlphaVectors(NamedTuple):
@@ -176,14 +147,9 @@ def new_trial(depth: int, size: int, robots: int, slots: int) -> Trial:
 def new_room(size):
     """Return the work arrays of `upper` for beliefs with `size` entries.
 
-    A bound uses at most 5 pivots: more pivots tighten it, but the search does more backups with cheap bounds. It
-    considers at most 256 beliefs of a state, the most recent ones; `upper_hull` considers all in the end.
+    It considers at most 256 beliefs of a state, the most recent ones. `upper_hull.uppers` considers all in the end.
     """
-    k = 5 + 1
-    return Room(
-        np.empty(256, np.int32), np.empty(256), np.empty(k, np.int32), np.empty(k, np.int64),
-        np.empty(k), np.empty(k), np.empty(k), np.empty((k, k)), np.empty(size), np.empty(size),
-    )  # fmt: skip
+    return new_program(size, 256)
 
 
 # Reassociation lets the compiler vectorise the sums. The margin of each backup covers its effect on rounding.
@@ -245,197 +211,25 @@ def upper(x, belief, hull, room):
     A belief is a candidate for further pivots if its own weight could lower the bound by at least half as much as the
     best belief does. Smaller contributions cost more time than they improve the bound.
     """
-    drop, inverse, after, candidate, worths = hull.drop, hull.inverse, hull.after, room.candidate, room.worth
+    drop, inverse, after = hull.drop, hull.inverse, hull.after
     base = dot(hull.corner[x], belief)
-    best, first, count = 0.0, NONE, 0
+    best, count = 0.0, 0
     i = hull.head[x]
     while i >= 0:
-        worth = drop[i] * _largest_weight(belief, inverse[i], 0.5 * best / drop[i])
-        if worth < 0.5 * best and count < len(candidate):
-            candidate[count], worths[count] = i, worth
+        share = _largest_weight(belief, inverse[i], 0.5 * best / drop[i])
+        worth = drop[i] * share
+        if worth < 0.5 * best and count < len(room.share):
+            room.column[count], room.share[count] = i, share
             count += 1
-        if worth < best:
-            best, first = worth, i
+        best = min(best, worth)
         i = after[i]
     if count < 2:
         return base + best
-    return base + min(best, _pivot(belief, first, best, count, hull, room))
-
-
-@njit()
-def _pivot(belief, first, best, count, hull, room):
-    """Improve the weight of one belief by the simplex method; return sum_i w_i d_i of the weights found.
-
-    The basic columns are the beliefs `basis`, and all slack variables but those of the entries `row`.
-    """
-    k, more = ONE, True
-    room.basis[0], room.row[0], room.weight[0] = first, 0, best / hull.drop[first]
-    smallest = HUGE
-    for h in range(len(belief)):
-        share = (belief[h] + TINY) * hull.inverse[first, h]
-        if share < smallest:
-            smallest, room.row[0] = share, h
-    for _ in range(len(room.basis) - 1):
-        if not _dual_prices(k, hull, room):
-            break
-        enter, slack = _price(belief, best, count, k, hull, room)
-        if (enter == NONE and slack == NONE) or not _directions(enter, slack, k, hull, room):
-            break
-        step, leave, bound = _longest_step(belief, enter, k, hull, room)
-        if step >= HUGE:
-            break
-        k, more = _exchange(enter, slack, leave, bound, step, k, room)
-        if not more:
-            break
-    return _worth(belief, k, hull, room)
-
-
-@njit()
-def _dual_prices(k, hull, room):
-    """Compute the dual prices of the entries `row` of the present basis; return whether that is possible."""
-    basis, row, matrix = room.basis, room.row, room.matrix
-    for j in range(k):
-        room.dual[j] = hull.drop[basis[j]]
-        for r in range(k):
-            matrix[j, r] = hull.belief[basis[j], row[r]]
-    return _eliminate(matrix, room.dual, k)
-
-
-@njit()
-def _directions(enter, slack, k, hull, room):
-    """Compute how the weights of the basis fall as a variable enters; return whether that is possible."""
-    basis, row, direction, matrix, points = room.basis, room.row, room.direction, room.matrix, hull.belief
-    for r in range(k):
-        for j in range(k):
-            matrix[r, j] = points[basis[j], row[r]]
-        direction[r] = 1.0 if r == slack else 0.0
-        if enter >= 0:
-            direction[r] = points[enter, row[r]]
-    return _eliminate(matrix, direction, k)
-
-
-@njit()
-def _longest_step(belief, enter, k, hull, room):
-    """Return the largest weight of an entering variable, and what then leaves the basis.
-
-    That is the weight of a belief, by its position in `basis`, or the slack variable of an entry; the other is `NONE`
-    or is not reached.
-    """
-    basis, row, weight, direction, points = room.basis, room.row, room.weight, room.direction, hull.belief
-    left, change, step, leave, bound = room.left, room.change, HUGE, NONE, NONE
-    for j in range(k):
-        if direction[j] > 1e-12 and weight[j] < step * direction[j]:
-            step, leave = weight[j] / direction[j], j
-    _copy(left, belief)
-    if enter >= 0:
-        _copy(change, points[enter])
-    else:
-        _fill(change, 0.0)
-    for j in range(k):
-        _subtract(left, weight[j], points[basis[j]])
-        _subtract(change, direction[j], points[basis[j]])
-    for r in range(k):  # the slack variables of these entries are not in the basis
-        change[row[r]] = 0.0
-    for h in range(len(belief)):
-        if change[h] > 1e-12 and left[h] < step * change[h]:
-            step, bound = max(left[h], 0.0) / change[h], h
-    return step, leave, bound
-
-
-@njit()
-def _exchange(enter, slack, leave, bound, step, k, room):
-    """Exchange two variables of the basis; return the number of beliefs in it, and whether to continue."""
-    basis, row, weight = room.basis, room.row, room.weight
-    for j in range(k):
-        weight[j] -= step * room.direction[j]
-    if bound >= 0 and enter >= 0:
-        basis[k], row[k], weight[k] = enter, bound, step
-        return k + ONE, True
-    if bound >= 0:
-        row[slack] = bound
-    elif enter >= 0:
-        basis[leave], weight[leave] = enter, step
-    elif k == 1:
-        return k, False
-    else:
-        k -= ONE
-        basis[leave], weight[leave], row[slack] = basis[k], weight[k], row[k]
-    return k, True
-
-
-@njit()
-def _worth(belief, k, hull, room):
-    """Return sum_i w_i d_i of the weights of the basis, scaled down as far as rounding makes them exceed the belief."""
-    basis, weight, left = room.basis, room.weight, room.left
-    worth, scale = 0.0, 1.0
-    _fill(left, 0.0)
-    for j in range(k):
-        weight[j] = max(weight[j], 0.0)
-        worth += weight[j] * hull.drop[basis[j]]
-        _subtract(left, -weight[j], hull.belief[basis[j]])
-    for h in range(len(belief)):
-        if left[h] > belief[h]:
-            scale = min(scale, belief[h] / left[h])
-    return worth * scale
-
-
-@njit(fastmath=FAST)
-def _subtract(a, factor, b):
-    """Subtract factor * b from a."""
-    for i in range(len(a)):
-        a[i] -= factor * b[i]
-
-
-@njit()
-def _price(belief, best, count, k, hull, room):
-    """Return the entering variable with the best reduced cost: a candidate, or else the position of a slack in `row`.
-
-    `NONE` stands for no candidate and for no slack.
-    """
-    drop, points, candidate, worth, dual, row = (
-        hull.drop, hull.belief, room.candidate, room.worth, room.dual, room.row,
-    )  # fmt: skip
-    enter, slack, most = NONE, NONE, 1e-3 * best
-    for c in range(count):
-        i = candidate[c]
-        reduced = drop[i]
-        for r in range(k):
-            reduced -= dual[r] * points[i, row[r]]
-        gain = reduced * worth[c] / drop[i]
-        if reduced < 0.0 and gain < most:
-            enter, most = i, gain
-    if enter == NONE:
-        for r in range(k):
-            gain = -dual[r] * belief[row[r]]
-            if gain < most:
-                slack, most = r, gain
-    return enter, slack
-
-
-@njit()
-def _eliminate(a, y, k):
-    """Solve a z = y in place by Gaussian elimination; return whether a is regular."""
-    for c in range(k):
-        p = c
-        for r in range(c + 1, k):
-            if abs(a[r, c]) > abs(a[p, c]):
-                p = r
-        if abs(a[p, c]) < 1e-14:
-            return False
-        if p != c:
-            for j in range(k):
-                a[p, j], a[c, j] = a[c, j], a[p, j]
-            y[p], y[c] = y[c], y[p]
-        for r in range(c + 1, k):
-            factor = a[r, c] / a[c, c]
-            for j in range(c, k):
-                a[r, j] -= factor * a[c, j]
-            y[r] -= factor * y[c]
-    for c in range(k - 1, -1, -1):
-        for j in range(c + 1, k):
-            y[c] -= a[c, j] * y[j]
-        y[c] /= a[c, c]
-    return True
+    worth = 0.0
+    # More pivots would tighten the bound, but the search does more backups with cheap bounds.
+    for j in range(solve(belief, hull.belief, drop, count, 1e-3 * best, 5, room)):
+        worth += room.weight[j] * drop[room.used[j]]
+    return base + min(best, worth)
 
 
 @njit()

@@ -1,21 +1,34 @@
-"""The upper bound of a solution at given beliefs: the lowest value that its points imply.
+"""The upper bound of a state at a belief: the lowest value that beliefs with known bounds imply.
 
-`hsvi` states and proves how points with known bounds bound the value function at another belief b. It stops after a few
-pivots of the linear program
+Let V be the value function of a state on unnormalised beliefs, `corner` an upper bound on V at the unit vectors, and
+b_i beliefs with known bounds V(b_i) <= v_i.
 
-    minimise  sum_i w_i d_i   where  sum_i w_i b_i <= b,  w >= 0.
+Claim: for all weights w >= 0 with  sum_i w_i b_i <= b,
 
-This module solves the program to optimality, so that the bound is convex in the belief up to rounding. The weights are
-scaled by the weight that each point could carry alone, and the rows by the entries of b. Then all coefficients lie
-between 0 and 1:
+    V(b) <= corner . b + sum_i w_i d_i,     where d_i = v_i - corner . b_i.
+
+Proof: V is convex and positively homogeneous, hence subadditive. With r = b - sum_i w_i b_i >= 0 follows V(b) <= sum_i
+w_i V(b_i) + V(r). The first term is at most sum_i w_i v_i. By the same argument V(r) <= corner . r. The sum of both
+bounds is the right-hand side.
+
+Only points with d_i < 0 improve the bound. The best weights solve a linear program. The sawtooth bound of Hauskrecht
+("Value-function approximations for partially observable Markov decision processes", 2000) gives weight to one belief
+only, which is the first pivot of the simplex method. The search for bounds (`hsvi`) does a few pivots more, which are
+cheap and make the bound much tighter between the stored beliefs. `uppers` and `weigh` solve the program to optimality,
+so that the bound is convex in the belief up to rounding.
+
+The weights are scaled by the weight that each point could carry alone, and the rows by the entries of b. Then all
+coefficients lie between 0 and 1:
 
     minimise  c . u   where  A u + s = 1,  u >= 0,  s >= 0.
 
 The simplex method works on the condensed tableau, which holds the nonbasic columns only. The final weights are checked
-against both conditions, so that rounding in the tableau cannot invalidate the bound.
+against both conditions of the claim. So every number of pivots, and any rounding in them, gives a valid bound.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +39,52 @@ from ..people.decision import Floats
 from .qmdp import ROUNDING
 
 PIVOTS = 5000  # limit against cycling; rarely more than a hundred are needed, and the bound is valid after any number
+ABSENT = 1e-100  # share of the mass that is added to each entry of b, so that none is 0; far below rounding
+FAST = {"reassoc", "contract"}
+
+
+class Program(NamedTuple):
+    """Work arrays of the linear program for up to m points; beliefs have H entries.
+
+    Attributes
+    ----------
+    column : int array, shape (m,)
+        The points.
+    share : float array, shape (m,)
+        The largest weight of each alone.
+    table : float array, shape (m + 1, H + 1)
+        The tableau by columns: those of the nonbasic variables `free`, then the right-hand sides. The last row is the
+        objective.
+    free, basic : int arrays, shapes (m,) and (H,)
+        Nonbasic and basic variables: a position in `column`, or m + h for the slack variable of entry h.
+    pivot : float array, shape (H + 1,)
+        Column of the entering variable.
+    weight : float array, shape (H,)
+        Weights of the points that have one; `used` holds them.
+    used : int array, shape (H,)
+    """
+
+    column: NDArray[np.int64]
+    share: Floats
+    table: Floats
+    free: NDArray[np.int64]
+    basic: NDArray[np.int64]
+    pivot: Floats
+    weight: Floats
+    used: NDArray[np.int64]
+
+
+@njit()
+def new_program(size: int, most: int) -> Program:
+    """Return the work arrays for beliefs with `size` entries and at most `most` points."""
+    return Program(
+        np.empty(most, np.int64), np.empty(most), np.empty((most + 1, size + 1)), np.empty(most, np.int64),
+        np.empty(size, np.int64), np.empty(size + 1), np.empty(size), np.empty(size, np.int64),
+    )  # fmt: skip
 
 
 # Reassociation lets the compiler vectorise the sums. The margin of each bound covers its effect on rounding.
-@njit(fastmath={"reassoc", "contract"})
+@njit(fastmath=FAST)
 def uppers(
     value: Floats,
     x: NDArray[np.int64],
@@ -46,110 +101,116 @@ def uppers(
     the value of the corners of s, shape (H,), there.
     """
     size = beliefs.shape[1]
-    weight, used = np.empty(size), np.empty(size, np.int64)
     for n in range(len(x)):
         base, worth = 0.0, 0.0
         for h in range(size):
             base += corner[x[n], h] * beliefs[n, h]
-        for j in range(weigh(weight, used, beliefs[n], base, point, drop, first[x[n]], first[x[n] + 1], pivots)):
-            worth += weight[j] * drop[used[j]]
+        begin, end = first[x[n]], first[x[n] + 1]
+        program = new_program(size, end - begin)
+        for j in range(weigh(beliefs[n], base, point, drop, begin, end, pivots, program)):
+            worth += program.weight[j] * drop[program.used[j]]
         value[n] = base + worth
         value[n] += ROUNDING * abs(value[n])
 
 
-@njit(fastmath={"reassoc", "contract"})
+@njit(fastmath=FAST)
 def weigh(
-    weight: Floats,
-    used: NDArray[np.int64],
-    belief: Floats,
-    base: float,
-    point: Floats,
-    drop: Floats,
-    begin: int,
-    end: int,
-    pivots: int,
+    belief: Floats, base: float, point: Floats, drop: Floats, begin: int, end: int, pivots: int, program: Program
 ) -> int:
-    """Fill in the weights, shape (H,), of the points that bound the value at an unnormalised belief, shape (H,).
+    """Compute the weights of the points that bound the value at an unnormalised belief, shape (H,).
 
     The points considered are `point[begin:end]`, and `base` is the value of the corners at the belief. Return the
-    number of points with a weight; `used` holds them.
+    number of points with a weight.
     """
-    size, mass = len(belief), belief.sum()
-    absent = 1e-100  # share of the mass that is added to each entry of b, so that none is 0; far below rounding
+    size, mass, count = len(belief), belief.sum(), 0
     negligible = 1e-14  # smallest improvement of a point, or of a pivot, as a share of the bound
-    slant = 1e-11  # perturbation of the right-hand sides, so that no two basic variables reach 0 at once
-    table, left, inverse = np.empty((size + 1, end - begin + 1)), np.empty(size), np.empty(size)
-    share, column = np.empty(end - begin), np.empty(end - begin, np.int64)
-    basic, free = np.empty(size, np.int64), np.empty(end - begin, np.int64)
+    inverse = program.pivot
     for h in range(size):
-        left[h] = belief[h] + absent * mass
-        inverse[h] = 1.0 / left[h] if left[h] > 0.0 else 0.0
-    count = 0
+        entry = belief[h] + ABSENT * mass
+        inverse[h] = 1.0 / entry if entry > 0.0 else 0.0
     for i in range(begin, end):
         largest = 0.0
         for h in range(size):
             largest = max(largest, point[i, h] * inverse[h])
         if largest > 0.0 and drop[i] < negligible * base * largest:
-            share[count], column[count] = 1.0 / largest, i
+            program.share[count], program.column[count] = 1.0 / largest, i
             count += 1
+    return solve(belief, point, drop, count, -negligible * abs(base), pivots, program)
+
+
+@njit(fastmath=FAST)
+def solve(belief: Floats, point: Floats, drop: Floats, count: int, enough: float, pivots: int, program: Program) -> int:
+    """Compute the weights of the first `count` points of `program.column`; return the number of those with a weight.
+
+    It ends if no column improves the objective by more than `enough`, or after `pivots` pivots.
+    """
+    column, share, table, free, basic, inverse, weight, used = program
+    size, mass = len(belief), belief.sum()
+    slant = 1e-11  # perturbation of the right-hand sides, so that no two basic variables reach 0 at once
+    for h in range(size):
+        entry = belief[h] + ABSENT * mass
+        inverse[h] = 1.0 / entry if entry > 0.0 else 0.0
+        table[count, h], basic[h] = 1.0 - slant * (h + 1) / size, count + h
+    table[count, size] = 0.0
     for c in range(count):
-        table[size, c], free[c] = share[c] * drop[column[c]], c
-    for h in range(size):
-        for c in range(count):
-            table[h, c] = share[c] * point[column[c], h] * inverse[h]
-        table[h, count], basic[h] = 1.0 - slant * (h + 1) / size, count + h
-    table[size, count] = 0.0
-    _minimise(table, basic, free, count, -negligible * abs(base), pivots)
+        i = column[c]
+        for h in range(size):
+            table[c, h] = share[c] * point[i, h] * inverse[h]
+        table[c, size], free[c] = share[c] * drop[i], c
+    _minimise(table, basic, free, count, enough, pivots, program.pivot)
     found = 0
+    left = program.pivot
     for h in range(size):
-        if basic[h] < count and table[h, count] > 0.0:
+        left[h] = belief[h] + ABSENT * mass
+    for h in range(size):
+        if basic[h] < count and table[count, h] > 0.0:
             i = column[basic[h]]
-            weight[found], used[found] = share[basic[h]] * table[h, count], i
+            weight[found], used[found] = share[basic[h]] * table[count, h], i
             for k in range(size):
                 left[k] -= weight[found] * point[i, k]
             found += 1
     scale = 1.0
     for h in range(size):
         if left[h] < 0.0:  # the weights violate this row and are scaled down
-            entry = belief[h] + absent * mass
+            entry = belief[h] + ABSENT * mass
             scale = min(scale, entry / (entry - left[h]))
     for j in range(found):
         weight[j] *= scale
     return found
 
 
-@njit(fastmath={"reassoc", "contract"})
+@njit(fastmath=FAST)
 def _minimise(
-    table: Floats, basic: NDArray[np.int64], free: NDArray[np.int64], count: int, enough: float, pivots: int
-) -> None:
-    """Pivot until no column improves the objective by more than `enough`, or until the limit of pivots.
-
-    The rows of the tableau are the basic variables and the objective. Its columns are the nonbasic variables `free` and
-    the right-hand sides.
-    """
+    table: Floats, basic: NDArray[np.int64], free: NDArray[np.int64], count: int, enough: float, pivots: int,
+    entering: Floats,
+) -> None:  # fmt: skip
+    """Pivot until no column improves the objective by more than `enough`, or until the limit of pivots."""
     rows = len(basic)
     for _ in range(pivots):
         c = 0
         for j in range(1, count):
-            if table[rows, j] < table[rows, c]:
+            if table[j, rows] < table[c, rows]:
                 c = j
-        if count == 0 or table[rows, c] >= enough:
+        if count == 0 or table[c, rows] >= enough:
             return
         r = -1
         for h in range(rows):
             # Smaller entries would amplify rounding errors.
-            if table[h, c] > 1e-12 and (r < 0 or table[h, count] * table[r, c] < table[r, count] * table[h, c]):
+            if table[c, h] > 1e-12 and (r < 0 or table[count, h] * table[c, r] < table[count, r] * table[c, h]):
                 r = h
         if r < 0:
             return
-        pivot = 1.0 / table[r, c]
-        for j in range(count + 1):
-            table[r, j] *= pivot
-        table[r, c] = pivot
+        inverse = 1.0 / table[c, r]
         for h in range(rows + 1):
-            factor = table[h, c]
-            if h != r and factor != 0.0:
-                table[h, c] = 0.0
-                for j in range(count + 1):
-                    table[h, j] -= factor * table[r, j]
+            entering[h] = table[c, h]
+        entering[r] = 0.0
+        for j in range(count + 1):
+            factor = table[j, r] * inverse
+            if j != c and factor != 0.0:
+                for h in range(rows + 1):
+                    table[j, h] -= factor * entering[h]
+                table[j, r] = factor
+        for h in range(rows + 1):
+            table[c, h] = -inverse * entering[h]
+        table[c, r] = inverse
         basic[r], free[c] = free[c], basic[r]

@@ -28,7 +28,7 @@ from ...people.decision import Floats
 from ...person.belief_filter import posterior
 from ...person.problem_arrays import ProblemArrays
 from ...person.solver import Solution
-from ...person.upper_hull import PIVOTS, weigh
+from ...person.upper_hull import PIVOTS, new_program, weigh
 from ...team.attention_subproblem import AttentionSubproblem
 
 Ints = NDArray[np.int64]
@@ -232,11 +232,11 @@ def decompose(belief: Floats, x: int, known: Known, part: Floats, node: Ints) ->
     left, mass = belief.copy(), belief.sum()
     for h in range(size):
         base += known.corner[x, h] * belief[h]
-    found = weigh(part, node, belief, base, known.point, known.drop, known.first[x], known.first[x + 1], PIVOTS)
-    count = 0
-    for j in range(found):
-        if part[j] * known.drop[node[j]] < -1e-5 * mass:
-            part[count], node[count] = part[j], node[j]
+    begin, end = known.first[x], known.first[x + 1]
+    program, count = new_program(size, end - begin), 0
+    for j in range(weigh(belief, base, known.point, known.drop, begin, end, PIVOTS, program)):
+        if program.weight[j] * known.drop[program.used[j]] < -1e-5 * mass:
+            part[count], node[count] = program.weight[j], program.used[j]
             for h in range(size):
                 left[h] = max(0.0, left[h] - part[count] * known.point[node[count], h])
             count += 1
