@@ -123,7 +123,7 @@ class Output:
 
 
 @dataclass(frozen=True)
-class GoTo:
+class GoToAction:
     """The ROS action that takes the robot to a person.
 
     Attributes
@@ -193,7 +193,7 @@ class Ros2Settings:
     observed: tuple[Observed, ...]
     advice: Output | None = None
     answers: Output | None = None
-    go_to: GoTo | None = None
+    go_to: GoToAction | None = None
 
     @classmethod
     def read(cls, file: str | Path) -> Ros2Settings:
@@ -260,11 +260,11 @@ def _output(
     return Output(table.topic, table.type, table.fields or usual)
 
 
-def _go_to(table: GoToTable | None, file: Path) -> GoTo | None:
+def _go_to(table: GoToTable | None, file: Path) -> GoToAction | None:
     if table is None:
         return None
     _checked(table.action, table.type, file, "go_to")
-    go_to = GoTo(table.action, table.type, table.goal, table.places)
+    go_to = GoToAction(table.action, table.type, table.goal, table.places)
     for person in table.places:
         try:
             go_to.goal_for(person)
