@@ -56,7 +56,8 @@ ROOMS = {
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",
     "assist.study": "study protocol tasks cells runner",
-    "assist.userstudy": "questionnaires assignment plan participant_team cohort session tables export",
+    "assist.userstudy": """questionnaires questionnaire_file assignment plan participant_team cohort session tables
+        export""",
     "assist.reports": """statistics effects wording study_summary study_claims study_figures study_report
         userstudy_summary userstudy_report""",
     "assist.web": """tokens cookies measures service schemas authorization request_limits task_drawings routes metrics

@@ -125,7 +125,7 @@ def test_every_block_is_of_a_kind_that_is_run_or_is_no_code() -> None:
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in pages_with("toml") if page.stem not in ("userstudy", "line")], ids=name
+    "page", [page for page in pages_with("toml") if page.stem not in ("userstudy", "forms", "line")], ids=name
 )
 def test_drawings_shown_are_those_of_a_shipped_domain(page: Path) -> None:
     """The page may leave entries out."""

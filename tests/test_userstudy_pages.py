@@ -366,7 +366,7 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
     people = [line.split(",") for line in packed.read("participants.csv").decode().splitlines()[1:]]
     assert [(row[4], row[5], row[7]) for row in people] == [("done", "thanks", code), ("withdrew", "practice", "")]
     answers = [line.split(",") for line in packed.read("answers.csv").decode().splitlines()[1:]]
-    assert [row[-2:] for row in answers[:8]] == [
+    assert [row[-3:-1] for row in answers[:8]] == [
         *[["55", "55"]] * 3, *[["50", "50"]] * 3, ["6", "6"], ["3", "5"],
     ]  # fmt: skip
     assert "'=1+1" in packed.read("answers.csv").decode()

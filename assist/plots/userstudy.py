@@ -82,7 +82,7 @@ def differences_figure(measures: Rows, reference: str) -> Figure:
 
 
 @styled
-def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], highest: float) -> Figure:
+def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], ends: tuple[float, float]) -> Figure:
     """Plot the items of a questionnaire by condition, as means with 95 % intervals.
 
     Parameters
@@ -91,8 +91,8 @@ def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], hi
         Key `items`, with `item`, `condition`, `mean`, `low`, `high`.
     texts : mapping of str to str
         Label of each item.
-    highest : float
-        Upper end of the scale.
+    ends : tuple of float
+        Lower and upper end of the scale.
     """
     from matplotlib.figure import Figure
 
@@ -106,7 +106,7 @@ def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], hi
             if row["condition"] == name and row["mean"] is not None:
                 _interval(axis, shift - items.index(row["item"]), row, look, vertical=False)
     axis.set_yticks([-number for number in range(len(items))], [texts[item] for item in items])
-    lowest = 0 if highest > 20 else 1
+    lowest, highest = ends
     axis.set_xlim(lowest - 0.02 * (highest - lowest), highest + 0.02 * (highest - lowest))
     axis.grid(axis="x")
     legend_below(figure, [sample(name, look, line=False) for name, look in shown.items()])

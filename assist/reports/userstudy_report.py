@@ -15,6 +15,7 @@ from planner.system.files import atomic
 from ..plots import style
 from ..plots import userstudy as draw
 from ..userstudy.plan import UserStudy, read
+from ..userstudy.questionnaires import TLX
 from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Row, Tables, tables
 from .statistics import FEW
@@ -25,11 +26,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES = "figures"
+LATER = {"utc", "excluded", "failed_checks", "option", "passed"}
+"""Columns that exports of earlier versions lack, besides the position of an answer."""
 NUMBERS = {
-    "period", "position", "actions", "optimal_cost", "suboptimal_actions", "suggestions", "followed", "seconds", "step",
-    "time", "cost_before", "cost_after", "score",
+    "failed_checks", "period", "position", "actions", "optimal_cost", "suboptimal_actions", "suggestions", "followed",
+    "seconds", "step", "time", "cost_before", "cost_after", "score",
 }  # fmt: skip
-TRUTHS = {"simulated", "finished", "followed"}
+TRUTHS = {"simulated", "finished", "followed", "passed"}
 
 
 def require() -> None:
@@ -60,8 +63,9 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
 def _rows(file: Path, columns: dict[str, str]) -> Iterator[Row]:
     with file.open(newline="", encoding="utf-8") as stream:
         reader = csv.DictReader(stream)
-        before = [name for name in columns if name not in ("utc", "excluded")]  # exports of earlier versions
-        if list(reader.fieldnames or ()) not in (list(columns), before):
+        known = list(reader.fieldnames or ())
+        later = LATER | ({"position"} if "item" in columns else set())
+        if known != [name for name in columns if name in known or name not in later]:
             raise DamagedFileError(file, 1, f"expected the columns {', '.join(columns)}")
         for row in reader:
             try:
@@ -132,11 +136,13 @@ def _pictures(
         if one["n"]:
             own = study.questionnaire(one["questionnaire"])
             texts = {
-                item.name: item.name if own.form == "nasa-tlx" else _short(item.text) + " (reversed)" * item.reversed
-                for item in own.items
+                item.name: item.name if own.form == TLX else _short(item.text) + " (reversed)" * item.reversed
+                for item in own.scale
             }
-            highest = 100 if own.form == "nasa-tlx" else own.points
-            yield f"scales-{own.name}", (f"{own.name} by item", partial(draw.scales_figure, one, texts, highest))
+            yield (
+                f"scales-{own.name}",
+                (f"{own.name} by item", partial(draw.scales_figure, one, texts, own.scale[0].ends[:2])),
+            )
     if summary["flow"][0]["reached"]:
         yield "flow", ("Progress of participants", partial(draw.flow_figure, summary["flow"]))
 
@@ -163,15 +169,34 @@ def _sections(study: UserStudy, summary: dict[str, Any], shown: dict[str, str]) 
     yield from picture("differences")
     for one in summary["questionnaires"]:
         yield f"## {study.questionnaire(one['questionnaire']).title} ({one['questionnaire']})"
-        alpha = "is undefined" if one["alpha"] is None else f"is {one['alpha']:.2f}"
-        turned = (
-            " Reversed items are recoded."
-            if any(i.reversed for i in study.questionnaire(one["questionnaire"]).items)
-            else ""
-        )
-        answered = f"It was answered {one['n']} times" if study.is_within else f"{one['n']} participants answered"
+        alphas = [
+            f"{'undefined' if alpha is None else f'{alpha:.2f}'}{f' ({name})' if name else ''}"
+            for name, alpha in (one["alphas"] or {"": one["alpha"]}).items()
+        ]
+        alpha = f"is {', '.join(alphas)}"
+        items = study.questionnaire(one["questionnaire"]).scale
+        turned = " Reversed items are recoded." if any(item.reversed for item in items) else ""
+        answered = f"It was answered {one['n']} times" if one["alphas"] else f"{one['n']} participants answered"
         yield f"{answered}. Cronbach's alpha over its items {alpha}.{turned}"
         yield from picture(f"scales-{one['questionnaire']}")
+    yield from _other_answers(study, summary["answers"])
+
+
+def _other_answers(study: UserStudy, answers: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield tables of the answers to questions that belong to no scale."""
+    if not answers:
+        return
+    yield "## Other questions"
+    rows = []
+    for one in answers:
+        item = next(i for i in study.questionnaire(one["questionnaire"]).items if i.name == one["item"])
+        text = f"{one['passed']} of {one['n']} passed this attention check" if "passed" in one else ""
+        if "mean" in one:
+            text = _written(one)
+        elif one["counts"] and not text:
+            text = ", ".join(f"{option}: {count}" for option, count in one["counts"].items())
+        rows.append([_short(item.text), one["condition"], one["n"], text])
+    yield table(["question", "condition", "answered", "answers"], rows)
 
 
 def _who_took_part(study: UserStudy, summary: dict[str, Any], picture: Iterator[str]) -> Iterator[str]:

@@ -14,7 +14,7 @@ import numpy as np
 from planner.system.files import finite
 
 from ..userstudy.plan import UserStudy
-from ..userstudy.questionnaires import Questionnaire
+from ..userstudy.questionnaires import CHOICE, CHOICES, TEXT, TLX, Item, Questionnaire
 from ..userstudy.tables import Row, Tables
 from .effects import (
     cronbach_alpha,
@@ -26,6 +26,9 @@ from .effects import (
     hedges_g_within,
 )
 from .statistics import FEW, mean
+
+ALL = "all participants"
+"""Stands for the condition where answers do not belong to one."""
 
 TASK_MEASURES = {
     "actions": "actions per task",
@@ -69,12 +72,14 @@ def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
                 found[condition][participant] = value
         yield Measure(name, label, found)
     for one in study.questionnaires:
-        if one.form != "text":
+        if one.scale and study.is_by_condition(one):
             found = {condition.name: {} for condition in study.conditions}
             for participant, condition, scores in scored(one, tables):
-                found[condition][participant] = fmean(scores)
-            what = "raw mean, 0 to 100" if one.form == "nasa-tlx" else f"mean, 1 to {one.points}"
-            yield Measure(one.name, f"{one.name}: {what}", found)
+                if (score := one.mean(scores)) is not None:
+                    found[condition][participant] = score
+            low, high, _ = one.scale[0].ends
+            raw = "raw " if one.form == TLX else ""
+            yield Measure(one.name, f"{one.name}: {raw}mean, {low:g} to {high:g}", found)
 
 
 def _of_tasks(name: str, rows: list[Row]) -> float | None:
@@ -85,14 +90,16 @@ def _of_tasks(name: str, rows: list[Row]) -> float | None:
     return fmean(values) if values else None
 
 
-def scored(questionnaire: Questionnaire, tables: Tables) -> Iterator[tuple[str, str, list[float]]]:
-    """Yield each completed questionnaire: the participant, the condition, and the score of each item."""
+def scored(questionnaire: Questionnaire, tables: Tables) -> Iterator[tuple[str, str, dict[str, float]]]:
+    """Yield each completed questionnaire: the participant, the condition, and the score of each scored answer."""
     given: dict[tuple[str, str], dict[str, float]] = {}
     for row in tables.answers:
         if row["questionnaire"] == questionnaire.name:
-            given.setdefault((row["participant"], row["condition"]), {})[row["item"]] = row["score"]
+            own = given.setdefault((row["participant"], row["condition"]), {})
+            if row["score"] is not None:
+                own[row["item"]] = row["score"]
     for (participant, condition), scores in given.items():
-        yield participant, condition, [scores[item.name] for item in questionnaire.items]
+        yield participant, condition, scores
 
 
 def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
@@ -110,8 +117,9 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "conditions": _conditions(study, tables),
         "flow": _flow(study, tables),
         "measures": [_measure(study, one) for one in found],
-        "questionnaires": [
-            _questionnaire(study, one, tables) for one in study.questionnaires if one.form != "text"
+        "questionnaires": [_questionnaire(study, one, tables) for one in study.questionnaires if one.scale],
+        "answers": [
+            answer for one in study.questionnaires for item in one.items for answer in _asked(study, one, item, tables)
         ],
         "detectable": finite(
             detectable_within(min(smallest)) if study.is_within else detectable(min(smallest), min(smallest))
@@ -191,13 +199,43 @@ def _cell(values: list[float]) -> dict[str, Any]:
 
 def _questionnaire(study: UserStudy, one: Questionnaire, tables: Tables) -> dict[str, Any]:
     rows = list(scored(one, tables))
+    where = [condition.name for condition in study.conditions] if study.is_by_condition(one) else [ALL]
     items = [
         {
-            "item": item.name, "condition": condition.name,
-            **_cell([scores[number] for _, name, scores in rows if name == condition.name]),
+            "item": item.name, "condition": name,
+            **_cell([scores[item.name] for _, own, scores in rows if name in (ALL, own) and item.name in scores]),
         }
-        for number, item in enumerate(one.items)
-        for condition in study.conditions
+        for item in one.scale
+        for name in where
     ]  # fmt: skip
-    alpha = cronbach_alpha([scores for *_, scores in rows])
-    return {"questionnaire": one.name, "form": one.form, "n": len(rows), "alpha": finite(alpha), "items": items}
+    # Answers of one participant in several conditions are not independent, so that each condition has an alpha.
+    alphas = {name: _alpha(one, [row for row in rows if name in (ALL, row[1])]) for name in where}
+    repeated = study.is_within and len(where) > 1
+    return {
+        "questionnaire": one.name, "form": one.form, "n": len(rows), "alpha": None if repeated else _alpha(one, rows),
+        "alphas": alphas if repeated else {}, "items": items,
+    }  # fmt: skip
+
+
+def _alpha(one: Questionnaire, rows: list[tuple[str, str, dict[str, float]]]) -> float | None:
+    """Return Cronbach's alpha over those who answered all items."""
+    names = [item.name for item in one.scale]
+    return finite(cronbach_alpha([[own[name] for name in names] for *_, own in rows if {*names} <= {*own}]))
+
+
+def _asked(study: UserStudy, one: Questionnaire, item: Item, tables: Tables) -> Iterator[Row]:
+    """Yield the answers to a question that belongs to no scale, by condition if it is asked in each."""
+    if item.form == TEXT or (item in one.scale):
+        return
+    own = [row for row in tables.answers if (row["questionnaire"], row["item"]) == (one.name, item.name)]
+    for name in [condition.name for condition in study.conditions] if study.is_by_condition(one) else [ALL]:
+        rows = [row for row in own if name in (ALL, row["condition"]) and row["answer"] is not None]
+        counts = Counter(dict.fromkeys(item.options, 0))
+        counts.update(row["option"] for row in rows if item.form == CHOICES and row["answer"] in (True, "true"))
+        counts.update(row["answer"] for row in rows if item.form == CHOICE)
+        yield {
+            "questionnaire": one.name, "item": item.name, "form": item.form, "condition": name,
+            "n": len({row["participant"] for row in rows}), "counts": dict(counts),
+            **({"passed": sum(row["passed"] is True for row in rows)} if item.correct is not None else {}),
+            **(_cell([row["score"] for row in rows]) if item.is_scored else {}),
+        }  # fmt: skip

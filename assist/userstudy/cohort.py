@@ -30,6 +30,7 @@ from ..live.store import Change
 from .assignment import assign
 from .participant_team import ParticipantTeam
 from .plan import Stage, UserStudy
+from .questionnaires import Item
 
 HERE, GONE, DECLINED, WITHDREW, FULL, DONE = "here", "gone", "declined", "withdrew", "full", "done"
 
@@ -186,7 +187,8 @@ class Cohort:
             raise ValueError("not an event of a study")
         if record["event"] not in ("visited", VACANT, ERASED):
             person = self.known(record["person"])
-            at = person.at + (record["event"] == "onward")
+            onward = record["event"] == "onward"
+            at = self.study.next_stage(person.at, person.condition) if onward else person.at
             here = self.stages[person.at].name
             if at >= len(self.stages) or record.get("stage", here) != here:
                 raise ValueError(f"{person.code} is at {here}")
@@ -266,14 +268,14 @@ class Cohort:
         facts: dict[str, Any] = {"stage": stage.name}
         if stage.kind == "questionnaire":
             try:
-                facts["answers"] = self.study.questionnaire(stage.what).check(event.answers or {})
+                facts["answers"] = self.study.questionnaire(stage.what).check(event.answers or {}, self._items(person))
             except ValueError as error:
                 raise InvalidError(str(error)) from None
         elif event.answers:
             raise InvalidError(f"answers: expected none at {stage.name}")
         if stage.kind == "consent":
             facts["at"] = _now()
-        to = self.stages[person.at + 1]
+        to = self.stages[self.study.next_stage(person.at, person.condition)]
         condition = None
         if to.kind == "task" and person.condition is None:
             condition = facts["condition"] = assign(self.counts(), self.study.seed, self.begun)
@@ -301,7 +303,8 @@ class Cohort:
         person = self.participants[record["person"]]
         person.seq = self.count
         if record["event"] in ("visited", "onward"):
-            person.at += record["event"] == "onward"
+            if record["event"] == "onward":
+                person.at = self.study.next_stage(person.at, person.condition)
             person.entered, person.expired = time, False
         person.acted = time
         person.status = HERE if record.get("returned") else record.get("status", person.status)
@@ -332,6 +335,11 @@ class Cohort:
                 person.code, self._tasks, lambda: self._course(own), mates, again=self.study.again
             )
         return person.groups[key]
+
+    def _items(self, person: Participant) -> tuple[Item, ...]:
+        """Return the questions at the participant's stage, in the order in which the participant sees them."""
+        number = list(self.participants).index(person.code)
+        return self.study.items_at(person.at, person.condition, number)
 
     # Erasing.
 
@@ -455,7 +463,7 @@ class Cohort:
         kind = stage.kind if who.status in (HERE, DONE) else who.status
         study = {
             "kind": kind, "stage": stage.name, "what": stage.what, "number": who.at + 1, "of": len(self.stages),
-            "over": over, "completion": who.completion,
+            "over": over, "completion": who.completion, "items": [item.name for item in self._items(who)],
         }  # fmt: skip
         return seen | {"seq": who.seq, "study": study}
 

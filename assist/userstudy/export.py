@@ -25,11 +25,16 @@ def files(folder: Path) -> Iterator[tuple[str, str]]:
     )
     yield "dictionary.csv", written(("table", "column", "meaning"), meanings)
     items = (
-        {"questionnaire": one.name, "item": item.name, "text": item.text, "reversed": item.reversed}
+        {
+            "questionnaire": one.name, "item": item.name, "form": item.form, "text": item.text,
+            "options": "\n".join(item.options), "required": item.required, "reversed": item.reversed,
+            "correct": item.correct, "conditions": ", ".join(item.conditions or one.conditions),
+        }
         for one in study.questionnaires
         for item in one.items
-    )
-    yield "items.csv", written(("questionnaire", "item", "text", "reversed"), items)
+    )  # fmt: skip
+    columns = ("questionnaire", "item", "form", "text", "options", "required", "reversed", "correct", "conditions")
+    yield "items.csv", written(columns, items)
     for task, log in found.logs():
         yield f"log-{task}.jsonl", log
     yield PLAN, (folder / PLAN).read_text(encoding="utf-8")

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import cached_property, partial
@@ -41,7 +40,8 @@ from ..people.user_code import parse
 from ..team.policies import POLICIES
 from ..team.settings import Setting
 from .assignment import balanced_orders
-from .questionnaires import FORMS, Item, Questionnaire
+from .questionnaire_file import QuestionnaireTable, questionnaires_of
+from .questionnaires import BEFORE, END, Item, Questionnaire
 
 BETWEEN, WITHIN = "between", "within"
 """Kinds of design: a participant has one condition, or all of them in a counterbalanced order."""
@@ -49,9 +49,7 @@ BETWEEN, WITHIN = "between", "within"
 Minutes = Annotated[float, Meta(gt=0, le=10_000, description="a number of minutes above 0")]
 # More simulated people would keep the robot away from the participant.
 Mates = Annotated[int, Meta(ge=0, le=20, description="a whole number from 0 to 20")]
-Points = Annotated[int, Meta(ge=2, le=11, description="a whole number from 2 to 11")]
 Day = Annotated[date, Meta(description="a date such as 2027-03-31")]
-NAME = re.compile(r"[A-Za-z][\w-]{0,40}")
 
 
 class ConditionTable(Struct, forbid_unknown_fields=True):
@@ -59,27 +57,6 @@ class ConditionTable(Struct, forbid_unknown_fields=True):
 
     name: Text
     policy: Text
-
-
-class ItemTable(Struct, forbid_unknown_fields=True):
-    """A table of a questionnaire's `items`."""
-
-    name: Text
-    text: Text
-    reversed: Truth = False
-
-
-class QuestionnaireTable(Struct, forbid_unknown_fields=True):
-    """A table of `questionnaires`."""
-
-    form: Text
-    name: Text | None = None
-    title: Text | None = None
-    introduction: Text | None = None
-    items: list[ItemTable] | None = None
-    points: Points = 7
-    low: Text = "Strongly disagree"
-    high: Text = "Strongly agree"
 
 
 class PopulationTable(Struct, forbid_unknown_fields=True, frozen=True):
@@ -112,6 +89,7 @@ class FileTable(Struct, forbid_unknown_fields=True):
     tick: Number = 2.0
     code: Text | None = None
     withdraw_until: Day | None = None
+    exclude_failed_checks: Whole | None = None
     seed: Seed = 0
     setting: AnyTable = {}
     population: PopulationTable = PopulationTable()
@@ -198,6 +176,8 @@ class UserStudy:
         Completion code of all participants; None: a code of their own.
     withdraw_until : date or None
         Last day (UTC) on which data can be withdrawn after the end; None: no limit.
+    exclude_failed_checks : int or None
+        Number of failed attention checks from which on participants are excluded from the report; None: never.
     setting : Setting
     population : Population or Mixture
         The robot's prior over people, from which simulated people are drawn too.
@@ -225,26 +205,79 @@ class UserStudy:
     tick: float
     code: str | None
     withdraw_until: date | None
+    exclude_failed_checks: int | None
     setting: Setting
     population: Population | Mixture
     texts: dict[str, str]
     questionnaires: tuple[Questionnaire, ...]
 
-    @property
+    @cached_property
     def stages(self) -> tuple[Stage, ...]:
         """Stages of the procedure, in order."""
         practice = [] if self.practice is None else [Stage("practice", "practice", "practice")]
+        # Between participants, the end of the study is the end of the only condition.
+        once = [BEFORE, END] if self.is_within else [BEFORE]
         parts = [("task", name) for name, _ in self.tasks]
-        parts += [("questionnaire", one.name) for one in self.questionnaires]
+        parts += [("questionnaire", one.name) for one in self.questionnaires if one.when not in (BEFORE, END)]
+        parts += [("questionnaire", one.name) for one in self.questionnaires if one.when == END and END not in once]
+
+        def singles(when: str) -> list[Stage]:
+            names = [one.name for one in self.questionnaires if one.when == when and when in once]
+            return [Stage(f"questionnaire {name}", "questionnaire", name) for name in names]
+
         return (
-            Stage("consent", "consent"), Stage("instructions", "instructions"), *practice,
+            Stage("consent", "consent"), Stage("instructions", "instructions"), *singles(BEFORE), *practice,
             *(
                 Stage(f"{kind} {what}" + f" {period}" * self.is_within, kind, what, period)
                 for period in range(1, self.periods + 1)
                 for kind, what in parts
             ),
-            Stage("thanks", "thanks"),
+            *singles(END), Stage("thanks", "thanks"),
         )  # fmt: skip
+
+    def condition_at(self, stage: Stage, assigned: str | None) -> str | None:
+        """Return the condition of a participant at a stage; None outside of conditions.
+
+        Parameters
+        ----------
+        stage : Stage
+        assigned : str or None
+            The participant's condition or order of conditions (`orders`).
+        """
+        return self.orders[assigned][stage.period - 1] if stage.period and assigned is not None else None
+
+    def items_at(self, number: int, assigned: str | None, participant: int) -> tuple[Item, ...]:
+        """Return the questions that a participant sees at a stage, in their order; none at other stages.
+
+        Parameters
+        ----------
+        number : int
+            Number of the stage, from 0.
+        assigned : str or None
+            The participant's condition or order of conditions (`orders`).
+        participant : int
+            Number of the participant in the order of arrival, from 0.
+        """
+        stage = self.stages[number]
+        if stage.kind != "questionnaire":
+            return ()
+        seed = [self.seed, 3, participant, number]  # 1 and 2 are the seeds of a rehearsal
+        return self.questionnaire(stage.what).shown(self.condition_at(stage, assigned), seed)
+
+    def is_shown(self, number: int, assigned: str | None) -> bool:
+        """Whether participants with this condition or order come to a stage; they skip empty questionnaires."""
+        return self.stages[number].kind != "questionnaire" or bool(self.items_at(number, assigned, 0))
+
+    def next_stage(self, number: int, assigned: str | None) -> int:
+        """Return the number of the stage that follows; the number of stages after the last one."""
+        number += 1
+        while number < len(self.stages) and not self.is_shown(number, assigned):
+            number += 1
+        return number
+
+    def is_by_condition(self, questionnaire: Questionnaire) -> bool:
+        """Whether the answers belong to one condition."""
+        return questionnaire.when != BEFORE and not (questionnaire.when == END and self.is_within)
 
     @property
     def is_within(self) -> bool:
@@ -301,14 +334,7 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     stems = [task.problem.stem for task in tasks]
     if len(set(stems)) < len(stems):
         raise fault(file, "tasks", "two tasks have the same file name; expected different names")
-    questionnaires = tuple(
-        _questionnaire(file, f"questionnaires[{number}]", own)
-        for number, own in enumerate(table.questionnaires, start=1)
-    )
-    for number, one in enumerate(questionnaires):
-        if one.name in {other.name for other in questionnaires[:number]}:
-            place = f"questionnaires[{number + 1}]"
-            raise fault(file, place, f"there are two questionnaires '{one.name}'; expected different names")
+    questionnaires = questionnaires_of(file, table.questionnaires, names, within=table.design == WITHIN)
     if not 0 < table.tick <= 86_400:
         raise fault(file, "tick", f"{table.tick:g}; expected a number of seconds above 0")
     return UserStudy(
@@ -318,7 +344,7 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         tuple(Condition(own.name, own.policy) for own in table.conditions), table.design, reference,
         table.participants,
         table.simulated, table.again, table.reasons, table.replace, table.away, table.minutes, table.tick, table.code,
-        table.withdraw_until,
+        table.withdraw_until, table.exclude_failed_checks,
         _setting(file, table.setting), _population(file, table.population),
         {"consent": table.consent, "instructions": table.instructions, "thanks": table.thanks}, questionnaires,
     )  # fmt: skip
@@ -381,29 +407,3 @@ def _population(file: Path, table: PopulationTable) -> Population | Mixture:
         return Population(**given) if "theta" in given else advice_takers(**given)
     except ValueError as error:
         raise fault(file, "population", str(error)) from None
-
-
-def _questionnaire(file: Path, place: str, table: QuestionnaireTable) -> Questionnaire:
-    if table.form not in FORMS:
-        raise fault(file, f"{place}.form", f"'{table.form}'; {meant(table.form, FORMS)}")
-    base = FORMS[table.form]
-    name = table.name or base.name
-    if not NAME.fullmatch(name):
-        raise fault(file, f"{place}.name", f"'{name}'; expected a letter, then letters, digits, _ or -")
-    items = base.items
-    if base.items and table.items is not None:
-        raise fault(file, f"{place}.items", f"the form {table.form} has fixed items; expected none")
-    if not base.items:
-        if not table.items:
-            raise fault(file, place, "items: is missing; expected a list of tables with name and text")
-        items = tuple(Item(own.name, own.text, reversed=own.reversed) for own in table.items)
-    for number, item in enumerate(items):
-        if not NAME.fullmatch(item.name) or item.name in {other.name for other in items[:number]}:
-            message = f"'{item.name}'; expected a unique name: a letter, then letters, digits, _ or -"
-            raise fault(file, f"{place}.items[{number + 1}].name", message)
-    if table.form == "likert":
-        base = replace(base, points=table.points, low=table.low, high=table.high)
-    return replace(
-        base, name=name, title=table.title or base.title, introduction=table.introduction or base.introduction,
-        items=items,
-    )  # fmt: skip

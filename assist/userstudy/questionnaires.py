@@ -1,4 +1,4 @@
-"""Questionnaires: items, valid answers and scores.
+"""Questionnaires: items, their forms, valid answers and scores.
 
 NASA-TLX consists of the six scales of Hart and Staveland, "Development of NASA-TLX" (1988), a work of the United States
 government in the public domain. Answers range from 0 to 100 in steps of 5 and are not weighted ("raw TLX").
@@ -6,12 +6,27 @@ government in the public domain. Answers range from 0 to 100 in steps of 5 and a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import fmean
 from typing import Any
+
+import numpy as np
 
 STEP = 5
 """Step of the scales of NASA-TLX."""
+
+CHOICE, CHOICES, NUMBER, SLIDER, TEXT, LIKERT, GRID, TLX = (
+    "choice", "choices", "number", "slider", "text", "likert", "likert-grid", "nasa-tlx",
+)  # fmt: skip
+"""Forms of items: a choice or several, a number, a slider, words, points of agreement alone or in a grid, and a scale
+of NASA-TLX."""
+
+BEFORE, AFTER, END = "before", "after", "end"
+"""When a questionnaire is shown: before practice, after the tasks of each condition, or once at the end."""
+
+Answer = int | float | str | list[str] | None
 
 
 @dataclass(frozen=True)
@@ -23,17 +38,121 @@ class Item:
     name : str
         Name in results.
     text : str
+    form : str
+        "choice", "choices" (several), "number", "slider", "text", "likert", "likert-grid" or "nasa-tlx".
+    required : bool
     low, high : str
-        Labels of the ends of the item's own scale; empty: those of the questionnaire.
+        Labels of the ends of a scale.
+    points : int
+        Number of points of a Likert scale, which begins at 1.
+    labels : tuple of str
+        A label for each point of a Likert scale; empty: of the ends only.
+    minimum, maximum, step : float
+        Valid numbers of a slider or a number.
+    options : tuple of str
+        What can be chosen.
     reversed : bool
         Whether a high answer means a low score.
+    correct : int, float, str or None
+        For attention checks, the answer of somebody who reads the question. Such items are in no score.
+    conditions : tuple of str
+        The conditions in which the question is asked; empty: all.
     """
 
     name: str
     text: str
+    form: str = LIKERT
+    required: bool = True
     low: str = ""
     high: str = ""
+    points: int = 7
+    labels: tuple[str, ...] = ()
+    minimum: float = 0.0
+    maximum: float = 100.0
+    step: float = 1.0
+    options: tuple[str, ...] = ()
     reversed: bool = False
+    correct: int | float | str | None = None
+    conditions: tuple[str, ...] = ()
+
+    @property
+    def ends(self) -> tuple[float, float, float]:
+        """Smallest and largest number that can be answered, and the step between two numbers."""
+        if self.form in (LIKERT, GRID):
+            return 1, self.points, 1
+        return self.minimum, self.maximum, self.step
+
+    @property
+    def is_scored(self) -> bool:
+        """Whether the answer is a number that counts in results, other than an attention check."""
+        return self.form not in (CHOICE, CHOICES, TEXT) and self.correct is None
+
+    def check(self, answer: Any, *, longest: int = 4000) -> Answer:
+        """Return the answer. None, an empty text and an empty list mean that there is none.
+
+        Parameters
+        ----------
+        answer : object
+        longest : int
+            Number of characters of an answer in words, as in the page.
+
+        Raises
+        ------
+        ValueError
+            The answer is invalid, or there is none to a required question; the message says what is expected.
+        """
+        if answer in (None, "", []) and not isinstance(answer, bool):
+            if self.required:
+                raise ValueError(f"expected {self._expected(longest)}")
+            return [] if self.form == CHOICES else "" if self.form == TEXT else None
+        if not self._is_valid(answer, longest):
+            raise ValueError(f"expected {self._expected(longest)}")
+        if self.form == CHOICES:
+            return [option for option in self.options if option in answer]
+        if self.form in (NUMBER, SLIDER) and float(answer).is_integer():
+            return int(answer)
+        found: Answer = answer
+        return found
+
+    def _is_valid(self, answer: Any, longest: int) -> bool:
+        if self.form == TEXT:
+            return isinstance(answer, str) and len(answer) <= longest
+        if self.form == CHOICE:
+            return isinstance(answer, str) and answer in self.options
+        if self.form == CHOICES:
+            return (
+                isinstance(answer, list)
+                and all(isinstance(one, str) and one in self.options for one in answer)
+                and len(set(answer)) == len(answer)
+            )
+        low, high, step = self.ends
+        kinds = (int, float) if self.form in (NUMBER, SLIDER) else (int,)
+        if isinstance(answer, bool) or not isinstance(answer, kinds) or not low <= answer <= high:
+            return False
+        steps = (answer - low) / step
+        # Decimal steps such as 0.1 have no exact binary fraction.
+        return math.isclose(steps, round(steps), rel_tol=0.0, abs_tol=1e-6)
+
+    def _expected(self, longest: int) -> str:
+        if self.form == TEXT:
+            return f"a text of {'1 to' if self.required else 'at most'} {longest:,} characters"
+        if self.form in (CHOICE, CHOICES):
+            return f"{'one' if self.form == CHOICE else 'one or more'} of {', '.join(self.options)}"
+        low, high, step = self.ends
+        whole = all(float(one).is_integer() for one in (low, high, step))
+        steps = f" in steps of {step:g}" if step != 1 else ""
+        return f"a {'whole ' if whole else ''}number from {low:g} to {high:g}{steps}"
+
+    def score(self, answer: Answer) -> float | None:
+        """Return the score of an answer, recoded if the item is reversed; None if the answer is not a number."""
+        if not isinstance(answer, int | float):
+            return None
+        low, high, _ = self.ends
+        return low + high - answer if self.reversed else answer
+
+    def passed(self, answer: Answer) -> bool | None:
+        """Return whether an attention check was answered correctly; None for other items."""
+        return None if self.correct is None else answer == self.correct
 
 
 @dataclass(frozen=True)
@@ -45,13 +164,15 @@ class Questionnaire:
     name : str
         Name in results.
     form : str
-        "nasa-tlx", "likert" or "text".
+        Form of the items that have none of their own.
     title, introduction : str
     items : tuple of Item
-    points : int
-        Number of points of a Likert scale, which begins at 1.
-    low, high : str
-        Labels of the ends of the scale.
+    shuffle : bool
+        Whether each participant sees the items in a random order.
+    when : str
+        "before" practice, "after" the tasks of each condition, or once at the "end".
+    conditions : tuple of str
+        The conditions in which it is shown; empty: all.
     """
 
     name: str
@@ -59,61 +180,89 @@ class Questionnaire:
     title: str
     introduction: str
     items: tuple[Item, ...] = ()
-    points: int = 7
-    low: str = ""
-    high: str = ""
+    shuffle: bool = False
+    when: str = AFTER
+    conditions: tuple[str, ...] = ()
 
-    def check(self, answers: Mapping[str, Any]) -> dict[str, int | str]:
-        """Return the answers in the order of the items.
+    def shown(self, condition: str | None, seed: Sequence[int]) -> tuple[Item, ...]:
+        """Return the items that a participant sees, in their order.
+
+        Parameters
+        ----------
+        condition : str or None
+            The participant's present condition; None: not assigned yet, or all.
+        seed : sequence of int
+            Seed of the order, different for each participant.
+        """
+        if self.conditions and condition not in self.conditions:
+            return ()
+        items = [item for item in self.items if not item.conditions or condition in item.conditions]
+        if self.shuffle:
+            items = [items[place] for place in np.random.default_rng(seed).permutation(len(items))]
+        return tuple(items)
+
+    def check(self, answers: Mapping[str, Any], shown: Sequence[Item] | None = None) -> dict[str, Answer]:
+        """Return the answers to the items that were shown (default: all), in their order.
 
         Raises
         ------
         ValueError
             An answer is missing, unknown or invalid.
         """
-        known, most = {item.name for item in self.items}, 4000  # characters of a text, as in the page
+        items = self.items if shown is None else shown
+        known = {item.name for item in items}
         for name in answers:
             if name not in known:
                 raise ValueError(f"answers.{name[:40]}: unknown; expected {', '.join(sorted(known))}")
-        found: dict[str, int | str] = {}
-        for item in self.items:
-            answer = answers.get(item.name)
-            if self.form == "text":
-                if not isinstance(answer, str | None) or len(answer or "") > most:
-                    raise ValueError(f"answers.{item.name}: expected a text of at most {most:,} characters")
-                found[item.name] = answer or ""
-                continue
-            low, high, step = (0, 100, STEP) if self.form == "nasa-tlx" else (1, self.points, 1)
-            if isinstance(answer, bool) or not isinstance(answer, int) or not low <= answer <= high or answer % step:
-                steps = f" in steps of {step}" if step > 1 else ""
-                raise ValueError(f"answers.{item.name}: expected a whole number from {low} to {high}{steps}")
-            found[item.name] = answer
+        found: dict[str, Answer] = {}
+        for item in items:
+            try:
+                found[item.name] = item.check(answers.get(item.name))
+            except ValueError as error:
+                raise ValueError(f"answers.{item.name}: {error}") from None
         return found
 
-    def score(self, item: Item, answer: float) -> float:
-        """Return the score of an answer; reversed items are recoded."""
-        if not item.reversed:
-            return answer
-        return (100 if self.form == "nasa-tlx" else self.points + 1) - answer
+    @property
+    def scale(self) -> tuple[Item, ...]:
+        """The items whose mean is the questionnaire's score: those of its own form, if this is a scale."""
+        if self.form not in (LIKERT, GRID, SLIDER, TLX):
+            return ()
+        own = tuple(item for item in self.items if item.form == self.form and item.is_scored)
+        return own if len({item.ends for item in own}) == 1 else ()
+
+    def mean(self, scores: Mapping[str, float | None]) -> float | None:
+        """Return the mean score of the answered items of the scale; None without any."""
+        given = [score for item in self.scale if (score := scores.get(item.name)) is not None]
+        return fmean(given) if given else None
 
 
-_TLX = (
-    Item("mental", "How mentally demanding was the task?", "Very low", "Very high"),
-    Item("physical", "How physically demanding was the task?", "Very low", "Very high"),
-    Item("temporal", "How hurried or rushed was the pace of the task?", "Very low", "Very high"),
-    Item("performance", "How successful were you in accomplishing what you were asked to do?", "Perfect", "Failure"),
-    Item("effort", "How hard did you have to work to accomplish your level of performance?", "Very low", "Very high"),
-    Item(
-        "frustration", "How insecure, discouraged, irritated, stressed, and annoyed were you?", "Very low", "Very high"
-    ),
+_TLX = tuple(
+    Item(name, text, TLX, low=low, high=high, step=STEP)
+    for name, text, low, high in (
+        ("mental", "How mentally demanding was the task?", "Very low", "Very high"),
+        ("physical", "How physically demanding was the task?", "Very low", "Very high"),
+        ("temporal", "How hurried or rushed was the pace of the task?", "Very low", "Very high"),
+        (
+            "performance", "How successful were you in accomplishing what you were asked to do?", "Perfect", "Failure"
+        ),
+        ("effort", "How hard did you have to work to accomplish your level of performance?", "Very low", "Very high"),
+        (
+            "frustration", "How insecure, discouraged, irritated, stressed, and annoyed were you?", "Very low",
+            "Very high",
+        ),
+    )
 )  # fmt: skip
 
 FORMS = {
-    "nasa-tlx": Questionnaire(
-        "nasa-tlx", "nasa-tlx", "Workload",
-        "On each scale, mark the point that describes the task you have just done.", _TLX,
+    TLX: Questionnaire(
+        TLX, TLX, "Workload", "On each scale, mark the point that describes the task you have just done.", _TLX,
     ),
-    "likert": Questionnaire("likert", "likert", "Your view", "How much do you agree with each statement?"),
-    "text": Questionnaire("text", "text", "In your own words", "You may leave a field empty."),
+    LIKERT: Questionnaire(LIKERT, LIKERT, "Your view", "How much do you agree with each statement?"),
+    GRID: Questionnaire(GRID, GRID, "Your view", "How much do you agree with each statement?"),
+    SLIDER: Questionnaire(SLIDER, SLIDER, "Your view", "Mark a point on each scale."),
+    CHOICE: Questionnaire(CHOICE, CHOICE, "About you", ""),
+    CHOICES: Questionnaire(CHOICES, CHOICES, "About you", ""),
+    NUMBER: Questionnaire(NUMBER, NUMBER, "About you", ""),
+    TEXT: Questionnaire(TEXT, TEXT, "In your own words", "You may leave a field empty."),
 }  # fmt: skip
 """Available forms. Forms without items take them from the study's file."""

@@ -18,6 +18,7 @@ from planner.system.errors import DamagedFileError
 from ..live.events import ERASED, VACANT
 from ..live.store import stored
 from .plan import Stage, UserStudy
+from .questionnaires import CHOICES
 from .session import FORMAT
 
 Row = dict[str, Any]
@@ -33,7 +34,8 @@ COLUMNS: dict[str, dict[str, str]] = {
         "stage": "the last stage reached",
         "condition": "assigned when the first task begins, empty before; in a within-participants design, the order",
         "completion_code": "code shown at the end",
-        "excluded": "why the researchers exclude the participant from the report; empty otherwise",
+        "failed_checks": "attention checks that were answered wrongly",
+        "excluded": "why the participant is excluded from the report; empty otherwise",
     },
     "tasks": {
         "participant": "code of a participant",
@@ -70,8 +72,11 @@ COLUMNS: dict[str, dict[str, str]] = {
         "period": "1 for the participant's first condition",
         "questionnaire": "name of the questionnaire",
         "item": "name of the question",
-        "answer": "the answer as given",
-        "score": "the score, with reversed items recoded; empty for answers in words",
+        "option": "for questions with several choices, the option; empty otherwise",
+        "position": "1 for the first question on the page",
+        "answer": "the answer as given; for an option, whether it was chosen; empty without an answer",
+        "score": "the score, with reversed items recoded; empty if the answer is not a number",
+        "passed": "whether an attention check was answered correctly; empty for other questions",
     },
     "events": {
         "participant": "code of a participant",
@@ -184,7 +189,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             people[code] = {
                 "participant": code, "simulated": bool(record.get("simulated")), "arrived": record.get("at"),
                 "consented": None, "status": "here", "stage": stages[0].name,
-                "condition": None, "completion_code": None, "excluded": None,
+                "condition": None, "completion_code": None, "failed_checks": 0, "excluded": None,
             }  # fmt: skip
             at[code] = 0
         person, stage = people[code], stages[at[code]]
@@ -199,11 +204,13 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             person["condition"] = record["condition"]
             person["stage"] = next(one.name for one in stages if one.kind == "task")
         if event == "onward":
-            for item, answer in record.get("answers", {}).items():
-                found.answers.append(_where(study, person, stage) | _answer(study, stage, item, answer))
+            where = _where(study, person, stage)
+            rows = list(_answers(study, stage, record.get("answers", {})))
+            found.answers += [where | row for row in rows]
+            person["failed_checks"] += sum(row["passed"] is False for row in rows)
             person["condition"] = record.get("condition", person["condition"])
             person["consented"] = record["at"] if stage.kind == "consent" and "at" in record else person["consented"]
-            at[code] += 1
+            at[code] = study.next_stage(at[code], person["condition"])
             stage = stages[at[code]]
             person["stage"] = stage.name
             current.pop(code, None)
@@ -224,9 +231,13 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             if code in current:
                 _count(current[code], row, record["seen"]["finished"], record["time"] - began[code])
     withdrawn = {code for code, person in people.items() if person["status"] == "withdrew"}
+    most = study.exclude_failed_checks
     for person in people.values():
         if person["status"] == "withdrew":
             person["completion_code"] = person["excluded"] = None
+            person["failed_checks"] = 0
+        elif most is not None and person["failed_checks"] >= most and person["excluded"] is None:
+            person["excluded"] = f"failed {most} or more attention checks"
     for name in ("tasks", "actions", "answers", "events"):
         setattr(found, name, [row for row in getattr(found, name) if row["participant"] not in withdrawn])
     found.participants = list(people.values())
@@ -235,15 +246,21 @@ def tables(study: UserStudy, journal: Path) -> Tables:
 
 def _where(study: UserStudy, person: Row, stage: Stage) -> Row:
     """Return a participant's code, and the condition and period of a stage."""
-    condition = study.orders[person["condition"]][stage.period - 1] if stage.period else None
+    condition = study.condition_at(stage, person["condition"])
     return {"participant": person["participant"], "condition": condition, "period": stage.period}
 
 
-def _answer(study: UserStudy, stage: Stage, name: str, answer: Any) -> Row:
-    questionnaire = study.questionnaire(stage.what)
-    item = next(item for item in questionnaire.items if item.name == name)
-    score = None if isinstance(answer, str) else questionnaire.score(item, answer)
-    return {"questionnaire": questionnaire.name, "item": name, "answer": answer, "score": score}
+def _answers(study: UserStudy, stage: Stage, answers: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield a row for each answer, in the order of the questions on the page; for several choices, one per option."""
+    items = {item.name: item for item in study.questionnaire(stage.what).items} if answers else {}
+    for position, (name, answer) in enumerate(answers.items(), start=1):
+        item = items[name]
+        row = {"questionnaire": stage.what, "item": name, "option": None, "position": position}
+        if item.form == CHOICES:
+            for option in item.options:
+                yield row | {"option": option, "answer": option in answer, "score": None, "passed": None}
+        else:
+            yield row | {"answer": answer, "score": item.score(answer), "passed": item.passed(answer)}
 
 
 def _action(stage: Stage, record: Mapping[str, Any], step: int) -> Row:

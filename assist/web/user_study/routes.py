@@ -15,6 +15,7 @@ from ...live.events import LONGEST_REASON
 from ...userstudy.cohort import StudyEvent
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
+from ...userstudy.questionnaires import Item
 from ..authorization import READ, WRITE, Operator, Own, refusals
 from ..page_routes import page, page_of, piece
 from ..routes import plain
@@ -85,11 +86,16 @@ class Onward(Once):
     """Request to complete a stage and proceed to the next one."""
 
     stage: str = Field(min_length=1, max_length=120, description="The stage that is completed.")
-    answers: dict[str, int | str] | None = Field(None, description="Answers, if the stage is a questionnaire.")
+    answers: dict[str, int | float | str | list[str] | None] | None = Field(
+        None, description="Answers, if the stage is a questionnaire; a list for several choices, null for none."
+    )
 
 
 class Progress(BaseModel):
-    """A participant's progress: the present task or questionnaire (`what`), and whether the task is `over`."""
+    """A participant's progress: the present task or questionnaire (`what`), with its questions in their order.
+
+    `over` is whether the task is over.
+    """
 
     kind: str
     stage: str
@@ -98,6 +104,7 @@ class Progress(BaseModel):
     of: int
     over: bool
     completion: str | None
+    items: list[str]
 
 
 class Participant(Person):
@@ -132,14 +139,20 @@ def form_of(study: UserStudy) -> dict[str, Any]:
         "texts": {name: markdown.markdown(text, output_format="html") for name, text in study.texts.items()},
         "questionnaires": {
             one.name: {
-                "form": one.form, "title": one.title, "introduction": one.introduction, "points": one.points,
-                "items": [
-                    {"name": item.name, "text": item.text, "low": item.low or one.low, "high": item.high or one.high}
-                    for item in one.items
-                ],
+                "title": one.title, "introduction": one.introduction,
+                "items": {item.name: _shown(item) for item in one.items},
             }
             for one in study.questionnaires
         },
+    }  # fmt: skip
+
+
+def _shown(item: Item) -> dict[str, Any]:
+    """Return what a participant may know of a question: neither the answer to a check nor the conditions."""
+    low, high, step = item.ends
+    return {
+        "form": item.form, "text": item.text, "required": item.required, "low": item.low, "high": item.high,
+        "labels": item.labels, "options": item.options, "min": low, "max": high, "step": step,
     }  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 // A participant's page: consent, instructions, questionnaires and the end. It redirects to the page of tasks.
 
 import { Channel, Outbox, Refused, address, askJson, passes, pageOf, pathOf, person, place } from "../../pages/connection.js";
+import { Questions, element } from "./questions.js";
 
 const at = (id) => document.getElementById(id);
 const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${rest}`;
@@ -9,16 +10,6 @@ const TASKS = ["practice", "task"];
 let form = null; // texts and questionnaires of the study
 let view = null; // the latest view from the service
 let shown = null; // the stage that the page shows
-
-function element(name, attributes = {}, ...children) {
-  const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (value === true) made.setAttribute(key, "");
-    else if (value !== false && value !== null) made.setAttribute(key, value);
-  }
-  made.append(...children.filter((child) => child !== null));
-  return made;
-}
 
 function complain(text) {
   at("problem").textContent = text ?? "";
@@ -46,92 +37,17 @@ function keepDraft(answers) {
   }
 }
 
-// Questionnaires. Each question is a fieldset, so that screen readers announce it with its answers.
-
-let answers = {};
-
-function answer(name, value) {
-  answers[name] = value;
-  keepDraft(answers);
-  const field = at(`item ${name}`);
-  field.classList.remove("missing");
-  field.querySelector(".error").hidden = true;
-}
-
-function fieldOf(item, ...children) {
-  return element("fieldset", { id: `item ${item.name}`, class: "item" },
-    element("legend", {}, item.text),
-    ...children,
-    element("p", { class: "error", id: `error ${item.name}`, hidden: true }, "Please answer this question."));
-}
-
-/** A scale from 0 to 100. It is unmarked at first, so that the middle is never a default answer. */
-function slider(item) {
-  const input = element("input", {
-    type: "range", min: 0, max: 100, step: 5, "aria-label": `${item.text} 0: ${item.low}, 100: ${item.high}`, class: "unmarked",
-  });
-  const output = element("output", {}, "not marked");
-  const mark = () => {
-    input.classList.remove("unmarked");
-    output.textContent = input.value;
-    input.setAttribute("aria-valuetext", `${input.value} of 100`);
-    answer(item.name, Number(input.value));
-  };
-  input.value = answers[item.name] ?? 50;
-  input.setAttribute("aria-valuetext", "not marked");
-  if (item.name in answers) {
-    input.classList.remove("unmarked");
-    output.textContent = input.value;
-    input.setAttribute("aria-valuetext", `${input.value} of 100`);
-  }
-  input.addEventListener("input", mark);
-  input.addEventListener("click", mark);
-  input.addEventListener("keydown", (event) => ["Enter", " "].includes(event.key) && (event.preventDefault(), mark()));
-  return fieldOf(item,
-    element("div", { class: "scale", "aria-hidden": "true" }, element("span", {}, item.low), element("span", {}, item.high)),
-    input, element("p", { class: "marked" }, output));
-}
-
-function points(item, count) {
-  const choices = Array.from({ length: count }, (_, number) => {
-    const value = number + 1;
-    const end = value === 1 ? item.low : value === count ? item.high : null;
-    const input = element("input", { type: "radio", name: `item ${item.name}`, value, checked: answers[item.name] === value });
-    input.addEventListener("change", () => answer(item.name, value));
-    return element("label", { class: "point" }, input, element("span", {}, String(value), end === null ? null : element("span", { class: "unseen" }, `: ${end}`)));
-  });
-  return fieldOf(item,
-    element("div", { class: "points" }, ...choices),
-    element("div", { class: "scale", "aria-hidden": "true" }, element("span", {}, item.low), element("span", {}, item.high)));
-}
-
-function words(item) {
-  const input = element("textarea", { rows: 4, maxlength: 4000, "aria-label": item.text });
-  input.value = answers[item.name] ?? "";
-  input.addEventListener("input", () => answer(item.name, input.value));
-  return fieldOf(item, input);
-}
-
 function questionnaire(study) {
   const asked = form.questionnaires[study.what];
-  answers = draft();
+  const questions = new Questions(asked.items, study.items, draft(), keepDraft);
   title(asked.title);
-  at("body").append(element("p", {}, asked.introduction));
-  const kinds = { "nasa-tlx": slider, likert: (item) => points(item, asked.points), text: words };
-  at("form").append(...asked.items.map(kinds[asked.form]), buttons(["Continue", null]));
+  if (asked.introduction) at("body").append(element("p", {}, asked.introduction));
+  at("form").append(...questions.elements(), buttons(["Continue", null]));
   at("form").onsubmit = (event) => {
     event.preventDefault();
-    const missing = asked.form === "text" ? [] : asked.items.filter((item) => !(item.name in answers));
-    for (const item of missing) {
-      at(`item ${item.name}`).classList.add("missing");
-      at(`error ${item.name}`).hidden = false;
-    }
-    if (missing.length) {
-      at(`item ${missing[0].name}`).querySelector("input").focus();
-      at("said").textContent = `${missing.length === 1 ? "One question is" : `${missing.length} questions are`} unanswered.`;
-      return;
-    }
-    onward({ ...answers });
+    const wrong = questions.check();
+    if (wrong) at("said").textContent = `${wrong === 1 ? "One question needs" : `${wrong} questions need`} an answer.`;
+    else onward({ ...questions.answers });
   };
 }
 

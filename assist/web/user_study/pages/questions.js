@@ -1,0 +1,199 @@
+// The questions of a questionnaire. Each is a fieldset, so that screen readers announce it with its answers.
+
+export function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (value === true) made.setAttribute(key, "");
+    else if (value !== false && value !== null) made.setAttribute(key, value);
+  }
+  made.append(...children.filter((child) => child !== null));
+  return made;
+}
+
+const SCALES = ["slider", "nasa-tlx"];
+const POINTS = ["likert", "likert-grid"];
+
+/** The questions in `names`, in this order. `answers` has the given answers; `changed` is called with each new one. */
+export class Questions {
+  constructor(items, names, answers, changed) {
+    this.items = Object.fromEntries(names.map((name) => [name, { ...items[name], name }]));
+    this.answers = Object.fromEntries(Object.entries(answers).filter(([name]) => names.includes(name)));
+    this.changed = changed;
+    const all = Object.values(this.items);
+    this.marksOptional = all.some((item) => item.required); // a page without required questions says so itself
+  }
+
+  /** The elements of all questions; neighbours in the form of a grid are in one. */
+  elements() {
+    const made = [];
+    let grid = null;
+    for (const item of Object.values(this.items)) {
+      const field = this.field(item);
+      if (item.form !== "likert-grid") {
+        made.push(field);
+        grid = null;
+        continue;
+      }
+      if (grid === null || grid.dataset.labels !== this.labels(item).join("\n")) {
+        grid = element("div", { class: "grid" }, this.head(item));
+        grid.dataset.labels = this.labels(item).join("\n");
+        made.push(grid);
+      }
+      grid.append(field);
+    }
+    return made;
+  }
+
+  /** What is wrong with an answer, or null. */
+  problem(item) {
+    const answer = this.answers[item.name];
+    const none = answer === undefined || answer === null || answer === "" || answer.length === 0;
+    if (none) return item.required ? "Please answer this question." : null;
+    if (item.form !== "number") return null;
+    const steps = (answer - item.min) / item.step;
+    const fits = typeof answer === "number" && answer >= item.min && answer <= item.max && Math.abs(steps - Math.round(steps)) < 1e-6;
+    return fits ? null : `Please enter a number ${range(item)}.`;
+  }
+
+  /** Mark the questions without a valid answer; return their number, with the focus in the first. */
+  check() {
+    const wrong = Object.values(this.items).map((item) => [item, this.problem(item)]).filter(([, problem]) => problem !== null);
+    for (const [item, problem] of wrong) {
+      const error = document.getElementById(`error-${item.name}`);
+      fieldset(item).classList.add("missing");
+      error.textContent = problem;
+      error.hidden = false;
+    }
+    if (wrong.length) fieldset(wrong[0][0]).querySelector("input, textarea").focus();
+    return wrong.length;
+  }
+
+  answer(item, value) {
+    if (value === undefined) delete this.answers[item.name];
+    else this.answers[item.name] = value;
+    fieldset(item).classList.remove("missing");
+    document.getElementById(`error-${item.name}`).hidden = true;
+    this.changed(this.answers);
+  }
+
+  field(item) {
+    const kinds = { choice: "choice", choices: "choices", number: "number", text: "words" };
+    const kind = SCALES.includes(item.form) ? "slider" : POINTS.includes(item.form) ? "points" : kinds[item.form];
+    const optional = !item.required && this.marksOptional;
+    const clears = !item.required && (kind === "choice" || kind === "points" || kind === "slider");
+    const made = element("fieldset", { id: `item ${item.name}`, class: "item", "aria-describedby": `error-${item.name}` },
+      element("legend", {}, item.text, optional ? element("span", { class: "hint" }, " (optional)") : null),
+      ...this[kind](item),
+      element("p", { class: "error", id: `error-${item.name}`, hidden: true }));
+    if (clears) {
+      const clear = element("button", { type: "button", class: "quiet", "aria-label": `Clear the answer: ${item.text}` }, "Clear");
+      clear.addEventListener("click", () => {
+        this.answer(item, undefined);
+        const again = this.field(item);
+        fieldset(item).replaceWith(again);
+        again.querySelector("input").focus();
+      });
+      made.append(clear);
+    }
+    return made;
+  }
+
+  /** A scale. It is unmarked at first, so that the middle is never a default answer. */
+  slider(item) {
+    const { min, max, step } = item;
+    const ends = item.low || item.high ? [item.low, item.high] : [String(min), String(max)];
+    const input = element("input", {
+      type: "range", min, max, step, "aria-label": `${item.text} ${min}: ${ends[0]}, ${max}: ${ends[1]}`, class: "unmarked",
+    });
+    const output = element("output", {}, "not marked");
+    const show = () => {
+      input.classList.remove("unmarked");
+      output.textContent = input.value;
+      input.setAttribute("aria-valuetext", `${input.value} of ${max}`);
+    };
+    const mark = () => {
+      show();
+      this.answer(item, Number(input.value));
+    };
+    input.value = this.answers[item.name] ?? (min + max) / 2;
+    input.setAttribute("aria-valuetext", "not marked");
+    if (item.name in this.answers) show();
+    input.addEventListener("input", mark);
+    input.addEventListener("click", mark);
+    input.addEventListener("keydown", (event) => ["Enter", " "].includes(event.key) && (event.preventDefault(), mark()));
+    return [
+      element("div", { class: "scale", "aria-hidden": "true" }, ...ends.map((end) => element("span", {}, end))),
+      input, element("p", { class: "marked" }, output),
+    ];
+  }
+
+  /** A label for each point; empty between the ends unless the study has labels for all. */
+  labels(item) {
+    if (item.labels.length) return item.labels;
+    return Array.from({ length: item.max }, (_, place) => (place === 0 ? item.low : place === item.max - 1 ? item.high : ""));
+  }
+
+  points(item) {
+    const labels = this.labels(item);
+    const choices = labels.map((label, place) => {
+      const value = place + 1;
+      const input = element("input", { type: "radio", name: `item ${item.name}`, value, checked: this.answers[item.name] === value });
+      input.addEventListener("change", () => this.answer(item, value));
+      return element("label", { class: "point" }, input, element("span", {}, String(value), label ? element("span", { class: "unseen" }, `: ${label}`) : null));
+    });
+    return [element("div", { class: "points" }, ...choices), this.scale(item)];
+  }
+
+  /** The labels below the points; for the eye only, as each point has its label. */
+  scale(item) {
+    const every = item.labels.length > 0;
+    return element("div", { class: every ? "scale every" : "scale", "aria-hidden": "true" },
+      ...(every ? item.labels : [item.low, item.high]).map((label) => element("span", {}, label)));
+  }
+
+  /** The head of a grid: its labels once, above all rows. */
+  head(item) {
+    return element("div", { class: "head", "aria-hidden": "true" }, element("span", {}), this.scale(item));
+  }
+
+  boxes(item, type, isChecked, change) {
+    return [element("div", { class: "options" }, ...item.options.map((option) => {
+      const input = element("input", { type, name: `item ${item.name}`, value: option, checked: isChecked(option) });
+      input.addEventListener("change", () => change(option, input.checked));
+      return element("label", { class: "option" }, input, element("span", {}, option));
+    }))];
+  }
+
+  choice(item) {
+    return this.boxes(item, "radio", (option) => this.answers[item.name] === option, (option) => this.answer(item, option));
+  }
+
+  choices(item) {
+    const chosen = () => this.answers[item.name] ?? [];
+    return this.boxes(item, "checkbox", (option) => chosen().includes(option), (option, checked) => {
+      const others = chosen().filter((other) => other !== option);
+      this.answer(item, checked ? [...others, option] : others);
+    });
+  }
+
+  number(item) {
+    const input = element("input", { type: "text", inputmode: "decimal", autocomplete: "off", size: 12, "aria-label": `${item.text} A number ${range(item)}` });
+    input.value = this.answers[item.name] ?? "";
+    input.addEventListener("input", () => {
+      const given = input.value.trim().replace(",", ".");
+      const value = Number(given);
+      this.answer(item, given === "" ? undefined : Number.isFinite(value) ? value : given);
+    });
+    return [element("p", { class: "figure" }, input, element("span", { class: "hint", "aria-hidden": "true" }, ` ${range(item)}`))];
+  }
+
+  words(item) {
+    const input = element("textarea", { rows: 4, maxlength: 4000, "aria-label": item.text });
+    input.value = this.answers[item.name] ?? "";
+    input.addEventListener("input", () => this.answer(item, input.value));
+    return [input];
+  }
+}
+
+const fieldset = (item) => document.getElementById(`item ${item.name}`);
+const range = (item) => `from ${item.min} to ${item.max}${item.step === 1 ? "" : ` in steps of ${item.step}`}`;
