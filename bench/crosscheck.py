@@ -38,7 +38,8 @@ from assist.large_tasks import truncated_bound
 from assist.people.choice_model import ChoiceModel, boltzmann
 from assist.people.choices import Choices, mix
 from assist.people.decision import Floats, perceived_value
-from assist.people.human import Mixture, Population
+from assist.people.human import Population
+from assist.people.mixture import Mixture
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule

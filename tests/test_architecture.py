@@ -33,10 +33,10 @@ ROOMS = {
         on_demand portfolio""",
     "planner.batch": "solve_instance results_folder solve_batch",
     "planner": "engine",
-    "assist.people": """arguments choices misconception decision terms memory choice_model human belief
-        influence_kernels trust_rules user_code action_names signals""",
-    "assist.person": """pomdp policy archive problem_arrays belief_filter qmdp solution_cache alpha_vectors upper_hull
-        hsvi solver suggestion_threshold""",
+    "assist.people": """arguments choices misconception decision terms memory choice_model human mixture
+        spread belief influence_kernels trust_rules user_code action_names signals""",
+    "assist.person": """leaf_bounds pomdp policy archive problem_arrays belief_filter qmdp solution_cache alpha_vectors
+        upper_hull hsvi solver suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
         fit joint_states goals comparison rule_families trust_log influence_population rule_search trust_fit

@@ -15,7 +15,8 @@ from assist.certify.team_bound import upper_bound
 from assist.large_tasks.person_problem import PersonProblem
 from assist.people.arguments import number, span
 from assist.people.belief import Grid
-from assist.people.human import Human, Mixture, Population
+from assist.people.human import Human, Population
+from assist.people.mixture import Mixture
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate

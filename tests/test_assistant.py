@@ -15,8 +15,9 @@ from assist.live.assistant import Assistant
 from assist.live.live_task import InapplicableError, UnknownError
 from assist.people.choice_model import Weighted, boltzmann
 from assist.people.choices import Choices
-from assist.people.human import HumanModel, Mixture, Population
+from assist.people.human import HumanModel, Population
 from assist.people.memory import remembered
+from assist.people.mixture import Mixture
 from assist.people.terms import TERMS
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp

@@ -10,10 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from assist.live.live_task import LiveTask
-from assist.people.belief import Grid, ImpossibleObservationError, Spread, update
+from assist.people.belief import Grid, ImpossibleObservationError, update
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, trust
-from assist.people.human import Human, HumanModel, Mixture, Population, advice_takers
+from assist.people.human import Human, HumanModel, Population
+from assist.people.mixture import Mixture, advice_takers
+from assist.people.spread import Spread
 from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome, outcome_at_disagreement
 from assist.person.belief_filter import child, posterior, split
 from assist.person.belief_filter import update as compiled_update

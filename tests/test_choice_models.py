@@ -22,8 +22,9 @@ from assist.people.belief import Grid
 from assist.people.choice_model import ChoiceModelError, Weighted, boltzmann, chances
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_value, trust
-from assist.people.human import Human, HumanModel, Mixture, Population
+from assist.people.human import Human, HumanModel, Population
 from assist.people.memory import remembered
+from assist.people.mixture import Mixture
 from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp

@@ -22,7 +22,8 @@ from assist.people.decision import (
     perceived_value,
     trust,
 )
-from assist.people.human import Human, HumanModel, Mixture, Population
+from assist.people.human import Human, HumanModel, Population
+from assist.people.mixture import Mixture
 from assist.team.travel import Travel
 from planner import Table, load, sweep
 

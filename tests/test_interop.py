@@ -22,7 +22,8 @@ from assist.interop.observed import Observed, action_names
 from assist.people.choices import Choices
 from assist.people.human import HumanModel
 from assist.people.memory import remembered
-from assist.person.pomdp import AssistPOMDP, LeafBounds
+from assist.person.leaf_bounds import LeafBounds
+from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
 from planner import Instance, Table, load, sweep
 from planner.system.errors import MissingExtraError

@@ -18,8 +18,9 @@ from assist.large_tasks.person_problem import PersonProblem
 from assist.large_tasks.truncated_task import TruncatedTask
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel, Mixture, Population
+from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import Misconception
+from assist.people.mixture import Mixture
 from assist.person.archive import ArchiveError
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp

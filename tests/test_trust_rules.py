@@ -22,7 +22,8 @@ from assist.live.assistant import Assistant
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
-from assist.people.human import HumanModel, Population, advice_takers
+from assist.people.human import HumanModel, Population
+from assist.people.mixture import advice_takers
 from assist.people.trust_rules import (
     LEAST,
     RULES,

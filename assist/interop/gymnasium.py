@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
-from ..people.human import Mixture, Population
+from ..people.human import Population
+from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.pool import Pool
 from ..simulation.task_view import World

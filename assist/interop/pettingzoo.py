@@ -9,7 +9,8 @@ import numpy as np
 
 from planner.system.errors import MissingExtraError
 
-from ..people.human import Mixture, Population
+from ..people.human import Population
+from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.pool import Pool
 from ..simulation.task_view import World

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from planner import load, sweep
 
 from ..people.decision import NOTHING, Floats
-from ..people.human import Mixture, Population
+from ..people.human import Population
+from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import from_the_prior
 from ..simulation.dynamics import PeopleArrays
 from ..simulation.pool import MAX_ENUMERATED, Pool

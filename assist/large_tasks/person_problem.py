@@ -14,8 +14,9 @@ from planner.system.arrays import outline
 
 from ..people.arguments import whole
 from ..people.decision import perceived_cost, perceived_cost_to_go
-from ..people.human import HumanModel, Mixture, Population
+from ..people.human import HumanModel, Population
 from ..people.memory import choices_of
+from ..people.mixture import Mixture
 from ..people.trust_rules import TrustRule, trust_rule
 from ..person.pomdp import AssistPOMDP, Suggestions
 from .truncated_task import TruncatedTask

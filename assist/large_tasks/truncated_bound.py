@@ -67,8 +67,10 @@ from planner import CostToGo, LimitError, Table
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, value
 from ..people.decision import Floats
-from ..people.human import Human, Mixture, Population
-from ..person.pomdp import AssistPOMDP, LeafBounds
+from ..people.human import Human, Population
+from ..people.mixture import Mixture
+from ..person.leaf_bounds import LeafBounds
+from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import bellman_backup, initial_upper_bounds, value_iteration
 from ..person.solver import first_bounds_bytes
 from ..team.attention_subproblem import AWAY, HERE, AttentionSubproblem

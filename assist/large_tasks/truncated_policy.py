@@ -25,7 +25,8 @@ from planner.system.progress import told
 
 from ..people.belief import Grid
 from ..people.decision import NOTHING, Floats
-from ..people.human import Human, Mixture, Population
+from ..people.human import Human, Population
+from ..people.mixture import Mixture
 from ..person.policy import Policy, VisitingRobot
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, SOLVING, look_ahead

@@ -29,9 +29,11 @@ from planner.system.arrays import outline
 from ..people.belief import Grid
 from ..people.choices import Choices, keys_of
 from ..people.decision import Floats, choice
-from ..people.human import Human, HumanModel, Mixture, Population
+from ..people.human import Human, HumanModel, Population
+from ..people.mixture import Mixture
 from ..people.trust_rules import EquationSeven, TrustRule, constant
-from ..person.pomdp import AssistPOMDP, LeafBounds, Suggestions, check_costs
+from ..person.leaf_bounds import LeafBounds
+from ..person.pomdp import AssistPOMDP, Suggestions, check_costs
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are expanded together, between two looks at the clock
 SURVEYED = 10_000_000  # states of a table up to which `_Survey` scans all transitions, to limit its time

@@ -18,7 +18,7 @@ from planner.system.arrays import outline
 from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.choice_model import ChoiceModel
-from ..people.human import Mixture
+from ..people.mixture import Mixture
 from ..people.terms import TERMS, Term, features
 from .choosing import with_model
 from .diagnostics import UNCHECKED, check

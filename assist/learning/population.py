@@ -25,7 +25,8 @@ from scipy.optimize import minimize
 from scipy.special import chdtri, logit, ndtr
 
 from ..people.decision import NOTHING, Floats
-from ..people.human import Mixture, Population, Range
+from ..people.human import Population, Range
+from ..people.mixture import Mixture
 from ..people.trust_rules import EquationSeven, LogitSteps, rule_of
 from .hierarchy import Hierarchy
 from .likelihood import Method, log_likelihood

@@ -9,8 +9,9 @@ from functools import cached_property
 from typing import Any
 
 from ..explain.explanation import Explanation
-from ..people.belief import Grid, Spread
+from ..people.belief import Grid
 from ..people.decision import Floats
+from ..people.spread import Spread
 
 
 @dataclass(frozen=True, slots=True)

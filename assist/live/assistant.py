@@ -30,9 +30,10 @@ from numpy.typing import ArrayLike, NDArray
 from planner import CostToGo
 
 from ..explain.explanation import Explanation
-from ..people.belief import Spread
 from ..people.decision import NOTHING, Floats
-from ..people.human import Mixture, Population, advice_takers
+from ..people.human import Population
+from ..people.mixture import Mixture, advice_takers
+from ..people.spread import Spread
 from ..person.belief_filter import update
 from ..person.policy import Policy
 from ..team.policies import POLICIES, named, prepare

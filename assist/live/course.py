@@ -24,7 +24,8 @@ from numpy.typing import ArrayLike
 from planner import CostToGo
 
 from ..explain.explanation import Explanation, WhyNothing
-from ..people.human import Mixture, Population
+from ..people.human import Population
+from ..people.mixture import Mixture
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice, PersonState, Reason

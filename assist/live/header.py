@@ -19,7 +19,8 @@ from ..people.belief import Grid
 from ..people.choice_model import chances
 from ..people.choices import Choices
 from ..people.decision import perceived_cost
-from ..people.human import Mixture, Population
+from ..people.human import Population
+from ..people.mixture import Mixture
 from .assistant import Assistant
 from .live_task import digest
 

@@ -25,8 +25,9 @@ from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.action_names import Matcher, UnmatchedError, words_of
 from ..people.choices import Choices, require_goal
-from ..people.human import Mixture, Population
+from ..people.human import Population
 from ..people.memory import choices_of
+from ..people.mixture import Mixture
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..person.qmdp import qmdp

@@ -25,7 +25,8 @@ from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
-from ..people.human import Mixture, Population
+from ..people.human import Population
+from ..people.mixture import Mixture
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice

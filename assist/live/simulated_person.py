@@ -11,7 +11,8 @@ from planner import CostToGo, Table, optimal_choices
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, choice, influence, perceived_cost_to_go
-from ..people.human import Human, Mixture, Population
+from ..people.human import Human, Population
+from ..people.mixture import Mixture
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule
 

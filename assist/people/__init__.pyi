@@ -1,6 +1,5 @@
 from .belief import Grid as Grid
 from .belief import ImpossibleObservationError as ImpossibleObservationError
-from .belief import Spread as Spread
 from .choice_model import ChoiceModel as ChoiceModel
 from .choice_model import ChoiceModelError as ChoiceModelError
 from .choice_model import Weighted as Weighted
@@ -18,15 +17,16 @@ from .decision import perceived_value as perceived_value
 from .decision import trust as trust
 from .human import Human as Human
 from .human import HumanModel as HumanModel
-from .human import Mixture as Mixture
 from .human import Population as Population
-from .human import advice_takers as advice_takers
 from .memory import remembered as remembered
 from .misconception import Misconception as Misconception
+from .mixture import Mixture as Mixture
+from .mixture import advice_takers as advice_takers
 from .signals import ActionRecovery as ActionRecovery
 from .signals import FactChange as FactChange
 from .signals import Recovery as Recovery
 from .signals import UnknownFactError as UnknownFactError
+from .spread import Spread as Spread
 from .terms import NOTHING_YET as NOTHING_YET
 from .terms import TERMS as TERMS
 from .terms import Situation as Situation

@@ -1,8 +1,8 @@
 from .alpha_vectors import VectorPolicy as VectorPolicy
 from .archive import ArchiveError as ArchiveError
+from .leaf_bounds import LeafBounds as LeafBounds
 from .policy import Policy as Policy
 from .pomdp import AssistPOMDP as AssistPOMDP
-from .pomdp import LeafBounds as LeafBounds
 from .qmdp import QMDP as QMDP
 from .qmdp import evaluate as evaluate
 from .qmdp import qmdp as qmdp

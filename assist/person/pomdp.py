@@ -24,8 +24,10 @@ from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, chances, value
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
-from ..people.human import HumanModel, Mixture, Population
+from ..people.human import HumanModel, Population
+from ..people.mixture import Mixture
 from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule
+from .leaf_bounds import LeafBounds
 
 Suggestions = Literal["optimal", "all"]
 
@@ -37,48 +39,6 @@ def check_costs(gamma: float, **costs: float) -> None:
     for name, cost in costs.items():
         if not 0 <= cost < np.inf:
             raise ValueError(f"{name} {cost:g}: expected 0 or more")
-
-
-@dataclass(frozen=True)
-class LeafBounds:
-    """Bounds on the value of the frontier states of a truncated problem.
-
-    A truncated problem ends when it reaches one of these states, the leaves. The bounds stand for the return from
-    there.
-
-    Attributes
-    ----------
-    states : int array, shape (m,)
-        The frontier states.
-    lower : float array, shape (m, T) or (m, B, T)
-        Lower bound on the optimal value, in cost units, for each theta and all beta, or for each (beta, theta). It
-        equals `upper` where only an upper bound is wanted (`large_tasks.truncated_bound`). A solver's lower bound then
-        holds only for the truncated problem.
-    upper : float array, shape (m,) or (m, B, T)
-        Upper bound on the value of every policy; for each (beta, theta) if that is known.
-    floor : float, optional
-        Lower bound on the value of every policy that makes no further suggestion.
-    away : float array, shape (m, B, T), optional
-        Upper bound on the value of every policy whose robot must first travel to the person. If it is given, the
-        subproblem of a team ends at these states.
-    value : float array, shape (m,), optional
-        V(x) of equation 7, the value that the person expects at these states. The default is minus the exact
-        cost-to-go.
-    """
-
-    states: NDArray[np.int64]
-    lower: Floats
-    upper: Floats
-    floor: float | None = None
-    away: Floats | None = None
-    value: Floats | None = None
-
-    __repr__ = outline
-
-    def __post_init__(self) -> None:
-        for array in (self.states, self.lower, self.upper, self.away, self.value):
-            if array is not None:
-                array.flags.writeable = False
 
 
 @dataclass(frozen=True, kw_only=True)

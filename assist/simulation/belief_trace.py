@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..people.arguments import Seed
-from ..people.belief import Spread
 from ..people.decision import Floats
+from ..people.spread import Spread
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
 from .episodes import Episode, Trace, robot_is_at

@@ -16,8 +16,9 @@ from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.choices import Choices, require_goal
-from ..people.human import Human, Mixture, Population
+from ..people.human import Human, Population
 from ..people.memory import choices_of
+from ..people.mixture import Mixture
 from ..person.policy import LazyPolicy, Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp

@@ -18,9 +18,10 @@ from planner.system.errors import InputFileError
 from ..large_tasks.person_problem import is_whole
 from ..large_tasks.state_cache import StateCache
 from ..people.choices import Choices
-from ..people.human import Mixture, Population
+from ..people.human import Population
 from ..people.memory import choices_of
-from ..person.pomdp import LeafBounds
+from ..people.mixture import Mixture
+from ..person.leaf_bounds import LeafBounds
 from ..person.qmdp import qmdp
 from ..person.solution_cache import SolutionCache
 from ..simulation.episodes import Episodes

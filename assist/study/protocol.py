@@ -39,7 +39,8 @@ from planner.system.typed_toml import (
 )
 
 from ..learning import population as populations
-from ..people.human import Mixture, Population, advice_takers
+from ..people.human import Population
+from ..people.mixture import Mixture, advice_takers
 from ..people.terms import TERMS
 from ..people.user_code import UserChoiceModel, UserCodeError, parse
 from ..team.policies import POLICIES

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from planner import Instance
 
-from ..people.human import Mixture, Population
+from ..people.human import Population
+from ..people.mixture import Mixture
 from ..people.user_code import UserChoiceModel
 from ..team.settings import Setting
 

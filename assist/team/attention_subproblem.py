@@ -24,7 +24,8 @@ from planner.system.machine import available_memory
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
-from ..person.pomdp import AssistPOMDP, LeafBounds
+from ..person.leaf_bounds import LeafBounds
+from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 
 AWAY, HERE = 0, 1

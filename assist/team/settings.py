@@ -13,9 +13,11 @@ from ..people.arguments import MOST, number, whole
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
-from ..people.human import Human, HumanModel, Mixture, Population
+from ..people.human import Human, HumanModel, Population
+from ..people.mixture import Mixture
 from ..people.trust_rules import LogitSteps, TrustRule, trust_rule
-from ..person.pomdp import AssistPOMDP, LeafBounds, Suggestions
+from ..person.leaf_bounds import LeafBounds
+from ..person.pomdp import AssistPOMDP, Suggestions
 from .travel import Travel
 
 Knowledge = Literal["own", "exact"]

@@ -35,7 +35,8 @@ from planner.system.typed_toml import (
     partial_of,
 )
 
-from ..people.human import Mixture, Population, advice_takers
+from ..people.human import Population
+from ..people.mixture import Mixture, advice_takers
 from ..people.user_code import parse
 from ..team.policies import POLICIES
 from ..team.settings import Setting

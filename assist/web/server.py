@@ -26,7 +26,8 @@ from ..live.live_task import InapplicableError
 from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson
 from ..live.store import JournalError
-from ..people.human import Mixture, Population
+from ..people.human import Population
+from ..people.mixture import Mixture
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .app import make_app

@@ -18,7 +18,8 @@ from .common import INPUT_FILE, NUMBER, Command, Option, Range, is_given, range_
 
 if TYPE_CHECKING:
     from ...people.choice_model import ChoiceModel
-    from ...people.human import Mixture, Population
+    from ...people.human import Population
+    from ...people.mixture import Mixture
 
 
 def population_options(
@@ -68,7 +69,8 @@ def population_of(
         A range is invalid, the file contains no population, both ranges and a file are given, or the function is
         missing.
     """
-    from ...people.human import Population, advice_takers
+    from ...people.human import Population
+    from ...people.mixture import advice_takers
 
     try:
         if file is None:

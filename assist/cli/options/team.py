@@ -29,7 +29,8 @@ from .task import costs_of, one_instance
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
-    from ...people.human import Mixture, Population
+    from ...people.human import Population
+    from ...people.mixture import Mixture
     from ...simulation.pool import Pool
     from ...team.state import TeamPolicy
     from ...team.travel import Travel
