@@ -11,6 +11,7 @@ others:
   returns the same advice.
 - A suggestion is open until the person acts, and that action is taken as the answer. Until then the person gets no
   other suggestion, and the robot is free for others. So a decision may follow every observation.
+- Several robots decide together. Each has its place, and those under way continue.
 - If travel takes time, the robot is under way until its arrival is reported (`arrived`). Meanwhile it makes no
   suggestion and is not redirected. If the person to whom it was sent leaves, it counts as being at that place, and the
   next decision may send it on. Otherwise it counts as being where it was sent.
@@ -19,8 +20,8 @@ others:
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -41,7 +42,7 @@ from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from .advice import Advice, PersonState, Reason
 from .decision_point import DecisionPoint
-from .live_task import InapplicableError, LiveTask, digest, population_of
+from .live_task import InapplicableError, LiveTask, UnknownError, digest, population_of
 from .roster import Roster, RosterEntry, Step
 
 FORMAT = "kitassist team 1"
@@ -60,7 +61,7 @@ class _LiveTeam(TeamState):
 
 
 class Assistant:
-    """A live team of one or more people, and a robot that attends to one of them at a time.
+    """A live team of one or more people, and robots that each attend to one of them at a time.
 
     Parameters
     ----------
@@ -80,6 +81,8 @@ class Assistant:
     distance : array, shape (P + 1, P + 1), optional
         Distances between the places of P people, in the order in which they join, and the base, which is last; by
         default 1 between any two.
+    robots : int, optional
+        Number of robots; by default that of the setting, 1. They have numbers from 1.
 
     Raises
     ------
@@ -96,11 +99,13 @@ class Assistant:
         setting: Setting | None = None,
         population: Population | Mixture | None = None,
         distance: ArrayLike | None = None,
+        robots: int | None = None,
     ) -> None:
         if isinstance(people, str):
             raise TypeError(f"people {people!r}: expected a list of names")
         self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
-        self.setting.require_one_robot("a live team")
+        if robots is not None:
+            self.setting = replace(self.setting, robots=robots)
         if self.setting.execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy
@@ -110,9 +115,9 @@ class Assistant:
         self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
         if isinstance(policy, str) and policy not in POLICIES:
             named(policy, (), self.setting.travel(1))  # raises an error that lists the names
-        self._advice: Advice | None = None
+        self._advice: tuple[Advice, ...] | None = None
         self._step = 0
-        self._location, self._under_way = BASE, False
+        self._locations, self._under_way = [BASE] * self.setting.robots, [False] * self.setting.robots
         names = list(people)
         places = len(names) if self._distance is None else len(self._distance) - 1
         self._travel = self.setting.travel(max(1, places), self._distance)
@@ -289,37 +294,59 @@ class Assistant:
 
     # Advice.
 
-    def recommend(self) -> Advice:
+    def recommend(self, robot: int = 1) -> Advice:
         """Return what the robot does next: to whom it goes, and what it suggests.
 
         The advice is the same as before if nothing has happened since.
+
+        Parameters
+        ----------
+        robot : int
+            Number of the robot, from 1.
         """
+        return self.recommend_all()[self._number(robot)]
+
+    def recommend_all(self) -> tuple[Advice, ...]:
+        """Return what each robot does next."""
         if self._advice is None:
             self._advice = self._decide()
             self._step += 1
         return self._advice
 
-    def follow(self, advice: Advice, step: int) -> None:
-        """Apply advice from a record, in place of `recommend`; `step` is the team's step after it."""
-        self._advice, self._step = advice, step
-        if advice.person is not None:
-            record = self._team.by_name[advice.person]  # who may have left while the robot was under way
-            self._location, self._under_way = record.place, not advice.arrived
-            if advice.arrived:
-                self._suggest(record, advice.suggestion)
+    def follow(self, advice: Sequence[Advice], step: int) -> None:
+        """Apply the advice of each robot from a record, in place of `recommend`; `step` is the team's step after it."""
+        self._advice, self._step = tuple(advice), step
+        for number, one in enumerate(advice):
+            if one.person is not None:
+                record = self._team.by_name[one.person]  # who may have left while the robot was under way
+                self._locations[number], self._under_way[number] = record.place, not one.arrived
+                if one.arrived:
+                    self._suggest(record, one.suggestion)
 
     def elapse(self) -> None:
         """Record that time has passed without an action, so that `recommend` decides again."""
         self._advice = None
 
-    def arrived(self, person: str | None = None) -> None:
-        """Record where the robot is: at a person, at the place of a person who has left, or at its base (None)."""
-        if person is None:
-            self._location = BASE
-        else:
-            self._location = (self._team.by_name.get(person) or self._team.known(person)).place
-        self._under_way = False
+    def arrived(self, person: str | None = None, *, robot: int = 1) -> None:
+        """Record where the robot is: at a person, at the place of a person who has left, or at its base (None).
+
+        Parameters
+        ----------
+        person : str, optional
+        robot : int
+            Number of the robot, from 1.
+        """
+        number, place = self._number(robot), BASE
+        if person is not None:
+            place = (self._team.by_name.get(person) or self._team.known(person)).place
+        self._locations[number], self._under_way[number] = place, False
         self._advice = None
+
+    def _number(self, robot: int) -> int:
+        """Return the index of a robot."""
+        if isinstance(robot, bool) or not isinstance(robot, int) or not 1 <= robot <= self.setting.robots:
+            raise UnknownError(f"robot {robot!r}: expected a number from 1 to {self.setting.robots}")
+        return robot - 1
 
     def explain(self, person: str | None = None, *, against: str | None = None) -> Explanation:
         """Return why a person has their suggestion, or none, as things are now.
@@ -348,47 +375,62 @@ class Assistant:
         This takes little time. The function may be called from another thread.
         """
         place = None if person is None else self._team.known(person).place
-        attended = None if self._location == BASE else self._location
+        # The robot that attends to the person explains, or else the first one.
+        number = self._locations.index(place) if place in self._locations else 0
+        location = self._locations[number]
         return partial(
-            self._decision_point().explanation, place, attended, arrived=not self._under_way, against=against
-        )
+            self._decision_point(number).explanation, place, None if location == BASE else location,
+            arrived=not self._under_way[number], against=against,
+        )  # fmt: skip
 
-    def _decision_point(self) -> DecisionPoint:
+    def _decision_point(self, number: int = 0) -> DecisionPoint:
         policy: Any = self.policy
         rule = policy if isinstance(policy, str) else getattr(policy, "name", getattr(policy, "__name__", "your own"))
-        moving = self._travel.c_move * self._travel.distance[self._location]
-        return DecisionPoint.of(self._team, self._location, moving, str(rule))
+        location = self._locations[number]
+        moving = self._travel.c_move * self._travel.distance[location]
+        return DecisionPoint.of(self._team, location, moving, str(rule))
 
-    def _decide(self) -> Advice:
-        if self._under_way and not self._team.present[self._location]:
-            self._under_way = False  # it counts as being at that place, because its position on the way is unknown
-        point = self._decision_point()
-        if self._under_way:
-            going_to = self._team.records[self._location]
-            advice = Advice(going_to.name, None, self._reason(going_to.place, 0, 0.0), arrived=False)
-            return advice.explained_by(partial(point.suggested, going_to.place, 0, arrived=False))
-        nothing = Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all)
+    def _decide(self) -> tuple[Advice, ...]:
+        for number, location in enumerate(self._locations):
+            if self._under_way[number] and not self._team.present[location]:
+                self._under_way[number] = False  # it counts as being there, because its position on the way is unknown
+        points = [self._decision_point(number) for number in range(self.setting.robots)]
+        advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all) for point in points]
+        for number, location in enumerate(self._locations):
+            if self._under_way[number]:
+                going_to = self._team.records[location]
+                on_its_way = Advice(going_to.name, None, self._reason(going_to.place, 0, 0.0), arrived=False)
+                source = partial(points[number].suggested, going_to.place, 0, arrived=False)
+                advice[number] = on_its_way.explained_by(source)
         active = self._team.present & ~self._team.ended & (self._team.robot == 0)
-        if not active.any():
-            return nothing
+        if all(self._under_way) or not active.any():
+            return tuple(advice)
         team = self._as_policies_see_it(active)
         action = self._policy()(team)
         team.check(action)
-        k, robot = int(action.person[0]), int(action.robot[0])
-        if k == NOBODY:
-            return nothing
-        moving = self._travel.c_move * float(self._travel.distance[self._location, k])
-        self._under_way = bool(self._travel.steps[self._location, k] > 0)
-        self._location, self._team.robot[k] = k, robot
+        chosen = zip(action.person.reshape(-1).tolist(), action.robot.reshape(-1).tolist(), strict=True)
+        for number, (k, robot) in enumerate(chosen):
+            if k != NOBODY:
+                advice[number] = self._sent(number, k, robot, points[number])
+        return tuple(advice)
+
+    def _sent(self, number: int, k: int, robot: int, point: DecisionPoint) -> Advice:
+        """Send a robot to a person's place, and return its advice there."""
+        origin = self._locations[number]
+        moving = self._travel.c_move * float(self._travel.distance[origin, k])
+        self._under_way[number] = bool(self._travel.steps[origin, k] > 0)
+        self._locations[number], self._team.robot[k] = k, robot
         reason, record = self._reason(k, robot, moving), self._team.records[k]
-        advice = Advice(record.name, self._suggestion(record), reason, arrived=not self._under_way)
+        advice = Advice(record.name, self._suggestion(record), reason, arrived=not self._under_way[number])
         return advice.explained_by(partial(point.suggested, k, robot, arrived=advice.arrived))
 
     def _as_policies_see_it(self, active: NDArray[np.bool_]) -> TeamState:
-        t = self._team
+        t, several = self._team, self.setting.robots > 1
+        location = np.array([self._locations] if several else self._locations)
         return _LiveTeam(
-            self._step, t.x[None], active[None], t.erred[None], np.array([self._location]), t.model[None],
-            t.belief[None], [part.policy for part in t.parts], self._travel, t,
+            self._step, t.x[None], active[None], t.erred[None], location, t.model[None], t.belief[None],
+            [part.policy for part in t.parts], self._travel, t,
+            free=~np.array([self._under_way]) if several else None,
         )  # fmt: skip
 
     def _policy(self) -> TeamPolicy:
@@ -459,7 +501,12 @@ class Assistant:
     @property
     def robot(self) -> str | None:
         """The person at whom the robot is, or to whom it is under way; None at its base."""
-        return None if self._location == BASE else self._team.records[self._location].name
+        return self.robots[0]
+
+    @property
+    def robots(self) -> tuple[str | None, ...]:
+        """For each robot, the person at whom it is, or to whom it is under way; None at its base."""
+        return tuple(None if place == BASE else self._team.records[place].name for place in self._locations)
 
     def log(self) -> list[dict[str, Any]]:
         """Return all actions as `fit` reads them: one dictionary each, for each person in order."""
@@ -489,6 +536,8 @@ class Assistant:
             }
             for record in self._team.records
         ]
+        # A team of one robot has no lists of robots, as in all versions.
+        one, advice = self.setting.robots == 1, None if self._advice is None else [asdict(one) for one in self._advice]
         return json.dumps(
             {
                 "format": FORMAT,
@@ -497,9 +546,9 @@ class Assistant:
                 "population": self.population.as_dict(),
                 "distance": None if self._distance is None else self._distance.tolist(),
                 "step": self._step,
-                "robot": self.robot,
-                "under_way": self._under_way,
-                "advice": None if self._advice is None else asdict(self._advice),
+                "robot": self.robot if one else self.robots,
+                "under_way": self._under_way[0] if one else self._under_way,
+                "advice": advice[0] if one and advice else advice,
                 "people": people,
             }
         )
@@ -552,11 +601,12 @@ class Assistant:
                     self.observe(record.name, step["action"])
             self._suggest(record, one["suggestion"])
             self._team.present[record.place] = one["present"]
-        self._step, self._under_way = saved["step"], saved["under_way"]
-        self._location = BASE if saved["robot"] is None else self._team.by_name[saved["robot"]].place
-        advice = saved["advice"]
+        one, advice = self.setting.robots == 1, saved["advice"]
+        self._step, self._under_way = saved["step"], [saved["under_way"]] if one else saved["under_way"]
+        names = [saved["robot"]] if one else saved["robot"]
+        self._locations = [BASE if name is None else self._team.by_name[name].place for name in names]
         if advice is not None:
-            self._advice = Advice.of(advice)
+            self._advice = tuple(map(Advice.of, [advice] if one else advice))
 
     def _suggest(self, record: RosterEntry, suggestion: str | None) -> None:
         self._team.robot[record.place] = record.problem.robot(*self._team.part(record), suggestion)

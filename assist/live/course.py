@@ -30,7 +30,7 @@ from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
-from .events import ERASED, KINDS, NAME, VACANT, AbsentError, Event, InvalidError, require_record
+from .events import ERASED, KINDS, NAME, VACANT, AbsentError, Event, InvalidError, advised, require_record
 from .live_task import InapplicableError, UnknownError
 from .store import Change
 
@@ -75,6 +75,8 @@ class Course:
 
     Attributes
     ----------
+    advices : tuple of Advice
+        The advice of each robot after the last event.
     fault : str or None
         Error of the policy after the last event; the robot then does nothing, and people continue to act.
     """
@@ -92,7 +94,9 @@ class Course:
             raise ValueError("there is no task; expected one or more")
         self.tasks = dict(tasks)
         self.desk = Assistant(policy=policy, setting=setting, population=population, distance=distance)
-        self.count, self.paused, self.advice = 0, False, NOTHING
+        self.count, self.paused = 0, False
+        self._nothing = (NOTHING,) * self.desk.setting.robots
+        self.advices = self._nothing
         self.fault: str | None = None
         self.present: set[str] = set()
         self.recent: deque[dict[str, Any]] = deque(maxlen=50)  # shown on the operator's page
@@ -125,25 +129,26 @@ class Course:
         record = {"n": self.count + 1, "time": round(time, 3), "event": event.kind, **self._facts(event)}
         step = self.desk.step
         self._take(record)
-        advice = self._decided()
+        advices = self._decided()
         self._known.clear()
-        if advice == self.advice and event.kind == "elapsed":
-            self.desk.follow(advice, step)
+        if advices == self.advices and event.kind == "elapsed":
+            self.desk.follow(advices, step)
             return None
-        if advice.person is not None or advice != self.advice:
-            record["advice"] = asdict(advice)
-        self._note(record, advice)
+        if any(advice.person is not None for advice in advices) or advices != self.advices:
+            plain = [asdict(advice) for advice in advices]
+            record |= {"advices": plain} if len(plain) > 1 else {"advice": plain[0]}
+        self._note(record, advices)
         return record | {"step": self.desk.step}
 
-    def _decided(self) -> Advice:
+    def _decided(self) -> tuple[Advice, ...]:
         self.fault = None
         if self.paused:
-            return NOTHING
+            return self._nothing
         try:
-            return self.desk.recommend()
+            return self.desk.recommend_all()
         except Exception as error:  # noqa: BLE001 an action is a fact, even if the policy fails
             self.fault = " ".join(str(error).split()) or type(error).__name__
-            return NOTHING
+            return self._nothing
 
     def again(self, record: Mapping[str, Any]) -> None:
         """Apply a recorded event, including the robot's decision.
@@ -155,11 +160,13 @@ class Course:
         """
         require_record(record)
         self._take(record)
-        advice = Advice.of(record["advice"]) if "advice" in record else self.advice
+        advices = tuple(map(Advice.of, advised(record))) or self.advices
+        if len(advices) != self.robots:
+            raise ValueError(f"advice of {len(advices)} robots; expected {self.robots}")
         if not self.paused:
-            self.desk.follow(advice, record["step"])
+            self.desk.follow(advices, record["step"])
         self._known.clear()
-        self._note(record, advice)
+        self._note(record, advices)
 
     def _facts(self, event: Event) -> dict[str, Any]:
         """Return the fields of a record that an event determines, without those that are None."""
@@ -174,6 +181,9 @@ class Course:
             assert event.person is not None
             assert event.action is not None
             facts |= {"action": event.action, "followed": event.followed, "unheard": self._unheard(event) or None}
+        if event.kind == "arrived":
+            self.require_robot(event.robot)
+            facts["robot"] = None if self.robots == 1 else event.robot
         return {name: fact for name, fact in facts.items() if fact is not None}
 
     def _joins(self, event: Event) -> str | None:
@@ -237,7 +247,7 @@ class Course:
                 note.times.pop()
                 note.reason = note.reasons.pop()
             case "arrived":
-                desk.arrived(person)
+                desk.arrived(person, robot=record.get("robot", 1))
             case "elapsed":
                 desk.elapse()
             case "paused" | "resumed":
@@ -256,9 +266,9 @@ class Course:
         note.reasons.clear()
         note.history.clear()
 
-    def _note(self, record: Mapping[str, Any], advice: Advice) -> None:
+    def _note(self, record: Mapping[str, Any], advices: tuple[Advice, ...]) -> None:
         """Update the data of the views after an event."""
-        self.count, self.advice = record["n"], advice
+        self.count, self.advices = record["n"], advices
         for name in self.touched(record):
             self._notes[name].seq = self.count
         person = record.get("person")
@@ -270,12 +280,13 @@ class Course:
             entry[name] = record.get(name)
         if record["event"] not in ("elapsed", VACANT, ERASED):
             self.recent.append({**entry, "suggestion": None})
-        if advice.person is not None and advice.suggestion is not None:
-            self._notes[advice.person].suggested, self._notes[advice.person].reason = self.count, advice.reason
-            self.recent.append(
-                entry | {"event": "suggested", "person": advice.person, "action": None, "followed": None}
-                | {"suggestion": advice.suggestion}
-            )  # fmt: skip
+        for advice in advices:
+            if advice.person is not None and advice.suggestion is not None:
+                self._notes[advice.person].suggested, self._notes[advice.person].reason = self.count, advice.reason
+                self.recent.append(
+                    entry | {"event": "suggested", "person": advice.person, "action": None, "followed": None}
+                    | {"suggestion": advice.suggestion}
+                )  # fmt: skip
 
     # Erasing.
 
@@ -300,9 +311,14 @@ class Course:
 
         def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
             nonlocal time, here
-            advice = record.get("advice")
-            if advice is not None and advice["person"] == person:
-                record = record | {"advice": advice | {"person": label, "suggestion": None, "reason": None}}
+            advices = [
+                advice | {"person": label, "suggestion": None, "reason": None} if advice["person"] == person else advice
+                for advice in advised(record)
+            ]
+            advice: dict[str, Any] = {}
+            if advices:
+                advice = {"advices": advices} if "advices" in record else {"advice": advices[0]}
+            record = record | advice
             if record.get("person") != person:
                 time = record["time"]
                 if answer is not None and "location" in answer and person in (answer["person"], answer["location"]):
@@ -313,11 +329,11 @@ class Course:
                 return record, answer
             # The time is that of the event before: the person's own times are theirs.
             kept: dict[str, Any] = {"n": record["n"], "time": time, "event": record["event"], "step": record["step"]}
-            kept |= {"advice": record["advice"]} if advice is not None else {}
+            kept |= advice
             if not here:
                 here, kept = True, kept | {"event": VACANT, "person": label, "task": record["task"]}
             elif record["event"] == "arrived":
-                kept["person"] = label
+                kept |= {"person": label} | ({"robot": record["robot"]} if "robot" in record else {})
             else:
                 kept["event"] = ERASED
             return kept, None
@@ -330,8 +346,8 @@ class Course:
         """Return the people whose view an event has changed."""
         if record["event"] in ("paused", "resumed"):
             return set(self.present)
-        advised = (record.get("advice") or {}).get("person")
-        return {name for name in (record.get("person"), advised) if name is not None}
+        names = [record.get("person"), *(advice["person"] for advice in advised(record))]
+        return {name for name in names if name is not None}
 
     def require(self, person: str) -> None:
         """Check that a person is present.
@@ -406,12 +422,29 @@ class Course:
         """Return the belief in each present person, as bytes."""
         return {person: self.desk.person(person).belief.tobytes() for person in self.desk.people}
 
-    def robot(self) -> dict[str, Any]:
-        """Return where the robot is to be and what it suggests there, as JSON.
+    @property
+    def robots(self) -> int:
+        """The number of robots."""
+        return len(self._nothing)
+
+    def require_robot(self, number: int) -> None:
+        """Check the number of a robot.
+
+        Raises
+        ------
+        AbsentError
+            There is no robot of this number.
+        """
+        if not 1 <= number <= self.robots:
+            raise AbsentError(f"robot {number}: expected a number from 1 to {self.robots}")
+
+    def robot(self, number: int = 1) -> dict[str, Any]:
+        """Return where a robot is to be and what it suggests there, as JSON; its number is from 1.
 
         A suggestion stays its errand until it is answered or there is another one.
         """
-        here, advice = self.desk.robot, self.advice
+        self.require_robot(number)
+        here, advice = self.desk.robots[number - 1], self.advices[number - 1]
         errand: dict[str, Any] = {"person": None, "suggestion": None, "reason": None, "arrived": True}
         if not self.paused and advice.person is not None:
             errand = asdict(advice) | {"reason": _plain(advice.reason)}

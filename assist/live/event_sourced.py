@@ -64,8 +64,8 @@ class EventSourced(Protocol):
         ...
 
     @property
-    def advice(self) -> Advice:
-        """The decision after the last event."""
+    def advices(self) -> tuple[Advice, ...]:
+        """The decision after the last event, of each robot."""
         ...
 
     def person(self, person: str) -> dict[str, Any]:
@@ -80,8 +80,8 @@ class EventSourced(Protocol):
         """Return a person's task, and its state."""
         ...
 
-    def robot(self) -> dict[str, Any]:
-        """Return where the robot is to be."""
+    def robot(self, number: int = 1) -> dict[str, Any]:
+        """Return where a robot is to be; its number is from 1."""
         ...
 
     def beliefs(self) -> dict[str, bytes]:
@@ -104,11 +104,13 @@ class Outlook:
     paused : bool
         Whether the robot makes no suggestions.
     robot : dict
-        Where the robot is to be, and its suggestion there.
+        Where the first robot is to be, and its suggestion there.
     recent : list of dict
         The latest events, the oldest first.
     fault : str or None
         Error of the policy after the last event, if there was one; the robot then does nothing.
+    robots : tuple of dict
+        The same as `robot`, for each robot.
     """
 
     events: int
@@ -116,3 +118,4 @@ class Outlook:
     robot: dict[str, Any]
     recent: list[dict[str, Any]]
     fault: str | None
+    robots: tuple[dict[str, Any], ...] = ()

@@ -12,7 +12,7 @@ from .live_task import UnknownError
 
 FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
-    "followed": bool, "unheard": bool, "advice": dict,
+    "followed": bool, "unheard": bool, "advice": dict, "advices": list, "robot": int,
 }  # fmt: skip
 """Fields of an event's record, and their types."""
 
@@ -33,7 +33,7 @@ NAME = re.compile(r"(?=.*\w)[\w.\- ]{1,64}")
 
 
 class AbsentError(UnknownError):
-    """The person is not present."""
+    """The person is not present, or there is no such robot."""
 
 
 class InvalidError(ValueError):
@@ -60,6 +60,8 @@ class Event:
         The task of a person who joins or begins.
     id : str or None
         The client's id: a repeated event with this id has no effect, and gets the first answer.
+    robot : int
+        Number of the robot that has arrived, from 1.
     """
 
     kind: str
@@ -69,6 +71,16 @@ class Event:
     seen: int | None = None
     task: str | None = None
     id: str | None = None
+    robot: int = 1
+
+
+def advised(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the advice of each robot in a record; empty if it has none, as it is then the same as before.
+
+    The record has a list, `advices`, if there are several robots.
+    """
+    found: list[dict[str, Any]] = record.get("advices", [record["advice"]] if "advice" in record else [])
+    return found
 
 
 def require_record(record: Mapping[str, Any]) -> None:

@@ -209,9 +209,9 @@ class Session:
         if known is not None:
             return known
         if record is None:
-            return course.robot()
+            return course.robot(event.robot)
         arrival = event.person is None or event.kind == "arrived"
-        answer = course.robot() if arrival else course.person(event.person or "")
+        answer = course.robot(event.robot) if arrival else course.person(event.person or "")
         self._store.add(record, answer, at=utc())
         touched |= course.touched(record)
         return answer
@@ -321,9 +321,9 @@ class Session:
         """Take back a person's last action, as if it had not been observed."""
         return self._one(Event("undone", person, id=id))
 
-    def arrived(self, person: str | None = None, *, id: str | None = None) -> dict[str, Any]:
-        """Record where the robot is, at a person or at its base; return where it is to go next."""
-        return self._one(Event("arrived", person, id=id))
+    def arrived(self, person: str | None = None, *, robot: int = 1, id: str | None = None) -> dict[str, Any]:
+        """Record where a robot is, at a person or at its base; return where it is to go next."""
+        return self._one(Event("arrived", person, id=id, robot=robot))
 
     def elapse(self) -> dict[str, Any]:
         """Record that time has passed without an action; return where the robot is to go."""
@@ -345,10 +345,11 @@ class Session:
         with self.lock:
             return self._course.people
 
-    def recommend(self) -> Advice:
-        """Return the decision after the last event: to whom the robot goes, what it suggests, and why."""
+    def recommend(self, robot: int = 1) -> Advice:
+        """Return the decision after the last event: to whom a robot goes, what it suggests, and why."""
         with self.lock:
-            return self._course.advice
+            self._course.robot(robot)  # raises an error for a robot that there is not
+            return self._course.advices[robot - 1]
 
     def person(self, person: str) -> dict[str, Any]:
         """Return a person's view, as the service sends it.
@@ -378,7 +379,8 @@ class Session:
         """Return the view of the session without its people."""
         with self.lock:
             course = self._course
-            return Outlook(course.count, course.paused, course.robot(), list(course.recent), course.fault)
+            robots = tuple(course.robot(number) for number in range(1, 1 + len(course.advices)))
+            return Outlook(course.count, course.paused, robots[0], list(course.recent), course.fault, robots)
 
     @property
     def tasks(self) -> tuple[str, ...]:

@@ -53,7 +53,12 @@ def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints
     person = np.where(staying, location, NOBODY)
 
     waiting, idle = served & (owner == NOBODY), free & ~staying
-    going = idle & (np.cumsum(idle, axis=1) <= waiting.sum(axis=1)[:, None])
+    # Those who are at the base go first, then those with whose person they would be worth least: they cost the same.
+    there = np.take_along_axis(worth, location.clip(0)[:, :, None], axis=2)[:, :, 0].clip(np.finfo(float).min)
+    order = np.where(idle, np.where(location == BASE, -np.inf, there), np.inf).argsort(axis=1, kind="stable")
+    rank = np.empty_like(order)
+    np.put_along_axis(rank, order, np.arange(robots)[None], axis=1)
+    going = idle & (rank < waiting.sum(axis=1)[:, None])
     person[going] = np.nonzero(waiting)[1]  # robots and people are both in the order of the teams
     return person
 

@@ -265,9 +265,13 @@ class TeamState:
         if self.is_joint:
             if self.free is not None and not self.free[goes].all():
                 raise refused("sends a robot that is under way")
-            after = np.sort(np.where(action.person == NOBODY, self.location, action.person), axis=1)
-            if ((after[:, 1:] == after[:, :-1]) & (after[:, 1:] != BASE)).any():
-                raise refused("lets two robots be with one person, or on their way there")
+            after = np.where(action.person == NOBODY, self.location, action.person)
+            ordered = np.sort(after, axis=1)
+            for n, one in zip(*np.nonzero((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != BASE)), strict=True):
+                there = after[n] == ordered[n, one]
+                # Robots may be with one person already, if somebody else has moved them.
+                if (self.location[n, there] != ordered[n, one]).any() or (action.person[n, there] != NOBODY).sum() > 1:
+                    raise refused("lets two robots be with one person, or on their way there")
         for number, rows in by_model(self.model[teams, to], np.flatnonzero(robot != 0), len(self.policies)):
             count = self.policies[number].pomdp.robot_actions[self.x[teams[rows], to[rows]]]
             if ((robot[rows] < 0) | (robot[rows] >= count)).any():

@@ -490,11 +490,11 @@ class Cohort:
         return {person: belief for group in groups for person, belief in group.course.beliefs().items()}
 
     @property
-    def advice(self) -> Advice:
+    def advices(self) -> tuple[Advice, ...]:
         """No advice: each team has a robot of its own."""
-        return NOTHING
+        return (NOTHING,)
 
-    def robot(self) -> dict[str, Any]:
+    def robot(self, number: int = 1) -> dict[str, Any]:  # noqa: ARG002 all say the same
         """Return an instruction without a destination, since each participant's team has a robot of its own."""
         return {
             "person": None,

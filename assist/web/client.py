@@ -143,14 +143,19 @@ class Client:
         found: dict[str, Any] = self.ask("GET", f"{self._path(person)}/explanation?{urlencode(asked)}")
         return found
 
-    def robot(self) -> dict[str, Any]:
-        """Return where the robot should go and what it should suggest there."""
-        errand: dict[str, Any] = self.ask("GET", "/api/robot")
+    @staticmethod
+    def _robot(number: int) -> str:
+        return "/api/robot" if number == 1 else f"/api/robots/{number}"  # so that earlier services understand it
+
+    def robot(self, number: int = 1) -> dict[str, Any]:
+        """Return where a robot, by its number from 1, should go and what it should suggest there."""
+        errand: dict[str, Any] = self.ask("GET", self._robot(number))
         return errand
 
-    def arrived(self, person: str | None) -> dict[str, Any]:
-        """Report where the robot is (None: at its base); return the robot's next instruction."""
-        errand: dict[str, Any] = self.ask("POST", "/api/robot/arrived", {"person": person, "id": uuid.uuid4().hex})
+    def arrived(self, person: str | None, number: int = 1) -> dict[str, Any]:
+        """Report where a robot is (None: at its base); return the robot's next instruction."""
+        body = {"person": person, "id": uuid.uuid4().hex}
+        errand: dict[str, Any] = self.ask("POST", f"{self._robot(number)}/arrived", body)
         return errand
 
     def team(self) -> dict[str, Any]:

@@ -148,6 +148,21 @@ async def arrived(_: Operator, where: Arrived, service: Desk) -> Response:
     return plain(await service.report(Event("arrived", where.person, id=where.id)))
 
 
+@router.get("/api/robots/{number}", tags=["robot"], response_model=Robot, responses=refusals(403, 404))
+async def robot_of(_: Operator, number: int, service: Desk) -> Response:
+    """Return where one of several robots should go and what it should suggest there; numbers begin at 1."""
+    robots = service.outlook.robots
+    if not 1 <= number <= len(robots):
+        raise HTTPException(404, f"robot {number}: expected a number from 1 to {len(robots)}")
+    return plain(robots[number - 1])
+
+
+@router.post("/api/robots/{number}/arrived", tags=["robot"], response_model=Robot, responses=WRITE)
+async def arrived_of(_: Operator, number: int, where: Arrived, service: Desk) -> Response:
+    """Report the location of one of several robots."""
+    return plain(await service.report(Event("arrived", where.person, id=where.id, robot=number)))
+
+
 @router.get("/api/team", tags=["operator"], response_model=Team, responses=refusals(403))
 async def team(_: Operator, service: Desk) -> Response:
     """Return all people with the beliefs about them, the robot, and the latest events."""

@@ -192,7 +192,10 @@ class Member(Person):
 
 
 class Team(BaseModel):
-    """The operator's view of the team. `fault` is the policy's error message if the policy failed."""
+    """The operator's view of the team. `fault` is the policy's error message if the policy failed.
+
+    `robots` is there if the team has several; `robot` is the first.
+    """
 
     seq: int
     time: float
@@ -200,5 +203,6 @@ class Team(BaseModel):
     fault: str | None
     tasks: list[str]
     robot: Robot
+    robots: list[Robot] = Field(default_factory=list)
     log: list[dict[str, Any]]
     people: list[Member]

@@ -288,6 +288,8 @@ class Service:
         now = self.outlook
         rest = {"seq": now.events, "paused": now.paused, "robot": now.robot, "log": now.recent}
         rest |= {"time": round(self.session.now(), 3), "fault": now.fault, "tasks": list(self.session.tasks)}
+        if len(now.robots) > 1:
+            rest["robots"] = now.robots
         people = b",".join(self._entries[person] for person in self.views if person in self._entries)
         return _json(rest)[:-1] + b',"people":[' + people + b"]}"
 

@@ -1,7 +1,7 @@
-"""A robot asks where to go, goes there, says what is to be said, and asks again: python robot.py LINK.
+"""A robot asks where to go, goes there, says what is to be said, and asks again: python robot.py LINK [NUMBER].
 
-LINK is the operator's. The service is one with `--travel-time` above 0, so that it waits for the robot to arrive. Here
-driving is played; it ends when everybody has finished.
+LINK is the operator's, and NUMBER that of the robot, if there are several. The service is one with `--travel-time`
+above 0, so that it waits for the robot to arrive. Here driving is played; it ends when everybody has finished.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ def drive(to: str) -> None:
     time.sleep(0.05)
 
 
-def main(link: str) -> None:
+def main(link: str, number: str = "1") -> None:
     """Serve people until all have finished."""
-    service = Client(link)
+    service, robot = Client(link), int(number)
     said = None
     while not all(person["finished"] for person in service.team()["people"]):
-        errand = service.robot()
+        errand = service.robot(robot)
         if errand["person"] is not None and not errand["arrived"]:
             drive(errand["person"])
-            errand = service.arrived(errand["person"])
+            errand = service.arrived(errand["person"], robot)
         if errand["suggestion"] is not None and errand["reason"] != said:
             said = errand["reason"]
             print(f"to {errand['person']}: {errand['suggestion']}, which saves {said['saving']:.2f}", flush=True)

@@ -43,10 +43,6 @@ def team_options(command: Command) -> Command:
             "--humans", type=click.IntRange(min=1), required=True, metavar="K",
             help="Number of people in a team.",
         ),
-        click.option(
-            "--robots", type=click.IntRange(min=1), default=1, show_default=True, metavar="M",
-            help="Number of robots of a team.",
-        ),
         click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed."),
         *model_options(),
         travel_options,

@@ -1,4 +1,4 @@
-"""The options that describe distances between people's stations."""
+"""The options that describe a team's robots, and the distances between people's stations."""
 
 from __future__ import annotations
 
@@ -16,8 +16,15 @@ if TYPE_CHECKING:
 
 
 def travel_options(command: Command) -> Command:
-    """Add the options for travel. `Setting` takes `--c-move` and `--travel-time`; `travel_of` takes `--distances`."""
+    """Add the options for robots and their travel.
+
+    `Setting` takes `--robots`, `--c-move` and `--travel-time`; `travel_of` takes `--distances`.
+    """
     options: tuple[Option[Any], ...] = (
+        click.option(
+            "--robots", type=click.IntRange(min=1), default=1, show_default=True, metavar="M",
+            help="Number of robots of a team.",
+        ),
         click.option(
             "--c-move", type=NUMBER, default=0.5, show_default=True,
             help="Cost of moving a distance of 1 (cost units).",

@@ -97,7 +97,8 @@ function figureOf(drawn, caption) {
 }
 
 function card(person) {
-  const here = team.robot?.location === person.person;
+  const robots = robotsOf(team);
+  const here = robots.findIndex((robot) => robot?.location === person.person);
   const { beta, theta } = person.grid;
   const ofBeta = person.belief.map((row) => row.reduce((sum, share) => sum + share, 0));
   const ofTheta = theta.map((_, column) => person.belief.reduce((sum, row) => sum + row[column], 0));
@@ -106,9 +107,9 @@ function card(person) {
   const seat = person.simulated ? "simulated" : person.connected ? "connected" : "not connected";
   const state = person.finished ? "finished" : seat;
   const join = links[person.person] ?? person.join;
-  return element("li", { class: `card${here ? " here" : ""}` },
+  return element("li", { class: `card${here >= 0 ? " here" : ""}` },
     element("h3", {}, person.person,
-      here ? element("span", { class: "badge here" }, "robot here") : null,
+      here >= 0 ? element("span", { class: "badge here" }, robots.length > 1 ? `robot ${here + 1} here` : "robot here") : null,
       element("span", { class: `badge${person.finished ? " ended" : ""}` }, state)),
     element("p", {}, `${team.tasks.length > 1 ? `${person.task}: ` : ""}${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${remaining(person)}`),
     person.suggestion ? element("p", {}, `Suggested: ${plain(person.suggestion)}`) : null,
@@ -123,25 +124,41 @@ function card(person) {
       element("button", { type: "button", "data-key": `erase ${person.person}`, "aria-label": `Erase the records of ${person.person}`, click: () => erase(person.person) }, "Erase")));
 }
 
+/** All robots of a team; a team of one robot has no list. */
+function robotsOf({ robot, robots }) {
+  return robots?.length ? robots : [robot];
+}
+
+/** Where a robot is, what it does next, and why; `name` is empty if there is only one. */
+function robotOf(robot, name) {
+  const where = robot.location ? `With ${robot.location}` : "At its base";
+  const next = team.paused ? "Suggestions are paused."
+    : !robot.person ? "No useful suggestion right now."
+    : !robot.suggestion ? `${robot.arrived ? "Stays with" : "Goes to"} ${robot.person}.`
+    : `${robot.arrived === false ? "On the way to" : "Serves"} ${robot.person}: ${plain(robot.suggestion)}`;
+  const why = !robot.reason || team.paused ? "" :
+    `Expected to save a cost of ${one(robot.reason.saving)}, minus ${one(robot.reason.moving)} for moving: ${one(robot.reason.score)}. ` +
+    `Expertise ${spread(robot.reason.beta, robot.reason.beta_interval)}, ` +
+    `influence ${spread(robot.reason.theta, robot.reason.theta_interval)}.`;
+  return [
+    name ? element("h3", {}, name) : null,
+    element("p", { class: "large where" }, where), element("p", { class: "next" }, next), element("p", { class: "why" }, why),
+  ].filter(Boolean);
+}
+
 function show() {
-  const { robot, people } = team;
+  const { people } = team;
+  const robots = robotsOf(team);
   const there = people.filter((person) => person.present !== false);
   at("count").textContent = `${there.length} ${there.length === 1 ? "person" : "people"}, ${there.filter((person) => person.finished).length} finished`;
   at("pause").textContent = team.paused ? "Resume suggestions" : "Pause suggestions";
   at("pause").setAttribute("aria-pressed", String(team.paused));
-  at("where").textContent = robot.location ? `With ${robot.location}` : "At its base";
+  at("robot-title").textContent = robots.length > 1 ? "The robots" : "The robot";
+  at("robots").replaceChildren(...robots.flatMap((robot, index) => robotOf(robot, robots.length > 1 ? `Robot ${index + 1}` : "")));
   const fault = team.fault ? `The policy failed, so nothing is suggested: ${team.fault}` : "";
   if (at("fault").textContent !== fault) at("fault").textContent = fault; // so that screen readers announce it once
   at("fault").hidden = !fault;
   showTasks();
-  if (team.paused) at("next").textContent = "Suggestions are paused.";
-  else if (!robot.person) at("next").textContent = "No useful suggestion right now.";
-  else if (!robot.suggestion) at("next").textContent = `${robot.arrived ? "Stays with" : "Goes to"} ${robot.person}.`;
-  else at("next").textContent = `${robot.arrived === false ? "On the way to" : "Serves"} ${robot.person}: ${plain(robot.suggestion)}`;
-  at("why").textContent = !robot.reason || team.paused ? "" :
-    `Expected to save a cost of ${one(robot.reason.saving)}, minus ${one(robot.reason.moving)} for moving: ${one(robot.reason.score)}. ` +
-    `Expertise ${spread(robot.reason.beta, robot.reason.beta_interval)}, ` +
-    `influence ${spread(robot.reason.theta, robot.reason.theta_interval)}.`;
   keepingFocus(() => at("people").replaceChildren(...there.map(card)));
   at("log").replaceChildren(...[...(team.log ?? [])].reverse().map((event) =>
     element("tr", {},

@@ -1,0 +1,156 @@
+"""Live teams of several robots: the assistant, its saved states, and the service."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sessions import EASY, HAPPENS, SETTING, all_of
+from starlette.testclient import TestClient
+
+from assist.live.assistant import Assistant
+from assist.live.events import Event
+from assist.live.live_task import UnknownError
+from assist.live.session import Session
+from assist.people.human import Population
+from assist.simulation.episodes import Trace
+from assist.simulation.pool import Pool
+from assist.simulation.simulate import simulate
+from assist.team.settings import Setting
+from assist.web.app import make_app
+from assist.web.service import Service
+from assist.web.tokens import AccessTokens
+from planner import Table
+
+WRONG = "(place hammer slot-2 box-a)"
+
+
+@pytest.mark.parametrize(
+    ("policy", "more"),
+    [("reactive", {}), ("attention", {}), ("priority", {}), ("priority", {"travel_time": 2, "c_move": 0.1})],
+)
+def test_step_by_step_they_do_what_is_simulated(tiny: Table, policy: str, more: dict[str, Any]) -> None:
+    setting = Setting(c_suggest=0.1, robots=2, **more)
+    pool = Pool.sample(tiny, 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.6)))
+    trace, team = Trace(), [2, 0, 3]
+    simulate(pool, policy, humans=team, episodes=1, seed=3, trace=trace)
+    people = {str(place): pool.policies[pool.model[number]] for place, number in enumerate(team)}
+    desk = Assistant(people=people, policy=policy, setting=setting)
+    steps = setting.travel(3).steps
+    arrivals, spoken = [0, 0], 0
+    for step in range(trace[-1]["step"] + 1):
+        for number, where in enumerate(desk.robots):
+            if where is not None and step == arrivals[number]:
+                desk.arrived(where, robot=number + 1)
+        before = desk.robots
+        advice = desk.recommend_all()
+        for number, (here, there) in enumerate(zip(before, desk.robots, strict=True)):
+            if here != there:
+                arrivals[number] = step + steps[3 if here is None else int(here), int(there or 0)]
+        for row in (row for row in trace if row["step"] == step):
+            name = str(row["place"])
+            assert desk.person(name).suggestion == row["suggestion"]
+            assert row["suggestion"] in [None, *(one.suggestion for one in advice if one.person == name)]
+            assert row["robot_places"] == [
+                int(where) if where and arrivals[number] <= step else None for number, where in enumerate(desk.robots)
+            ]
+            spoken += row["suggestion"] is not None
+            desk.observe(name, row["action"])
+    assert desk.finished
+    assert spoken
+
+
+def two(tiny: Table) -> Assistant:
+    """Return two robots, sent to ann and bob, who have erred, but not to cleo."""
+    desk = Assistant(tiny, ["ann", "bob", "cleo"], policy="reactive", setting=Setting(travel_time=2), robots=2)
+    for name in ("ann", "bob", "cleo"):
+        desk.observe(name, "(fetch box-a)")
+    for name in ("bob", "ann"):
+        desk.observe(name, WRONG)
+    return desk
+
+
+def test_each_robot_has_its_own_way(tiny: Table) -> None:
+    desk = two(tiny)
+    assert [(one.person, one.arrived) for one in desk.recommend_all()] == [("ann", False), ("bob", False)]
+    desk.observe("cleo", WRONG)
+    assert [one.person for one in desk.recommend_all()] == ["ann", "bob"]  # they are under way
+    desk.arrived("bob", robot=2)
+    assert (desk.recommend(2).person, desk.recommend(2).suggestion) == ("bob", "(remove hammer slot-2 box-a)")
+    assert desk.recommend(2).explanation.text().startswith("I suggest")
+    assert not desk.recommend(1).arrived
+    again = Assistant.from_json(desk.to_json(), tiny)
+    assert again.recommend_all() == desk.recommend_all()
+    assert again.robots == desk.robots == ("ann", "bob")
+    for team in (desk, again):
+        team.observe("bob", "(remove hammer slot-2 box-a)")
+        assert [(one.person, one.arrived) for one in team.recommend_all()] == [("ann", False), ("cleo", False)]
+        team.arrived("ann", robot=2)  # somebody else has moved it: both are with ann
+        team.arrived("ann")
+        assert [one.person for one in team.recommend_all()].count("ann") <= 1
+    with pytest.raises(UnknownError, match="robot 3: expected a number from 1 to 2"):
+        desk.arrived("ann", robot=3)
+
+
+@settings(max_examples=12, deadline=None)
+@given(HAPPENS, st.integers(0, 10**6))
+def test_a_session_of_two_robots_is_restored(
+    tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, int, int]], seed: int
+) -> None:
+    rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("session")
+    options: dict[str, Any] = {"setting": Setting(**SETTING.as_dict() | {"robots": 2}), "population": EASY}
+    session = Session({"tiny": tiny}, folder / "one.sqlite", **options)
+    session.report([Event("joined", name) for name in "abc"])
+    for kind, who, luck in events:
+        name: str | None = None if kind in ("elapsed", "paused", "resumed") else "abc"[who]
+        event = Event(kind, name, robot=int(rng.integers(1, 3)))
+        if kind == "acted" and name in session.people:
+            choices = session.person(name or "")["applicable"]
+            event = Event(kind, name, choices[luck % len(choices)] if choices else "(return box-a)")
+        session.report([event])
+    seen = all_of(session)
+    session.close()
+    session = Session({"tiny": tiny}, folder / "one.sqlite", **options)
+    assert all_of(session) == seen
+    assert len(session.outlook().robots) == 2
+    believed = session.beliefs()
+    session.erase("a", "wished so")
+    assert all(session.beliefs()[name] == belief for name, belief in believed.items() if name != "a")
+    session.close()
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_the_service_has_an_address_for_each_robot(tiny: Table, tmp_path: Path, robots: int) -> None:
+    setting = Setting(c_suggest=0.02, c_move=0.01, trust="paper", robots=robots)
+    session = Session({"tiny": tiny}, tmp_path / "journal.sqlite", setting=setting, population=Population())
+    session.report([Event("joined", name) for name in ("ann", "bob")])
+    access = AccessTokens.kept(tmp_path / "secret", "http://testserver")
+
+    def ask(method: str, path: str, **more: Any) -> Any:
+        return client.request(method, path, headers={"Authorization": f"Bearer {access.operator}"}, **more)
+
+    with TestClient(make_app(Service(session, access, tick=60.0)), raise_server_exceptions=False) as client:
+        for name in ("ann", "bob"):
+            for action in ("(fetch box-a)", WRONG):
+                assert ask("POST", f"/api/people/{name}/actions", json={"action": action}).status_code == 200
+        team = ask("GET", "/api/team").json()
+        each = [ask("GET", f"/api/robots/{number}").json() for number in range(1, robots + 1)]
+        assert each[0] == team["robot"] == ask("GET", "/api/robot").json()
+        assert ("robots" in team) == (robots > 1)
+        if robots > 1:
+            assert team["robots"] == each
+            assert {one["location"] for one in each} == {"ann", "bob"}
+            assert {one["suggestion"] for one in each} == {"(remove hammer slot-2 box-a)"}
+        moved = ask("POST", f"/api/robots/{robots}/arrived", json={"person": None, "id": "1"})
+        assert moved.json()["location"] is None
+        assert ask("POST", f"/api/robots/{robots}/arrived", json={"person": None, "id": "1"}).json() == moved.json()
+        for method, path in (("GET", "/api/robots/{}"), ("POST", "/api/robots/{}/arrived")):
+            for number in (0, robots + 1):
+                refused = ask(method, path.format(number), **({"json": {"person": None}} if method == "POST" else {}))
+                assert refused.status_code == 404, refused.text
+                assert json.loads(refused.text)["detail"] == f"robot {number}: expected a number from 1 to {robots}"
