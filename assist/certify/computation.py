@@ -140,7 +140,7 @@ class Computation:
 
     @property
     def for_people(self) -> float:
-        """Seconds for people's problems; sample paths get the rest."""
+        """Seconds for solving the problems of single people. With sample paths, half of the limit is left for them."""
         return self.limit / 2 if self.paths else self.limit
 
     @cached_property

@@ -56,7 +56,7 @@ class StateCache:
         Parameters
         ----------
         states : int array, shape (N,)
-            Numbers of states in `known`. Each gets a row of its own, in this order, even if a state occurs twice.
+            Numbers of states in `known`. They are the first rows, in this order, and a state may occur twice.
         then : int array, shape (M,)
             Successor states that are expanded as well, so that they are not on the frontier.
         ahead : bool
@@ -116,7 +116,10 @@ class StateCache:
         return owner, np.arange(len(owner)) - (ends - counts)[owner] + self._first[rows][owner]
 
     def _region(self, here: Ints, after: Ints) -> TruncatedTask:
-        """Build the truncated task of expanded rows; the rows `here` are not the target of any choice."""
+        """Return the truncated task of expanded states, with their other successors as the frontier.
+
+        The first rows are those of `here`, to which no choice leads; a successor has a row of its own.
+        """
         expanded = np.concatenate([here, after])
         owner, at = self._choices(expanded)
         targets = self._targets[at]

@@ -168,7 +168,7 @@ class TruncatedPolicy(Policy):
         return LocalProblem(self, self.problem(region), region, len(states), deep)
 
     def prepare(self) -> LeafEstimates:
-        """Return value estimates for a robot that is always present, computed once."""
+        """Return value estimates for a robot that is always present. They are computed by the first call."""
         if () not in self.solved:
             with told(None) as tell:
                 tell(SOLVING, 0, None)
@@ -177,7 +177,7 @@ class TruncatedPolicy(Policy):
         return self.solved[()]
 
     def with_robot(self, robot: VisitingRobot) -> LeafEstimates:
-        """Return value estimates for a robot that comes and goes, for each of its positions, computed once."""
+        """Return value estimates for a robot that comes and goes, for each position, computed by the first call."""
         if (key := _key(robot)) not in self.solved:
             region = self.region
             like = self.prepare() if self.like is None else self.like.with_robot(robot)
@@ -229,7 +229,7 @@ class LocalProblem(Policy):
         return self._look_ahead(self.pomdp, value, np.arange(self.count))
 
     def with_robot(self, robot: VisitingRobot) -> SolvedSubproblem:
-        """Return the solution with a robot that comes and goes, computed once."""
+        """Return the solved problem of a robot that comes and goes, computed by the first call for this robot."""
         if (key := _key(robot)) not in self.solved:
             estimates = self.source.with_robot(robot)
             visits = _visits(self.pomdp, robot)

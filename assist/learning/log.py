@@ -40,7 +40,7 @@ class Fault:
     message : str
         The error, and what was expected.
     spoils : bool
-        Whether the whole episode is excluded.
+        Whether the line's whole episode is excluded because of it.
     """
 
     line: int
@@ -80,12 +80,12 @@ class Entry:
 
     @property
     def names(self) -> Names:
-        """The person and the episode."""
+        """The person and the episode, which together identify a sequence of steps."""
         return self.person, self.episode
 
     @property
     def texts(self) -> list[str]:
-        """All actions that the line names."""
+        """The actions in the line: what was done, suggested or executed."""
         return [text for text in (self.action, self.suggestion, self.executed) if text is not None]
 
 
@@ -102,7 +102,7 @@ class Log:
     people : frozenset of str
         All people who are named in the log.
     called : frozenset of str
-        The names of all actions in the log, in lower case, including those of excluded episodes.
+        The names of all actions in the log, without arguments and in lower case, also of excluded episodes.
     name : str
         Name of the file.
     note : str
@@ -175,12 +175,12 @@ def told(faults: Iterable[Fault], name: object) -> list[str]:
 
 
 def in_order(name: str) -> list[tuple[int, int, str]]:
-    """Return a key by which names are sorted, with numbers in them by size: episode 9 comes before episode 10."""
+    """Return a sort key for a name, by which numbers in it are compared as numbers: episode 9 before episode 10."""
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name)]
 
 
 def _log(records: Iterable[Row], gaps: bool, name: str, note: str) -> Log:
-    """Return the log of some lines: entries and faults."""
+    """Return the log of rows that were read from a file: their entries, and the faults of unusable ones."""
     entries: list[Entry] = []
     faults: list[Fault] = []
     lost: list[int] = []  # lines whose episode is unknown

@@ -65,7 +65,11 @@ class EvaluatedStates:
 
     @classmethod
     def of(cls, costs: CostToGo, states: Ints, h: Floats, at: Ints, size: int) -> EvaluatedStates:
-        """Return the data of some states; h* has shape (N,), NaN if unknown; `at` are their places among all."""
+        """Return the data of `size` states, of which some have been evaluated.
+
+        These have the numbers `states` in the task, their h* (NaN if unknown), and the positions `at`, each of shape
+        (N,).
+        """
         known = ~np.isnan(h)
         own, lengths = np.full(size, np.nan), None
         own[at] = h

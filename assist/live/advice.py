@@ -1,4 +1,4 @@
-"""What the assistant says: to whom to go, what to suggest, and why, in numbers."""
+"""The robot's next step: the person to whom it goes, its suggestion, and the reason in numbers."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from ..people.spread import Spread
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a person is to be helped: the numbers of Algorithm 1, whatever the team's policy goes by.
+    """The reason for helping a person: the numbers of Algorithm 1, also if the team has another policy.
 
     Attributes
     ----------
     saving : float
-        By how much the suggestion improves the person's expected discounted return, in cost units: what they and
-        the suggestion cost, against saying nothing in this step. While the robot has a way to go, that of the best
-        suggestion there would be now.
+        Increase of the person's expected discounted return by the suggestion, compared with no suggestion in this
+        step, in cost units. The cost of the suggestion is included. While the robot is on its way, it is that of
+        the best suggestion at present.
     moving : float
         Cost of going there, in cost units.
     score : float
-        `saving` less `moving`.
+        `saving` minus `moving`.
     beta, theta : float
-        What is believed of their expertise, and of the robot's influence on them: means.
+        Means of the belief about the person's expertise, and about the robot's influence on the person.
     beta_interval, theta_interval : pair of float
-        Between these lie nine tenths of the belief, and its mean.
+        Intervals that contain 90 % of the belief, and its mean.
     suggestions, followed : int
-        How many suggestions the person has answered in this task, and how many of them they followed.
+        Number of suggestions that the person has answered in this task, and number of those that were followed.
     follow : float
-        Probability that they follow this one, under the belief.
+        Probability that the person follows this suggestion, under the belief.
     follow_interval : pair of float
-        Between these lie nine tenths of the probabilities that pairs of beta and theta give, weighted by the belief,
-        and their mean.
+        Interval that contains the mean, and 90 % of the probabilities of following, one for each pair of beta and
+        theta, weighted by the belief.
     """
 
     saving: float
@@ -55,12 +55,12 @@ class Reason:
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Reason:
-        """Read what `dataclasses.asdict` made, and JSON may have kept.
+        """Return the reason that `dataclasses.asdict` converted to plain data, read from JSON or not.
 
         Raises
         ------
         ValueError
-            It did not.
+            The data are not those of a reason.
         """
         values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in plain.items()}
         for name, value in values.items():
@@ -73,18 +73,18 @@ class Reason:
 
 @dataclass(frozen=True)
 class Advice:
-    """What the robot is to do next.
+    """The next step of the robot.
 
     Attributes
     ----------
     person : str or None
-        To whom it goes; None where nothing is worth saying to anybody.
+        The person to whom the robot goes; None if no suggestion is worth its cost.
     suggestion : str or None
-        The action that it suggests to them, in PDDL; None on the way, and where it is only to be there.
+        The action that the robot suggests to this person, in PDDL; None while it is on its way or only waits there.
     reason : Reason or None
-        None where there is no person.
+        None if `person` is None.
     arrived : bool
-        Whether the robot is there: False until `Assistant.arrived`, where the way takes time.
+        Whether the robot is there. If travel takes time, it is False until `Assistant.arrived` is called.
     """
 
     person: str | None
@@ -93,13 +93,13 @@ class Advice:
     arrived: bool
 
     def explained_by(self, source: Callable[[], Explanation]) -> Advice:
-        """Let `explanation` be the result of a function, which is called on first use; return the advice."""
+        """Set the function that computes `explanation` on first use; return the advice."""
         vars(self)["_source"] = source
         return self
 
     @cached_property
     def explanation(self) -> Explanation:
-        """Why this step, why this person now, or why nothing, as at the decision; computed on first use.
+        """The explanation of the decision, at the time of the decision; computed on first use.
 
         Raises
         ------
@@ -116,12 +116,12 @@ class Advice:
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Advice:
-        """Read what `dataclasses.asdict` made, and JSON may have kept.
+        """Return the advice that `dataclasses.asdict` converted to plain data, read from JSON or not.
 
         Raises
         ------
         ValueError
-            It did not.
+            The data are not those of an advice.
         """
         reason, arrived = plain["reason"], plain["arrived"]
         person, suggestion = plain["person"], plain["suggestion"]
@@ -136,29 +136,29 @@ class Advice:
 
 @dataclass(frozen=True)
 class PersonState:
-    """What is known of one person of a live team.
+    """The state of one person of a live team, and the belief about the person.
 
     Attributes
     ----------
     person : str
     present : bool
-        Whether they are there; people who have left can come back.
+        Whether the person is in the team; people who have left can return.
     finished : bool
-        Whether they have reached their goal.
+        Whether the goal of the person's task has been reached.
     state : int
-        The state of their task, as the task's `CostToGo` numbers it.
+        State of the task, as its `CostToGo` numbers it.
     applicable : tuple of str
-        What they can do, in PDDL.
+        The applicable actions, in PDDL.
     suggestion : str or None
-        What was suggested to them since their last action.
+        The open suggestion: what has been suggested since the person's last action.
     cost_to_go : float
         Exact, in cost units; infinite in a dead end.
     steps : int
-        Their actions in this task so far.
+        Number of the person's actions in this task.
     grid : Grid
         The values of beta and theta that the belief distinguishes.
     belief : float array, shape (B, T)
-        How likely each pair of them is.
+        Probability of each pair of beta and theta.
     """
 
     person: str
@@ -177,10 +177,10 @@ class PersonState:
 
     @property
     def beta(self) -> Spread:
-        """The belief in their expertise."""
+        """The belief about the person's expertise beta: its mean and interval."""
         return self.grid.spreads(self.belief)[0]
 
     @property
     def theta(self) -> Spread:
-        """The belief in the robot's influence on them."""
+        """The belief about the robot's influence theta on the person: its mean and interval."""
         return self.grid.spreads(self.belief)[1]

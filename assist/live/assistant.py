@@ -349,9 +349,9 @@ class Assistant:
         return robot - 1
 
     def explain(self, person: str | None = None, *, against: str | None = None) -> Explanation:
-        """Return why a person has their suggestion, or none, as things are now.
+        """Return why a person has the present suggestion, or none, by the present beliefs.
 
-        `Advice.explanation` explains a decision as things were then.
+        `Advice.explanation` explains a decision by the beliefs at that time.
 
         Parameters
         ----------
@@ -461,7 +461,7 @@ class Assistant:
         )  # fmt: skip
 
     def _follow(self, k: int, robot: int) -> Spread:
-        """Return where the probability lies that a person follows a suggestion, over the belief in (beta, theta)."""
+        """Return the mean and interval of the probability that a person follows a suggestion, under the belief."""
         pomdp, x = self._team.parts[self._team.model[k]].policy.pomdp, self._team.x[k : k + 1]
         action = pomdp.suggested[x, robot]
         if action[0] == NOTHING:
@@ -475,7 +475,7 @@ class Assistant:
     # Views.
 
     def person(self, person: str) -> PersonState:
-        """Return what is known of a person, present or not."""
+        """Return the state of a person, present or not, and the belief about the person."""
         record = self._team.by_name.get(person) or self._team.known(person)
         k, (part, row) = record.place, self._team.part(record)
         choices = part.choices

@@ -169,7 +169,7 @@ class Course:
         self._note(record, advices)
 
     def _facts(self, event: Event) -> dict[str, Any]:
-        """Return the fields of a record that an event determines, without those that are None."""
+        """Return the fields of an event's record that follow from the event alone, without those that are None."""
         facts: dict[str, Any] = {"person": event.person, "task": event.task, "id": event.id}
         if event.kind == "joined":
             facts["task"] = self._joins(event)
@@ -374,7 +374,7 @@ class Course:
         return self._seen(self._state(person))
 
     def _state(self, person: str) -> PersonState:
-        """Return what is known of a person since the last event; it is cached, as several views show it."""
+        """Return the person's state after the last event; it is cached, as several views show it."""
         if person not in self._known:
             self._known[person] = self.desk.person(person)
         return self._known[person]
@@ -419,7 +419,7 @@ class Course:
         }
 
     def beliefs(self) -> dict[str, bytes]:
-        """Return the belief in each present person, as bytes."""
+        """Return the belief about each present person, as the bytes of its array."""
         return {person: self.desk.person(person).belief.tobytes() for person in self.desk.people}
 
     @property
@@ -441,7 +441,7 @@ class Course:
     def robot(self, number: int = 1) -> dict[str, Any]:
         """Return where a robot is to be and what it suggests there, as JSON; its number is from 1.
 
-        A suggestion stays its errand until it is answered or there is another one.
+        A suggestion remains until it is answered or replaced by another one.
         """
         self.require_robot(number)
         here, advice = self.desk.robots[number - 1], self.advices[number - 1]

@@ -65,7 +65,7 @@ class DecisionPoint:
 
     @classmethod
     def of(cls, team: Roster, here: int, moving: Floats, rule: str) -> DecisionPoint:
-        """Return the present state of a team; other arguments as in the attributes."""
+        """Return a copy of the present state of a team; `here`, `moving` and `rule` are attributes."""
         count = len(team.records)
 
         def copy(array: NDArray[T]) -> NDArray[T]:

@@ -85,7 +85,7 @@ class EventSourced(Protocol):
         ...
 
     def beliefs(self) -> dict[str, bytes]:
-        """Return the belief in each person, as bytes."""
+        """Return the belief about each person, as the bytes of its array."""
         ...
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
@@ -95,7 +95,7 @@ class EventSourced(Protocol):
 
 @dataclass(frozen=True)
 class Outlook:
-    """The view of a session without its people.
+    """The team's part of the operator's view; `EventSourced.entry` has that of each person.
 
     Attributes
     ----------

@@ -61,12 +61,12 @@ def _chances(task: CostToGo, population: Population | Mixture) -> str:
 
 
 def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-    """Check the header of a file.
+    """Check that the header of a saved session is the expected one.
 
     Raises
     ------
     ResultsExistError
-        It is that of another session; the message states the difference.
+        The file belongs to another session; the message states the difference.
     """
     files = expected.get("files", {})
     for name, value in expected.items():

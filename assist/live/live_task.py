@@ -120,11 +120,11 @@ class LiveTask:
         return part, 0
 
     def place(self, part: TaskPart, row: int) -> int:
-        """Return the place of a row."""
+        """Return the place that a row of a part stands for, the inverse of `at`."""
         return row if part.states is None else part.state(row)
 
     def after(self, part: TaskPart, row: int, slot: int) -> tuple[TaskPart, int]:
-        """Return the successor of a choice: the part of the task, and the row there."""
+        """Return where a choice leads: the part of the task that contains the successor, and its row there."""
         return self.at(self.place(part, int(part.choices.targets[row, slot])))
 
     def slot(self, part: TaskPart, row: int, action: str) -> int:

@@ -19,7 +19,10 @@ Named = dict[str, str | None]
 
 
 class Step(NamedTuple):
-    """An action of a person: its place in the task, the robot action before it, its slot, and both in PDDL notation."""
+    """A person's action: where it was taken, the robot action before it, its slot, and both actions in PDDL notation.
+
+    `place` is a place of `LiveTask`. The suggestion is None if the robot action was none.
+    """
 
     place: int
     robot: int
@@ -51,7 +54,7 @@ class FinishedTasks:
         self._ends, self._done = array("q"), array("i")  # action and suggestion of each step alternate
 
     def add(self, problem: LiveTask, steps: list[Step]) -> None:
-        """Append a task with its steps."""
+        """Append a task that was finished or left, with its steps."""
         for step in steps:
             for name in step.action, step.suggestion:
                 self._done.append(self._numbers.setdefault(name, len(self._numbers)))
@@ -74,7 +77,7 @@ class FinishedTasks:
 
 @dataclass
 class RosterEntry:
-    """A person's current task, their steps in it, and the belief in them at its beginning."""
+    """A person's current task, the steps in it, and the belief about the person at its beginning."""
 
     name: str
     place: int
@@ -90,7 +93,10 @@ class RosterEntry:
 
 @dataclass
 class _Answers:
-    """Answers to a question about all people, shape (P, W), and the version of each person for which they hold."""
+    """Cached answers to a question about all people, shape (P, W).
+
+    `change` has, for each person, the number of changes after which the answer was computed.
+    """
 
     values: Floats
     change: NDArray[np.int64]
@@ -102,11 +108,11 @@ class Roster:
     Attributes
     ----------
     parts : list of TaskPart
-        Parts of the people's tasks, numbered; a number is reused when that part has no people any more.
+        Parts of the tasks in which people are. A part without people may be replaced by another one.
     records : list of RosterEntry
         Records by place.
     x, model : int arrays, shape (P,)
-        Row of each person's state, and the number of its part.
+        Row of each person's state, and the index of its part in `parts`.
     robot : int array, shape (P,)
         Robot action towards each person since their last action; 0 for none.
     erred, present, ended : bool arrays, shape (P,)
@@ -151,7 +157,7 @@ class Roster:
         return record
 
     def add(self, name: str, problem: LiveTask) -> None:
-        """Add a new person at the next place, which must exist."""
+        """Add a new person at the first free place. `grow` makes places, if there is none."""
         part, row = problem.at(problem.initial)
         prior = part.policy.pomdp.prior
         if not self.records:
@@ -181,7 +187,7 @@ class Roster:
         self._change, self._answers = longer(self._change), {}
 
     def put(self, record: RosterEntry, part: TaskPart, row: int, *, erred: bool = False, robot: int = 0) -> None:
-        """Move a person to a state."""
+        """Set the state of a person: a part of a task and the row there, and what led to it."""
         k = record.place
         if self._change[k]:
             self._people[self.model[k]] -= 1
@@ -191,7 +197,7 @@ class Roster:
         self._change[k] += 1
 
     def _numbered(self, part: TaskPart) -> int:
-        """Return the number of a part, which may reuse the number of an abandoned one."""
+        """Return the index of a part in `parts`. A new part replaces one without people, if there is one."""
         if part not in self._number:
             free = self._people.index(0) if 0 in self._people else len(self.parts)
             if free < len(self.parts):

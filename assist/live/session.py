@@ -233,7 +233,7 @@ class Session:
         """Erase all that is recorded of a person, for good, and return what remains: when and why.
 
         The person leaves first. The others' states and beliefs stay the same, and so does the robot's course: the place
-        of the person remains, without a name. The person may join again, as somebody new.
+        of the person remains, without a name. A person who joins again counts as a new one.
 
         Parameters
         ----------
@@ -249,7 +249,8 @@ class Session:
         ValueError
             There is no reason, or it is too long or names the person.
         JournalError
-            It cannot be written. If the message says that traces may remain, they go when the session is opened again.
+            The disk is full. If the message says that traces may remain, they are removed when the session is opened
+            again.
         """
         reason = " ".join(reason.split())
         if not 0 < len(reason) <= LONGEST_REASON or person.casefold() in reason.casefold():
@@ -279,7 +280,7 @@ class Session:
 
     @property
     def was_imported(self) -> bool:
-        """Whether the session began in the format of earlier versions."""
+        """Whether the session was begun in the format of earlier versions, JSON Lines."""
         return self._store.was_imported
 
     def tombstones(self) -> list[Tombstone]:
@@ -302,7 +303,7 @@ class Session:
         return self._one(Event("left", person, id=id))
 
     def begin(self, person: str, task: str | None = None, *, id: str | None = None) -> dict[str, Any]:
-        """Let a person begin the next task; by default the same again."""
+        """Let a person begin the next task: the named one, or the same task again."""
         return self._one(Event("began", person, task=task, id=id))
 
     def observe(
@@ -376,7 +377,7 @@ class Session:
             return self._course.entry(person)
 
     def outlook(self) -> Outlook:
-        """Return the view of the session without its people."""
+        """Return the team's part of the operator's view: the robot, the last events, and whether it is paused."""
         with self.lock:
             course = self._course
             robots = tuple(course.robot(number) for number in range(1, 1 + len(course.advices)))
@@ -399,13 +400,13 @@ class Session:
             return self._course.log(task)
 
     def place(self, person: str) -> tuple[CostToGo, int]:
-        """Return a person's task, and its state."""
+        """Return a person's task, and the number of its present state."""
         with self.lock:
             self._course.require(person)
             return self._course.place(person)
 
     def beliefs(self) -> dict[str, bytes]:
-        """Return the belief in each present person, as bytes."""
+        """Return the belief about each present person, as the bytes of its array."""
         with self.lock:
             return self._course.beliefs()
 

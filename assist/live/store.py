@@ -271,7 +271,7 @@ class EventStore:
 
     @property
     def was_imported(self) -> bool:
-        """Whether the session began in the former format."""
+        """Whether the session was begun in the former format, a `journal.jsonl`."""
         return self._aside.exists()
 
     @property
@@ -279,7 +279,7 @@ class EventStore:
         return self.file.with_name(f"{self.file.stem}-imported.jsonl")
 
     def damaged(self, n: int, error: object) -> DamagedFileError:
-        """Return the error for an event that cannot have happened."""
+        """Return the error for the stored event number `n`, which cannot be applied."""
         if self.old is not None:
             return DamagedFileError(self.old, n + 1, f"cannot have happened: {error}")
         return DamagedFileError(self.file, None, f"event {n} cannot have happened: {error}")
@@ -368,7 +368,7 @@ def stored(file: Path) -> tuple[dict[str, Any], list[tuple[str | None, dict[str,
 
 
 def _stored(file: Path) -> tuple[dict[str, Any] | None, list[tuple[str | None, dict[str, Any]]]]:
-    """Return what is in a database; the header is None if its session has not begun."""
+    """Return the header and the events of a database; the header is None if no session has begun there."""
     file.stat()  # the operating system's own error, if there is none
     # On a medium that cannot be written there is no log beside the database, so nothing can change.
     fixed = not os.access(file.parent, os.W_OK) and not file.with_name(f"{file.name}-wal").exists()
@@ -410,7 +410,7 @@ def _document(text: Any, file: Path, n: int) -> dict[str, Any]:
 
 
 def _as_error(error: sqlite3.Error, file: Path) -> Exception:
-    """Return the error for an error of SQLite."""
+    """Return the exception of this module, or of Python, that stands for an error of SQLite."""
     code = getattr(error, "sqlite_errorcode", None) or 0
     if code & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR):
         return DamagedFileError(file, None, f"is damaged ({error}); expected the journal of a session")

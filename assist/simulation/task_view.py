@@ -124,7 +124,7 @@ class ModelGroup:
 
 
 def _mind(human: Human, choices: Choices) -> tuple[Floats, Floats, Floats]:
-    """Return a person's choice probabilities, shape (n, A), their V(x), shape (n,), and perceived costs, (n, A)."""
+    """Return a person's choice probabilities, shape (n, A), values V(x), shape (n,), and perceived costs, (n, A)."""
     q = perceived_cost(choices, human.expects(choices))
     return chances(human.chooses, choices, q, np.array([human.beta]))[0], value(human.chooses, choices, q), q
 
@@ -229,7 +229,7 @@ class TaskParts:
 
 
 class TaskView:
-    """The view of people's tasks in a number of episodes.
+    """The people's tasks in a number of episodes that are simulated together; `view` returns those of a step.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ class TaskView:
             self._whole = self._view(self.initial, np.arange(model.size), deep=True)
 
     def view(self, x: Ints, active: Ints, *, deep: bool) -> StepView:
-        """Return the view of all people.
+        """Return the view of all people in given states.
 
         Parameters
         ----------
@@ -256,7 +256,7 @@ class TaskView:
         active : int array
             Active people, as indices of the flattened `x`.
         deep : bool
-            Whether the effect of every suggestion on trust must be known.
+            Whether local problems must have the effect of every suggestion on trust, not only of those that are made.
         """
         return self._view(x, active, deep) if self._whole is None else replace(self._whole, x=x)
 
@@ -273,7 +273,11 @@ class TaskView:
         return StepView(policies, groups, rows.reshape(x.shape), self.model, who.reshape(x.shape))
 
     def after_suggestions(self, view: StepView, robot: Ints) -> StepView:
-        """Return the view with the effects of suggestions on trust, given robot actions of shape (N, K)."""
+        """Return the view after the given robot actions, shape (N, K), which can be simulated from it.
+
+        A local problem has the effect on trust of only those suggestions that are made; they are added here. A view
+        of enumerated tasks has all effects, and is returned unchanged.
+        """
         if self._whole is not None:
             return view
         groups, policies = dict(view.groups), list(view.policies)

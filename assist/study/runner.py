@@ -104,7 +104,7 @@ def run_study(
 def _begin(
     study: Study, out: Path, resume: bool, order: Mapping[Cell, int], warn: Callable[[str], None]
 ) -> dict[Cell, str]:
-    """Prepare the folder; return the lines of each cell that is complete."""
+    """Prepare the folder of results, which must be of the same study; return the lines of each complete cell."""
     about, episodes, profile = out / ABOUT, out / EPISODES, out / PROFILE
     known = {"schema": SCHEMA, "fingerprint": study.fingerprint()}
     kept: dict[Cell, str] = {}

@@ -31,7 +31,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "consented": "time of consent, UTC; empty before",
         "status": "done; here: taking part; gone: disconnected for too long; withdrew: no other table has their data; "
         "declined: no consent; full: the study was full on return",
-        "stage": "the last stage reached",
+        "stage": "the last stage that the participant reached",
         "condition": "assigned when the first task begins, empty before; in a within-participants design, the order",
         "completion_code": "code shown at the end",
         "failed_checks": "attention checks that were answered wrongly",
@@ -48,7 +48,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "optimal_cost": "cost of an optimal plan from the initial state; its length if every action costs 1",
         "suboptimal_actions": "actions that begin no optimal plan",
         "suggestions": "suggestions shown when an action was taken",
-        "followed": "of these, followed",
+        "followed": "number of these suggestions that were followed",
         "seconds": "seconds from the beginning to the last action, without interruptions of the service",
     },
     "actions": {
@@ -111,7 +111,7 @@ class Tables:
     events: list[Row] = field(default_factory=list)
 
     def analysed(self) -> Tables:
-        """Return the tables without the data of excluded participants; their rows in `participants` remain."""
+        """Return the tables as the report uses them: of excluded participants, only the row in `participants`."""
         excluded = {row["participant"] for row in self.participants if row["excluded"] is not None}
         kept = {
             name: [row for row in getattr(self, name) if row["participant"] not in excluded]
@@ -124,7 +124,7 @@ class Tables:
         return written(COLUMNS[name], getattr(self, name))
 
     def logs(self) -> Iterator[tuple[str, str]]:
-        """Yield each task's name and the actions of all participants in it, as JSON Lines for `fit`."""
+        """Yield a log for `kitassist fit` for each task: its name, and the actions in it as JSON Lines."""
         for task in dict.fromkeys(row["task"] for row in self.tasks):
             rows = (
                 {
@@ -137,7 +137,7 @@ class Tables:
 
 
 def written(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> str:
-    """Return rows as CSV. None is an empty cell; truth values are `true` and `false`."""
+    """Return rows as CSV with the given columns. None is an empty cell; truth values are `true` and `false`."""
     content = io.StringIO()
     writer = csv.writer(content, lineterminator="\n")
     columns = list(columns)
@@ -159,7 +159,7 @@ def _plain(cell: Any) -> Any:
 
 
 def tables(study: UserStudy, journal: Path) -> Tables:
-    """Return the tables of a journal. Of participants who withdrew, only the row in `participants` remains.
+    """Return the tables of a study from its journal. Participants who withdrew are in `participants` only.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
 
 
 def _where(study: UserStudy, person: Row, stage: Stage) -> Row:
-    """Return a participant's code, and the condition and period of a stage."""
+    """Return the first columns of a row: the participant's code, and the condition and period of a stage."""
     condition = study.condition_at(stage, person["condition"])
     return {"participant": person["participant"], "condition": condition, "period": stage.period}
 

@@ -134,7 +134,7 @@ class _Connection(WebSocketsSansIOProtocol):
     linger = 3.0
 
     def on_task_complete(self, task: asyncio.Task[None]) -> None:
-        """Abort the connection after a moment."""
+        """Abort a closed connection if it still lingers after some seconds."""
         super().on_task_complete(task)
         self.loop.call_later(self.linger, self.transport.abort)
 
@@ -246,7 +246,7 @@ class Bridge(Protocol):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What it has counted, by name."""
+        """The bridge's counts, such as those of messages, by name."""
 
     async def run(self) -> None:
         """Work until cancelled."""

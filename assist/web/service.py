@@ -224,7 +224,7 @@ class Service:
         return answer
 
     async def pass_on(self, event: Event) -> None:
-        """Record an event that is caused by the passing of time. Temporary obstacles are ignored."""
+        """Record an event that the clock causes. It is dropped if it is not possible now, or cannot be saved now."""
         try:
             await self.report(event)
         except (InapplicableError, BusyError, JournalError):

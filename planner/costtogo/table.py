@@ -139,7 +139,7 @@ class Table:
         return result
 
     def optimal_choices(self) -> NDArray[np.bool_]:
-        """Return whether each transition of all states, shape (m,), is optimal, as the function of the same name."""
+        """Return whether each transition of all states, shape (m,), is optimal (`cost_to_go.optimal_choices`)."""
         return optimal_choices(self, np.arange(len(self)), self.space.transitions)
 
     def optimal_plan(self, state: int | None = None) -> list[str] | None:

@@ -111,7 +111,7 @@ def ground(source: Source, checker: ValidationProcess, limits: Limits = NO_LIMIT
 
 
 def _agreed(task: Task, source: Source) -> Task:
-    """Return the task after checking that it agrees with the reading of its files."""
+    """Return the grounded task, after checking that it agrees with the project's own reading of its files."""
     primary = [at for at, variable in enumerate(task.variables) if variable.axiom_layer < 0]
     facts = [task.variables[at].facts for at in primary]
     cross_check.check(source.reading, task.actions, task.costs, facts, [task.initial[at] for at in primary])

@@ -69,7 +69,7 @@ def word(at: Expression | Place, text: str) -> Expression:
 
 
 def listed(at: Expression | Place, *parts: Expression) -> Expression:
-    """Return a list at the place of another expression."""
+    """Return an expression that is a list, with the place (line and column) of another expression."""
     return Expression(at.line, "", parts, at.column)
 
 

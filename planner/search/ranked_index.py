@@ -208,7 +208,7 @@ class RankedSpace:
         return deque(block for group in mixed for block in group if block is not None)
 
     def _new(self, operators: RankedOperators, closed: Words, block: Ints) -> list[tuple[Ints, int]]:
-        """Close the states after those of a block by some operators; return new ones and the numbers of transitions."""
+        """Add the successors of a block, by some operators, to a bitmap; return the new ones and transition counts."""
         size, stop, found = max(RANKS_AT_A_TIME, 4 * operators.tree.most), 0, []
         while stop < len(block):
             out = np.empty(size, dtype=np.int64)
@@ -217,7 +217,7 @@ class RankedSpace:
         return found
 
     def expand(self, block: Ints) -> list[tuple[Ints, int]]:
-        """Return the new states after those of a block, and the numbers of transitions."""
+        """Return the successors of a block that were not visited before, and the numbers of transitions."""
         return self._new(self.index.operators, self.index.states.bits, block)
 
     def add(self, expanded: list[tuple[Ints, int]]) -> list[Ints]:

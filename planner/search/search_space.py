@@ -91,9 +91,10 @@ def check(space: SearchSpace, budget: Budget, more: float = 0) -> None:
 
 
 def relaxed(relax: Relax, block: Ints, d: Any, room: int, kinds: int) -> list[tuple[int, Ints]]:
-    """Relax a whole block; the arguments are the kernel, the block, its distance, and the sizes of its outputs.
+    """Relax the transitions into a block of states at distance `d` by a kernel, called until the block is finished.
 
-    `room` suffices for the predecessors of one state, and `kinds` is the number of distinct costs.
+    `room` is the size of the kernel's output, at least the number of predecessors of a state; `kinds` is the number
+    of distinct costs. Return pairs as `SearchSpace.settle` does.
     """
     pushed: list[tuple[int, Ints]] = []
     out, through = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)

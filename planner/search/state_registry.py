@@ -81,7 +81,7 @@ class RegistryIndex:
 class _Growing:
     """An array to which rows are appended. It grows by a third, in place where the system can do so.
 
-    If the old rows are referenced elsewhere, they stay unchanged and the new rows are a copy.
+    A view of earlier rows that is still in use keeps its contents; the array then continues as a copy.
     """
 
     def __init__(self, dtype: Any, *width: int) -> None:
@@ -98,7 +98,7 @@ class _Growing:
         self.rows[rows : rows + len(more)] = more
 
     def trimmed(self, rows: int) -> NDArray[Any]:
-        """Return the first `rows` rows, and release the others."""
+        """Return the array with its first `rows` rows only; the memory of the others is released."""
         self._resize(rows)
         return self.rows
 
@@ -159,7 +159,7 @@ class StateRegistry:
             return self._states.rows[numbers].copy()
 
     def trimmed(self) -> Words:
-        """Return all states; no state may be added afterwards."""
+        """Return all states, shape (n, words), in the registry's own memory. No state may be added afterwards."""
         return self._states.trimmed(self._held)
 
 
@@ -215,7 +215,7 @@ class RegistrySpace:
         return deque(np.split(numbers, range(size, len(numbers), size)))
 
     def expand(self, block: Ints) -> list[Expanded]:
-        """Return what `expanded` yields for the states of a block, with canonical successors."""
+        """Return the successors of a block's states, canonical if there is a `form`, as `expanded` yields them."""
         parts = []
         for part in expanded(self._book, self._met.states(block)):
             self._budget.check_time(len(self))

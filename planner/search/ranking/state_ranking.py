@@ -182,7 +182,10 @@ class StateRanking:
         return {v: number for number, cluster in enumerate(self.clusters) for v in cluster.variables}
 
     def _step(self, cluster: Cluster, place: int) -> int:
-        """Return the factor of a variable in its cluster's digit, for a cluster with all joint values."""
+        """Return the factor of the variable at a place of a cluster in the cluster's mixed-radix digit.
+
+        The cluster must have all joint values of its variables.
+        """
         return math.prod(int(self.sizes[v]) for v in cluster.variables[place + 1 :])
 
     def _places(self, number: int, values: Ints) -> Ints:
