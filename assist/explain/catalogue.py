@@ -67,7 +67,7 @@ class Catalogue:
         return self.texts["about"].format(n=self.number(value))
 
     def below(self, value: float) -> str:
-        """Return a positive limit, rounded down to two significant digits, so that what is below it is below both."""
+        """Return a positive limit with two significant digits, rounded down so that it is not overstated."""
         unit = 10.0 ** (math.floor(math.log10(value)) - 1)
         return self.number(math.floor(value / unit * (1 + 1e-12)) * unit)
 

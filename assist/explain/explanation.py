@@ -66,12 +66,12 @@ class Prospect:
 
     @property
     def score(self) -> float:
-        """What is left after the costs of the suggestion and of the way: the score of Algorithm 1."""
+        """The score of Algorithm 1: the expected saving minus the costs of the suggestion and of the way."""
         return self.worth - self.cost - self.moving
 
     @property
     def threshold(self) -> float:
-        """The cost of this one suggestion at which the score is 0; later ones cost what they do."""
+        """The cost of this suggestion at which its score would be 0, if later ones kept their cost."""
         return self.worth - self.moving
 
 
@@ -109,8 +109,8 @@ class WhyNothing:
         "paused": suggestions are paused. "never": the team's policy makes none. "finished": the person has reached the
         goal. "nobody": no one is at work. "waiting": everybody at work has a suggestion. "no-mistake",
         "mistake-elsewhere": the policy "reactive" helps after mistakes, and there was none, or the robot is with
-        somebody else. "no-step": there is no step to suggest.
-        "cost": the suggestion is expected to bring less than it costs, or the policy does not go by that alone.
+        another person. "no-step": there is no step to suggest.
+        "cost": the suggestion is expected to save less than it costs, or the policy considers more than that.
     rule : str
         Name of the team's policy.
     prospect : Prospect or None
@@ -291,7 +291,7 @@ class Explanation:
 
 
 def _brings(say: Catalogue, table: str, one: Prospect, *, here: bool) -> str:
-    """Return what a suggestion is expected to save, and what it and the way cost."""
+    """Return a sentence on what a suggestion is expected to save, and on the costs of the suggestion and the way."""
     worth = say.about(one.worth) if one.worth > 0 else say.texts["nought"]
     way = "_way" if one.moving > 0 else "_here" if here else ""
     return say(f"{table}.saving{way}", worth=worth, cost=say.number(one.cost), moving=say.number(one.moving))

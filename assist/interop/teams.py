@@ -196,7 +196,7 @@ class Sight:
 
     @cached_property
     def _alone(self) -> Floats:
-        """Choice probabilities without advice, shape (states of all models, R, B).
+        """Probabilities of doing what each robot action suggests, without it; shape (states of all models, R, B).
 
         Entry [x, r, b] is the probability that a person of expertise b chooses the action that robot action r suggests.
         For r = 0, nothing, it is the probability of an optimal action.
@@ -214,7 +214,7 @@ class Sight:
 
     @cached_property
     def _alone_at_first(self) -> NDArray[np.float32]:
-        """The expectation of `_alone` under the prior over beta, shape (states of all models, R)."""
+        """The mean of `_alone` over expertise b under the robot's prior, shape (states of all models, R)."""
         prior = np.concatenate([
             np.broadcast_to(policy.pomdp.prior.sum(axis=1), (len(policy.pomdp.robot_actions), len(policy.pomdp.prior)))
             for policy in self.teams.pool.policies

@@ -1,4 +1,4 @@
-"""What recorded actions tell about people."""
+"""Estimates of people's parameters, trust rules and goals from recorded actions."""
 
 from planner.system.lazy_imports import lazy_exports
 

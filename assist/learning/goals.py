@@ -192,7 +192,7 @@ def inferred(
     rename: Mapping[str, str] | None = None,
     strict: bool = False,
 ) -> InferredGoals:
-    """Return what `infer_goals` does, without warnings."""
+    """Return the result of `infer_goals`, without warnings about faults in the log."""
     first = _prior(goals, prior)
     grid = Grid.regular(Population()).beta if beta is None else np.asarray(beta, dtype=float)
     if grid.ndim != 1 or not len(grid) or not (np.isfinite(grid).all() and (grid >= 0).all()):

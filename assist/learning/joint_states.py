@@ -88,6 +88,6 @@ class JointStates:
 
 
 def _enumeration(costs: CostToGo) -> object:
-    """Return what numbers the states of a cost-to-go."""
+    """Return the object that numbers the states: tables with the same one give a state the same number."""
     space = getattr(costs, "space", None)
     return costs if space is None else space.numbering

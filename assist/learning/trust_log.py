@@ -1,4 +1,4 @@
-"""What people chose with and without suggestions, and how likely it is under a trust rule, on a grid of beta and theta.
+"""People's choices with and without suggestions, and their likelihood under a trust rule, on a grid of beta and theta.
 
 Unlike `likelihood`, which is compiled for equation (7), this module takes any trust rule, and theta may be carried from
 episode to episode. As there, the person's cost-to-go is taken for h*.
@@ -89,7 +89,7 @@ class TrustLog:
 
     @classmethod
     def of(cls, observations: Sequence[Observations], method: Method) -> TrustLog:
-        """Arrange observations.
+        """Return the log of observations, arranged by person and suggestion.
 
         Parameters
         ----------

@@ -107,7 +107,7 @@ class TrustComparison:
         return min(sure, key=lambda row: row.nats_per_choice, default=self.scores[0])
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all of it as plain data."""
+        """Return the comparison as plain data."""
         return {
             "people": self.people, "choices": self.choices, "level": self.level, "best": self.best.rule,
             "rules": [asdict(row) for row in self.scores],

@@ -66,5 +66,5 @@ def positive(name: str, value: object) -> float:
 
 
 def entropy(seed: Seed) -> int:
-    """Return the seed of random streams."""
+    """Return a seed as an integer; a generator provides one by drawing a number."""
     return int(seed.integers(2**63)) if isinstance(seed, np.random.Generator) else whole("seed", seed)

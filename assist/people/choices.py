@@ -210,7 +210,7 @@ class Choices:
         return self.initial if self.state[self.initial] == state else int(np.searchsorted(self.state, state))
 
     def of_task(self, array: NDArray[T]) -> NDArray[T]:
-        """Return data of task states, shape (m, ...), for each row, shape (n, ...)."""
+        """Return the entries of an array of the task's states, shape (m, ...), arranged by row, shape (n, ...)."""
         return array if self.state is None else array[self.state]
 
     def name(self, state: int, slot: int) -> str:

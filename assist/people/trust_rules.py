@@ -32,20 +32,20 @@ At .01 a suggestion divides the odds of an action by 99. Fits to two public data
 
 @dataclass(frozen=True)
 class Event:
-    """A suggestion and what became of it; arrays that broadcast with theta.
+    """A suggestion and the person's answer to it; arrays that broadcast with theta.
 
     Attributes
     ----------
     gain : float array
-        V(x_r) - V(x): what the person thinks that the suggested action gains, in cost units.
+        V(x_r) - V(x): the gain of the suggested action as the person perceives it, in cost units.
     agrees : bool array
-        The person would choose the suggested action anyway: no action has a lower perceived cost.
+        Whether the suggested action is the person's own choice: no action has a lower perceived cost.
     followed : bool array
-        The person did what was suggested.
+        Whether the person did what was suggested.
     shown : bool array
-        The person sees whether the suggestion was right.
+        Whether the person sees if the suggestion was right.
     right : bool array
-        It was, as they see it.
+        Whether the suggestion was right, by the outcome that the person sees.
     """
 
     gain: Floats

@@ -25,7 +25,7 @@ Ints = NDArray[np.int64]
 
 
 class VisitingRobot(Protocol):
-    """A robot that comes to the person and goes away again, as a policy for a team describes it.
+    """The robot of a team from one person's view: it comes to the person and leaves. Team policies provide it.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class VisitingRobot(Protocol):
         ...
 
     def solved(self, policy: Policy, /) -> Any:
-        """Return the solution for the person of a policy for an enumerated task."""
+        """Return the solved problem of a person with this robot, given the person's policy on an enumerated task."""
         ...
 
 
@@ -120,7 +120,7 @@ class Policy:
         return float(choices.costs[choices.applicable].min())
 
     def require_enumerated(self, what: str) -> None:
-        """Raise a `ValueError` that names `what`, which needs values of all states, unless they are kept."""
+        """Check that the values of all states are kept. If not, the `ValueError` says that `what` needs them."""
 
     def local(self, states: Ints, *, deep: bool = True) -> Policy:
         """Return a policy for the next step of people in some states.
@@ -147,7 +147,7 @@ class Policy:
         return self
 
     def with_robot(self, robot: VisitingRobot) -> Any:
-        """Solve the person's problem with a robot that comes and goes, once."""
+        """Return the person's solved problem with a robot that comes and goes (`VisitingRobot.solved`)."""
         return robot.solved(self)
 
     def bounded(self, entry: float, **limits: Any) -> Any:

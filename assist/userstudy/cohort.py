@@ -206,7 +206,10 @@ class Cohort:
         return {"at": _now(), **({"simulated": True} if simulated else {})}
 
     def _facts(self, person: Participant, event: Event, n: int, time: float) -> dict[str, Any] | None:
-        """Return the event's part of the record; the participant's team has been updated then."""
+        """Apply an event to the participant's team; return the record's fields that depend on its kind.
+
+        The result is None for elapsed time without effect.
+        """
         stage, kind = self.stages[person.at], event.kind
         if kind == "returned" and person.status in (GONE, FULL):
             return {"status": HERE if self._room(person) else FULL}
@@ -379,7 +382,7 @@ class Cohort:
     # State.
 
     def known(self, person: str | None) -> Participant:
-        """Return a participant.
+        """Return the participant with this code.
 
         Raises
         ------

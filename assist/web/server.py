@@ -242,7 +242,7 @@ Ready = Callable[[AccessTokens, tuple[str, ...]], None]
 
 
 class Bridge(Protocol):
-    """Work beside the service."""
+    """A connection between the service and another protocol, which works while the service runs."""
 
     @property
     def counts(self) -> Mapping[str, int]:

@@ -135,7 +135,7 @@ class _Phases:
         return Limits(None if self.deadline is None else max(0.01, self.left()), self.memory_mb)
 
     def tell(self, record: SolveRecord, *, saved: bool) -> None:
-        """Report an intermediate record. One without saved files does not replace one with them."""
+        """Report an intermediate record. It is ignored if its files are not saved and those of an earlier one are."""
         with self.lock:
             if saved >= self.saved:
                 self.saved, self.told = saved, self.measured(record)

@@ -111,7 +111,7 @@ def require_same_states(tasks: Sequence[Task]) -> None:
 
 
 def _signature(task: Task) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
-    """Return the actions of a task, its actions with their costs, and the facts of its initial state."""
+    """Return what tasks with the same states share: their actions, the costs of these, and the initial facts."""
     primary = [(variable, value) for variable, value in zip(task.variables, task.initial, strict=True)]
     facts = (variable.facts[value] for variable, value in primary if variable.axiom_layer < 0)
     return (

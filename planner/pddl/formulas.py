@@ -64,7 +64,7 @@ class Cost:
 
 
 def word(at: Expression | Place, text: str) -> Expression:
-    """Return a word at the place of another expression."""
+    """Return an expression that is a word, with the place (line and column) of another expression."""
     return Expression(at.line, text, (), at.column)
 
 
@@ -74,7 +74,7 @@ def listed(at: Expression | Place, *parts: Expression) -> Expression:
 
 
 def entry(at: Expression | Place, name: str, kind: str) -> list[Expression]:
-    """Return an entry of a typed list, a name with its type, at the place of another expression."""
+    """Return the words of an entry of a typed list, `name - kind`, with the place of another expression."""
     return [word(at, name), word(at, "-"), word(at, kind)]
 
 

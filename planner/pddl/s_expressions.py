@@ -55,7 +55,7 @@ class Expression(NamedTuple):
 
     @property
     def place(self) -> Place:
-        """Position where it begins."""
+        """Position in the file where the expression begins."""
         return Place(self.line, self.column)
 
     @property

@@ -41,7 +41,7 @@ class _DecisionTreeBuilder:
         return len(self.tests) - 1
 
     def skip_from(self, tests: Sequence[int]) -> None:
-        """Let the given tests, if they fail, continue after the last test so far."""
+        """Set where the given tests continue if they fail: after the last test that has been appended so far."""
         for test in tests:
             self.tests[test][3] = len(self.tests)
 
@@ -362,7 +362,10 @@ def candidates(
 
 
 def _families(coding: StateRanking) -> list[list[int]]:
-    """Return the clusters behind each table of the decoder: first the chunks of digits, then the steps."""
+    """Return the clusters that each table of the decoder covers.
+
+    First come the tables of combined digits (`radix`), then those of the variables that others determine (`steps`).
+    """
     digits = iter(sorted(np.flatnonzero(coding.stride).tolist(), key=lambda number: int(coding.stride[number])))
     families = []
     for radix in coding.decoder.radix.tolist():

@@ -124,10 +124,7 @@ def told(progress: Wanted) -> Iterator[Progress]:
 
 
 def adding(show: Progress, what: str, total: int) -> Callable[[int], None]:
-    """Report that none of `total` items is done.
-
-    Return a thread-safe function that adds to the count and reports it.
-    """
+    """Return a thread-safe function that adds to a count of finished items and reports it; 0 is reported at once."""
     done, lock = 0, threading.Lock()
 
     def advance(count: int) -> None:

@@ -48,7 +48,7 @@ class OutOfTimeError(Exception):
 
 
 class Scale(NamedTuple):
-    """The steps and levels of a row, which has a block for each of A steps ahead, with 1 + L + 1 entries.
+    """The layout of a row, the distribution of G (see the module) in the following steps: A blocks of L + 2 entries.
 
     The entries are one for the interval below the price, one for each level above it, and one for sums. As the price is
     the boundary of two intervals, the loss of a step is at least 0 for all distributions.
@@ -87,7 +87,7 @@ class Scale(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The rows of nodes. Row 0 stands for `END`, and row 1 for `LEFT`.
+    """A row for each node: the distribution of G in the following steps. Row 0 is that of `END`, row 1 of `LEFT`.
 
     A person at the goal needs nothing. A person who has left a truncated task may use the robot at its price in every
     step, so that their G is the price. Then a step in which the robot attends to no one else loses nothing, as in the
@@ -115,13 +115,13 @@ class Rows(NamedTuple):
 
 
 class AttentionDemand(NamedTuple):
-    """The rows of a graph's nodes, shape (n,), and edges, shape (e, A * (L + 2)).
+    """The distribution of G after the nodes and edges of one sample path's graph, as rows (`Rows`).
 
     Attributes
     ----------
-    of : int array
+    of : int array, shape (n,)
         Row of each node.
-    mean : float array
+    mean : float array, shape (e, A * (L + 2))
         For each edge, the mean of the rows of its outcomes.
     fall : float array, shape (e,)
         For each edge, an upper bound on the decrease of the mean of U, with the weights before the edge, compared with

@@ -71,7 +71,7 @@ class Withdrawn(BaseModel):
 
 
 class Done(BaseModel):
-    """What was asked has been done."""
+    """The request has been carried out."""
 
     done: bool
 

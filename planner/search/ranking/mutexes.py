@@ -103,7 +103,7 @@ def _beside(together, facts, fact):
 
 @njit(nogil=True)
 def _add(together, facts, fact):
-    """Let a fact hold together with each of the given facts."""
+    """Record that a fact may hold together with each of the given facts."""
     for other in facts:
         if other < 0:
             break
