@@ -58,8 +58,8 @@ ROOMS = {
     "assist.study": "study protocol tasks cells runner",
     "assist.userstudy": """questionnaires questionnaire_file assignment plan participant_team cohort session tables
         export""",
-    "assist.reports": """statistics effects wording study_summary study_claims study_figures study_report
-        userstudy_summary userstudy_report""",
+    "assist.reports": """statistics effects hypothesis_tests wording study_summary study_claims study_figures
+        study_report userstudy_summary preregistration userstudy_report""",
     "assist.web": """tokens cookies measures service schemas authorization request_limits task_drawings routes metrics
         websocket openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
@@ -69,8 +69,8 @@ ROOMS = {
     "assist.cli.options": "common task population person travel team policies help live log goals trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
         people_estimates trust_estimates goal_posteriors""",
-    "assist.cli": """domains solve simulate policy bound export draw fit infer study user_study serve study_report
-        command_group""",
+    "assist.cli": """domains solve simulate policy bound export draw fit infer study user_study serve study_prepare
+        study_report         command_group""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 

@@ -21,6 +21,7 @@ COMMANDS = {
     "simulate": "Simulate a team of people and a robot that assists them, and compare policies.",
     "solve": "Solve PDDL instances: the exact cost-to-go of every state, and an optimal plan.",
     "study": "Run a simulation study over pools of people, teams, policies and conditions, and write its report.",
+    "study-prepare": "Preregister a user study, or sign the links of its participants.",
     "study-report": "Report on a user study: means, effects of conditions, questionnaires and dropouts.",
 }
 """Summary of each command for `kitassist --help`. The command `study-report` is in the module `study_report`."""

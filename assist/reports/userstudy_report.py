@@ -18,8 +18,9 @@ from ..userstudy.plan import UserStudy, read
 from ..userstudy.questionnaires import TLX
 from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Row, Tables, tables
+from .preregistration import compared
 from .statistics import FEW
-from .userstudy_summary import TASK_MEASURES, measures, summarise
+from .userstudy_summary import measures, summarise
 from .wording import interval, table
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
     """
     study, found = of_folder(folder)
     found = found.analysed()
-    summary = summarise(study, found)
+    summary = summarise(study, found) | {"preregistration": compared(study, found, folder)}
     pictures = dict(_pictures(study, found, summary))
     for name, (_, figure) in pictures.items():
         style.save_for_pages(figure, out / FIGURES, name, dark=False)
@@ -128,10 +129,10 @@ def _pictures(
             one.name: {name: list(own.values()) for name, own in one.values.items()} for one in measures(study, found)
         }
         yield "outcomes", ("Each measure by condition", partial(draw.outcomes_figure, shown, points))
-    compared = [one for one in shown if one["differences"]]
-    if compared:
+    differing = [one for one in shown if one["differences"]]
+    if differing:
         text = f"Differences from {study.reference}"
-        yield "differences", (text, partial(draw.differences_figure, compared, study.reference))
+        yield "differences", (text, partial(draw.differences_figure, differing, study.reference))
     for one in summary["questionnaires"]:
         if one["n"]:
             own = study.questionnaire(one["questionnaire"])
@@ -162,6 +163,7 @@ def _sections(study: UserStudy, summary: dict[str, Any], shown: dict[str, str]) 
             "**Rehearsal.** Participants are simulated and their answers are generated, so the results say nothing "
             "about people."
         )
+    yield _registered(summary["preregistration"])
     yield from _who_took_part(study, summary, picture("flow"))
     yield from _what_was_found(study, summary)
     yield from picture("outcomes")
@@ -197,6 +199,15 @@ def _other_answers(study: UserStudy, answers: list[dict[str, Any]]) -> Iterator[
             text = ", ".join(f"{option}: {count}" for option, count in one["counts"].items())
         rows.append([_short(item.text), one["condition"], one["n"], text])
     yield table(["question", "condition", "answered", "answers"], rows)
+
+
+def _registered(record: dict[str, Any] | None) -> str:
+    """Return whether the study was preregistered, and how it differs from what was registered."""
+    if record is None:
+        return "The study was not preregistered."
+    if record["deviations"]:
+        return f"**Preregistered** at {record['registered']}, **but** {'; '.join(record['deviations'])}."
+    return f"Preregistered at {record['registered']}: the study's file and the analysis have not changed."
 
 
 def _who_took_part(study: UserStudy, summary: dict[str, Any], picture: Iterator[str]) -> Iterator[str]:
@@ -239,8 +250,8 @@ def _counted(counts: dict[str, Any]) -> Iterator[list[Any]]:
 def _what_was_found(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
     yield "## Conditions"
     yield (
-        "Means with 95 % intervals (Student's t) over participants. Measures of tasks include participants who "
-        "completed all of them; questionnaires include all who answered."
+        "Means with 95 % intervals (Student's t) over participants. Completion counts all who began a task; other "
+        "measures of tasks include participants who finished all of them; questionnaires include all who answered."
     )
     head, rows = headline(summary)
     yield table(["measure", *head[1:]], rows)
@@ -274,16 +285,28 @@ def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
         if study.is_within
         else "Differences of means with Welch's 95 % intervals, and Hedges' g."
     )
-    yield (
-        f"{said} An interval that excludes 0 shows a difference. Intervals are not corrected for multiple comparisons: "
-        f"with {len(TASK_MEASURES)} or more measures, one in twenty excludes 0 by chance."
+    tests = (
+        "Tests are paired t-tests, and exact McNemar tests of completion. *By period* is the difference adjusted for "
+        "participants and periods by least squares."
+        if study.is_within
+        else "Tests are Welch's, and Fisher's exact tests of completion, whose intervals are Newcombe's."
     )
-    rows = []
-    for one in summary["measures"]:
-        for other in one["differences"]:
-            effect = "" if other["hedges_g"] is None else f"{other['hedges_g']:.2f}"
-            rows.append([one["label"], other["condition"], interval(other), effect, _shows(other)])
-    yield table(["measure", "condition", f"minus {study.reference}", "Hedges' g", "shown"], rows)
+    yield f"{said} {tests}"
+    if study.confirmatory:
+        count = len(study.confirmatory) * (len(study.conditions) - 1)
+        yield "### Confirmatory"
+        yield (
+            f"The study's file names {', '.join(study.confirmatory)} beforehand. P-values are adjusted for the "
+            f"{count} comparisons of this family (Holm), so that the family-wise error is at most 5 %."
+        )
+        yield _differences(study, [one for one in summary["measures"] if one["confirmatory"]])
+    yield "### Exploratory"
+    yield (
+        "These comparisons test no hypothesis that was stated beforehand. Intervals and p-values are not adjusted: "
+        "of many comparisons, one in twenty shows a difference by chance."
+    )
+    yield _differences(study, [one for one in summary["measures"] if not one["confirmatory"]])
+    yield from _by_ranks(study, summary)
     if summary["detectable"] is not None:
         yield (
             "Sensitivity at 80 % power: with the number of participants in the smallest condition, four of five "
@@ -292,6 +315,53 @@ def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
         )
     else:
         yield "Conditions with fewer than two participants cannot be compared."
+
+
+def _differences(study: UserStudy, measures: list[dict[str, Any]]) -> str:
+    """Return the table of the differences of conditions from the reference."""
+    rows = []
+    for one in measures:
+        for other in one["differences"]:
+            p = other.get("p_holm") if one["confirmatory"] else other["p"]
+            effect = "" if other["hedges_g"] is None else f"{other['hedges_g']:.2f}"
+            period = interval(other["by_period"]) if "by_period" in other else ""
+            shown = ("yes" if p is not None and p < 0.05 else "no") if one["confirmatory"] else _shows(other)
+            rows.append([one["label"], other["condition"], interval(other), period, effect, _p(p), shown])
+    p_head = "p (Holm)" if measures and measures[0]["confirmatory"] else "p"
+    head = ["measure", "condition", f"minus {study.reference}", "by period", "Hedges' g", p_head, "shown"]
+    return table(head, rows)
+
+
+def _by_ranks(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
+    """Yield the sensitivity analysis, and the comparisons of single Likert items."""
+    test = "Wilcoxon's signed-rank test, or the sign test" if study.is_within else "the Mann-Whitney test"
+    labels = {one["measure"]: one["label"] for one in summary["measures"]}
+    if summary["worst_rank"]:
+        yield "### Sensitivity: the unfinished as the worst"
+        yield (
+            f"All who began a task, by {test}. Those who did not finish have the worst rank. The effect is the "
+            "rank-biserial correlation, positive if the condition has more."
+        )
+        rows = [
+            [labels[one["measure"]], one["condition"], one["n"], f"{one['effect']:.2f}", _p(one["p"])]
+            for one in summary["worst_rank"]
+        ]
+        yield table(["measure", "condition", "participants", "effect", "p"], rows)
+    if summary["likert"]:
+        yield "### Single Likert items"
+        yield f"Exploratory, by {test}, as the answers are ordinal; reversed items are recoded."
+        rows = [
+            [
+                f"{one['questionnaire']}: {one['item']}", one["condition"], one["n"],
+                "" if one["effect"] is None else f"{one['effect']:.2f}", _p(one["p"]),
+            ]
+            for one in summary["likert"]
+        ]  # fmt: skip
+        yield table(["item", "condition", "participants", "effect", "p"], rows)
+
+
+def _p(p: float | None) -> str:
+    return "undefined" if p is None else "< .001" if p < 0.001 else f"{p:.3f}"  # as journals print p-values
 
 
 def _shows(one: dict[str, Any]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from planner.system.files import finite
 
 from ..userstudy.plan import UserStudy
-from ..userstudy.questionnaires import CHOICE, CHOICES, TEXT, TLX, Item, Questionnaire
+from ..userstudy.questionnaires import CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX, Item, Questionnaire
 from ..userstudy.tables import Row, Tables
 from .effects import (
     cronbach_alpha,
@@ -25,7 +25,19 @@ from .effects import (
     hedges_g,
     hedges_g_within,
 )
-from .statistics import FEW, mean
+from .hypothesis_tests import (
+    RankTest,
+    adjusted_for_period,
+    fisher_p,
+    holm,
+    mann_whitney,
+    newcombe,
+    paired_p,
+    sign_test,
+    signed_rank,
+    welch_p,
+)
+from .statistics import FEW, IntervalEstimate, mean
 
 ALL = "all participants"
 """Stands for the condition where answers do not belong to one."""
@@ -36,7 +48,11 @@ TASK_MEASURES = {
     "seconds": "seconds per task",
     "suggestions": "suggestions per task",
     "followed": "suggestions followed, %",
+    "completion": "all tasks finished, %",
 }
+
+RANKED = ("actions", "suboptimal_actions", "seconds")
+"""Measures of which more is worse, so that participants who did not finish have the worst rank."""
 
 
 @dataclass(frozen=True)
@@ -56,18 +72,12 @@ class Measure:
 
 
 def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
-    """Yield the measures: of participants who completed all tasks, and of those who answered a questionnaire."""
-    stages = [stage.name for stage in study.stages]
-    last = max(number for number, stage in enumerate(study.stages) if stage.kind == "task")
-    through = {row["participant"] for row in tables.participants if stages.index(row["stage"]) > last}
-    own: dict[tuple[str, str], list[Row]] = {}
-    for row in tables.tasks:
-        if row["participant"] in through:
-            own.setdefault((row["participant"], row["condition"]), []).append(row)
+    """Yield the measures: completion, those of participants who finished all tasks, and those of questionnaires."""
     for name, label in TASK_MEASURES.items():
         found: dict[str, dict[str, float]] = {one.name: {} for one in study.conditions}
-        for (participant, condition), rows in own.items():
-            value = _of_tasks(name, rows)
+        for (participant, condition), rows in _attempts(tables).items():
+            done = _has_finished(study, rows)
+            value = 100.0 * done if name == "completion" else _of_tasks(name, rows) if done else None
             if value is not None:
                 found[condition][participant] = value
         yield Measure(name, label, found)
@@ -80,6 +90,19 @@ def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
             low, high, _ = one.scale[0].ends
             raw = "raw " if one.form == TLX else ""
             yield Measure(one.name, f"{one.name}: {raw}mean, {low:g} to {high:g}", found)
+
+
+def _attempts(tables: Tables) -> dict[tuple[str, str], list[Row]]:
+    """Return the begun tasks of each participant in each condition."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in tables.tasks:
+        found.setdefault((row["participant"], row["condition"]), []).append(row)
+    return found
+
+
+def _has_finished(study: UserStudy, rows: list[Row]) -> bool:
+    """Whether a participant finished all tasks in a condition."""
+    return len(rows) == len(study.tasks) and all(row["finished"] for row in rows)
 
 
 def _of_tasks(name: str, rows: list[Row]) -> float | None:
@@ -116,7 +139,9 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "participants": _counts(tables),
         "conditions": _conditions(study, tables),
         "flow": _flow(study, tables),
-        "measures": [_measure(study, one) for one in found],
+        "measures": _adjusted(study, [_measure(study, one, tables) for one in found]),
+        "worst_rank": [row for name in RANKED for row in _worst_rank(study, name, tables)],
+        "likert": [row for one in study.questionnaires for row in _likert(study, one, tables)],
         "questionnaires": [_questionnaire(study, one, tables) for one in study.questionnaires if one.scale],
         "answers": [
             answer for one in study.questionnaires for item in one.items for answer in _asked(study, one, item, tables)
@@ -172,22 +197,99 @@ def _flow(study: UserStudy, tables: Tables) -> list[Row]:
     ]  # fmt: skip
 
 
-def _measure(study: UserStudy, measure: Measure) -> dict[str, Any]:
+def _measure(study: UserStudy, measure: Measure, tables: Tables) -> dict[str, Any]:
     reference, differences = measure.values[study.reference], []
+    by_period = {}
+    if study.is_within and measure.name != "completion":
+        orders = {row["participant"]: row["condition"] for row in tables.participants}
+        periods = {
+            (who, name): study.orders[orders[who]].index(name) + 1
+            for name, own in measure.values.items() for who in own
+        }  # fmt: skip
+        by_period = adjusted_for_period(measure.values, periods, study.reference)
     for name, own in measure.values.items():
-        if name != study.reference and (compared := _compared(study, own, reference)):
-            differences.append({"condition": name, "against": study.reference, **compared})
+        if name != study.reference and (compared := _compared(study, measure.name, own, reference)):
+            period = {"by_period": by_period[name].record()} if name in by_period else {}
+            differences.append({"condition": name, "against": study.reference, **compared, **period})
     cells = [{"condition": name, **_cell(list(own.values()))} for name, own in measure.values.items()]
-    return {"measure": measure.name, "label": measure.label, "cells": cells, "differences": differences}
+    return {
+        "measure": measure.name, "label": measure.label, "confirmatory": measure.name in study.confirmatory,
+        "cells": cells, "differences": differences,
+    }  # fmt: skip
 
 
-def _compared(study: UserStudy, own: dict[str, float], reference: dict[str, float]) -> dict[str, Any]:
+def _adjusted(study: UserStudy, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Add Holm's adjusted p-values to the comparisons of the confirmatory measures, which are one family."""
+    family = [one for row in rows if row["confirmatory"] for one in row["differences"]]
+    # Comparisons without data count in the size of the family, as planned.
+    planned = len(study.confirmatory) * (len(study.conditions) - 1)
+    given = [math.nan if one["p"] is None else one["p"] for one in family]
+    given += [math.nan] * (planned - len(family))
+    for one, p in zip(family, holm(given), strict=False):
+        one["p_holm"] = finite(p)
+    return rows
+
+
+def _compared(study: UserStudy, measure: str, own: dict[str, float], reference: dict[str, float]) -> dict[str, Any]:
     """Compare a condition with the reference, within participants if the design allows it; empty without data."""
-    if study.is_within:
-        pairs = [value - reference[participant] for participant, value in own.items() if participant in reference]
-        return {**difference_within(pairs).record(), "hedges_g": finite(hedges_g_within(pairs))} if pairs else {}
+    pairs = [value - reference[participant] for participant, value in own.items() if participant in reference]
     a, b = list(own.values()), list(reference.values())
-    return {**difference(a, b).record(), "hedges_g": finite(hedges_g(a, b))} if a and b else {}
+    if not (pairs if study.is_within else a and b):
+        return {}
+    if study.is_within:
+        found, effect, p = difference_within(pairs), hedges_g_within(pairs), paired_p(pairs)
+    else:
+        found, effect, p = difference(a, b), hedges_g(a, b), welch_p(a, b)
+    if measure == "completion":
+        effect = math.nan
+        if study.is_within:
+            p = sign_test(sum(pair > 0 for pair in pairs), sum(pair < 0 for pair in pairs)).p
+        else:
+            counts = sum(value > 0 for value in a), len(a), sum(value > 0 for value in b), len(b)
+            share, p = newcombe(*counts), fisher_p(*counts)
+            found = IntervalEstimate(100 * share.value, 100 * share.low, 100 * share.high)
+    return {**found.record(), "hedges_g": finite(effect), "p": finite(p)}
+
+
+def _ranked(study: UserStudy, own: dict[str, float], reference: dict[str, float]) -> RankTest | None:
+    """Compare a condition with the reference by ranks; None without data."""
+    if not study.is_within:
+        return mann_whitney(list(own.values()), list(reference.values())) if own and reference else None
+    both = [participant for participant in own if participant in reference]
+    values = [(own[participant], reference[participant]) for participant in both]
+    if any(math.isinf(value) for pair in values for value in pair):
+        # An infinite difference has no size, but a sign.
+        return sign_test(sum(x > y for x, y in values), sum(x < y for x, y in values))
+    return signed_rank([x - y for x, y in values]) if values else None
+
+
+def _worst_rank(study: UserStudy, name: str, tables: Tables) -> Iterator[Row]:
+    """Yield comparisons of a measure in which participants who did not finish have the worst rank."""
+    values: dict[str, dict[str, float]] = {one.name: {} for one in study.conditions}
+    for (participant, condition), rows in _attempts(tables).items():
+        value = _of_tasks(name, rows) if _has_finished(study, rows) else None
+        values[condition][participant] = math.inf if value is None else value
+    for condition, own in values.items():
+        if condition != study.reference and (found := _ranked(study, own, values[study.reference])):
+            yield {"measure": name, "condition": condition, "n": len(own), "p": finite(found.p), "effect": found.effect}
+
+
+def _likert(study: UserStudy, one: Questionnaire, tables: Tables) -> Iterator[Row]:
+    """Yield comparisons of the single items of a Likert scale by ranks, as their answers are ordinal."""
+    if one.form not in (LIKERT, GRID) or not study.is_by_condition(one):
+        return
+    rows = list(scored(one, tables))
+    for item in one.scale:
+        values: dict[str, dict[str, float]] = {condition.name: {} for condition in study.conditions}
+        for participant, condition, scores in rows:
+            if item.name in scores:
+                values[condition][participant] = scores[item.name]
+        for condition, own in values.items():
+            if condition != study.reference and (found := _ranked(study, own, values[study.reference])):
+                yield {
+                    "questionnaire": one.name, "item": item.name, "condition": condition, "n": len(own),
+                    "p": finite(found.p), "effect": finite(found.effect),
+                }  # fmt: skip
 
 
 def _cell(values: list[float]) -> dict[str, Any]:

@@ -11,6 +11,9 @@ from .plan import read
 from .session import JOURNAL, PLAN
 from .tables import COLUMNS, tables, written
 
+REGISTERED = "preregistration.json"
+"""The study's registration in its folder, if there is one."""
+
 
 def files(folder: Path) -> Iterator[tuple[str, str]]:
     """Yield the name and content of every file of an export."""
@@ -37,6 +40,8 @@ def files(folder: Path) -> Iterator[tuple[str, str]]:
     yield "items.csv", written(columns, items)
     for task, log in found.logs():
         yield f"log-{task}.jsonl", log
+    if (folder / REGISTERED).exists():
+        yield REGISTERED, (folder / REGISTERED).read_text(encoding="utf-8")
     yield PLAN, (folder / PLAN).read_text(encoding="utf-8")
 
 

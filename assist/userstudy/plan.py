@@ -47,6 +47,9 @@ from .questionnaires import BEFORE, END, Item, Questionnaire
 BETWEEN, WITHIN = "between", "within"
 """Kinds of design: a participant has one condition, or all of them in a counterbalanced order."""
 
+OUTCOMES = ("completion", "actions", "suboptimal_actions", "seconds", "suggestions", "followed")
+"""Outcomes of tasks."""
+
 Minutes = Annotated[float, Meta(gt=0, le=10_000, description="a number of minutes above 0")]
 # More simulated people would keep the robot away from the participant.
 Mates = Annotated[int, Meta(ge=0, le=20, description="a whole number from 0 to 20")]
@@ -91,6 +94,7 @@ class FileTable(Struct, forbid_unknown_fields=True):
     code: Text | None = None
     withdraw_until: Day | None = None
     exclude_failed_checks: Whole | None = None
+    confirmatory: Texts | None = None
     seed: Seed = 0
     setting: AnyTable = {}
     population: PopulationTable = PopulationTable()
@@ -179,6 +183,8 @@ class UserStudy:
         Last day (UTC) on which data can be withdrawn after the end; None: no limit.
     exclude_failed_checks : int or None
         Number of failed attention checks from which on participants are excluded from the report; None: never.
+    confirmatory : tuple of str
+        Outcomes whose comparisons are tests of the study's hypotheses, as one family; all others are exploratory.
     setting : Setting
     population : Population or Mixture
         The robot's prior over people, from which simulated people are drawn too.
@@ -207,6 +213,7 @@ class UserStudy:
     code: str | None
     withdraw_until: date | None
     exclude_failed_checks: int | None
+    confirmatory: tuple[str, ...]
     setting: Setting
     population: Population | Mixture
     texts: dict[str, str]
@@ -345,10 +352,20 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         tuple(Condition(own.name, own.policy) for own in table.conditions), table.design, reference,
         table.participants,
         table.simulated, table.again, table.reasons, table.replace, table.away, table.minutes, table.tick, table.code,
-        table.withdraw_until, table.exclude_failed_checks,
+        table.withdraw_until, table.exclude_failed_checks, _confirmatory(file, table, questionnaires),
         _setting(file, table.setting), _population(file, table.population),
         {"consent": table.consent, "instructions": table.instructions, "thanks": table.thanks}, questionnaires,
     )  # fmt: skip
+
+
+def _confirmatory(file: Path, table: FileTable, questionnaires: tuple[Questionnaire, ...]) -> tuple[str, ...]:
+    scales = [one.name for one in questionnaires if one.scale and one.when not in (BEFORE, END)]
+    known, names = (*OUTCOMES, *scales), table.confirmatory or ()
+    for number, name in enumerate(names, start=1):
+        if name not in known or names.index(name) < number - 1:
+            right = meant(name, known) if name not in known else "expected different names"
+            raise fault(file, f"confirmatory[{number}]", f"'{name}'; {right}")
+    return tuple(names)
 
 
 def _conditions(file: Path, tables: list[ConditionTable], carried_out: bool) -> list[str]:

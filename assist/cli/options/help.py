@@ -26,7 +26,8 @@ GROUPS = {
         "--c-move", "--travel-time", "--distances", "--lapse",
     ),
     "Service": (
-        "--study", "--rehearse", "--port", "--host", "--public-url", "--trusted-proxy", "--bridge", "--tick", "--data",
+        "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy", "--bridge", "--tick",
+        "--data",
     ),
     "Run": (
         "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",

@@ -28,6 +28,12 @@ class ForgedError(ValueError):
     """A participant's link is not signed, or not with this signature."""
 
 
+def participant_url(access: AccessTokens, participant: str) -> str:
+    """Return the join link of a participant whom another system identifies, signed, for any device."""
+    query = {"participant": participant, "signature": access.signature(PARTICIPANT + participant)}
+    return f"{access.base}/study?{urlencode(query)}#{access.token(VISITOR)}"
+
+
 class StudyService(Service):
     """A user study with its writer and its watchers.
 
@@ -120,8 +126,7 @@ class StudyService(Service):
 
     def participant_url(self, participant: str) -> str:
         """Return the join link of a participant whom another system identifies, signed, for any device."""
-        query = {"participant": participant, "signature": self.access.signature(PARTICIPANT + participant)}
-        return f"{self.access.base}/study?{urlencode(query)}#{self.access.token(VISITOR)}"
+        return participant_url(self.access, participant)
 
     async def visit(
         self, visit: str, *, key: str | None = None, signature: str | None = None, simulated: bool = False

@@ -1,0 +1,200 @@
+"""Tests of hypotheses about conditions: two-sided p-values, effect sizes of ranks, and Holm's adjustment.
+
+Every function returns NaN where the data do not determine a result, for instance if all values are equal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from .statistics import IntervalEstimate
+
+
+@dataclass(frozen=True)
+class RankTest:
+    """A comparison by ranks.
+
+    Attributes
+    ----------
+    p : float
+        Two-sided p-value.
+    effect : float
+        Rank-biserial correlation, from -1 to 1: positive if the first condition has the larger values.
+    """
+
+    p: float
+    effect: float
+
+
+def welch_p(a: ArrayLike, b: ArrayLike) -> float:
+    """Return the p-value of Welch's t-test of two groups.
+
+    Parameters
+    ----------
+    a, b : float arrays, shapes (n,) and (m,)
+    """
+    x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    if min(len(x), len(y)) < 2 or x.var() + y.var() == 0:
+        return math.nan
+    # Computed here, since scipy's test warns if all values of a group are equal, which is no fault.
+    first, second = float(x.var(ddof=1)) / len(x), float(y.var(ddof=1)) / len(y)
+    freedom = (first + second) ** 2 / (first**2 / (len(x) - 1) + second**2 / (len(y) - 1))
+    return float(2 * stats.t.sf(abs(x.mean() - y.mean()) / math.sqrt(first + second), freedom))
+
+
+def paired_p(differences: ArrayLike) -> float:
+    """Return the p-value of the t-test of paired differences.
+
+    Parameters
+    ----------
+    differences : float array, shape (n,)
+        The difference of each participant.
+    """
+    x = np.asarray(differences, dtype=float)
+    if len(x) < 2 or x.var() == 0:
+        return math.nan
+    return float(2 * stats.t.sf(abs(x.mean()) / (x.std(ddof=1) / math.sqrt(len(x))), len(x) - 1))
+
+
+def mann_whitney(a: ArrayLike, b: ArrayLike) -> RankTest:
+    """Compare two groups by the Mann-Whitney test. Infinite values are the worst rank, shared by all of them.
+
+    Parameters
+    ----------
+    a, b : float arrays, shapes (n,) and (m,)
+    """
+    x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    if not len(x) or not len(y):
+        return RankTest(math.nan, math.nan)
+    ranks = stats.rankdata(np.concatenate([x, y]))
+    if np.ptp(ranks) == 0:
+        return RankTest(math.nan, 0.0)
+    found = stats.mannwhitneyu(ranks[: len(x)], ranks[len(x) :])
+    return RankTest(float(found.pvalue), float(2 * found.statistic / (len(x) * len(y)) - 1))
+
+
+def signed_rank(differences: ArrayLike) -> RankTest:
+    """Compare two conditions of the same participants by Wilcoxon's signed-rank test.
+
+    Parameters
+    ----------
+    differences : float array, shape (n,)
+        The difference of each participant. Differences of 0 are left out.
+    """
+    x = np.asarray(differences, dtype=float)
+    x = x[x != 0]
+    if not len(x):
+        return RankTest(math.nan, 0.0 if len(np.asarray(differences)) else math.nan)
+    ranks = stats.rankdata(np.abs(x))
+    return RankTest(float(stats.wilcoxon(x).pvalue), float((ranks * np.sign(x)).sum() / ranks.sum()))
+
+
+def sign_test(larger: int, smaller: int) -> RankTest:
+    """Compare two conditions of the same participants by the exact sign test; of truth values this is McNemar's test.
+
+    Parameters
+    ----------
+    larger, smaller : int
+        Numbers of participants with the larger and the smaller value in the first condition.
+    """
+    n = larger + smaller
+    if not n:
+        return RankTest(math.nan, 0.0)
+    return RankTest(float(stats.binomtest(larger, n).pvalue), (larger - smaller) / n)
+
+
+def fisher_p(successes: int, n: int, other: int, m: int) -> float:
+    """Return the p-value of Fisher's exact test of `successes` out of n and `other` out of m."""
+    if not n or not m:
+        return math.nan
+    table = np.array([[successes, n - successes], [other, m - other]])
+    return float(stats.fisher_exact(table).pvalue)
+
+
+def newcombe(successes: int, n: int, other: int, m: int, level: float = 0.95) -> IntervalEstimate:
+    """Return the difference of two shares, with the interval of Newcombe (1998) from Wilson's intervals.
+
+    Parameters
+    ----------
+    successes, n : int
+        Successes among the n members of the first group.
+    other, m : int
+        Successes among the m members of the second group.
+    level : float
+    """
+    if not n or not m:
+        return IntervalEstimate(math.nan, math.nan, math.nan)
+    (p, low, high), (q, under, over) = _wilson(successes, n, level), _wilson(other, m, level)
+    return IntervalEstimate(p - q, p - q - math.hypot(p - low, over - q), p - q + math.hypot(high - p, q - under))
+
+
+def _wilson(successes: int, n: int, level: float) -> tuple[float, float, float]:
+    z, p = float(stats.norm.ppf((1 + level) / 2)), successes / n
+    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return p, (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return the p-values adjusted for their number (Holm, 1979), which bounds the family-wise error.
+
+    Parameters
+    ----------
+    p_values : sequence of float
+        Undefined ones (NaN) count as 1: the family is as large as it was planned.
+    """
+    values = [1.0 if math.isnan(p) else p for p in p_values]
+    adjusted, largest = [0.0] * len(values), 0.0
+    for place, number in enumerate(sorted(range(len(values)), key=values.__getitem__)):
+        largest = max(largest, min(1.0, (len(values) - place) * values[number]))
+        adjusted[number] = largest
+    return [math.nan if math.isnan(p) else q for p, q in zip(p_values, adjusted, strict=True)]
+
+
+def adjusted_for_period(
+    values: Mapping[str, Mapping[str, float]],
+    periods: Mapping[tuple[str, str], int],
+    reference: str,
+    level: float = 0.95,
+) -> dict[str, IntervalEstimate]:
+    """Return each condition's difference from the reference, adjusted for participants and periods by least squares.
+
+    Learning from one condition to the next is then no part of the differences, also if orders are not balanced. With
+    the participants as fixed effects this is the within-participants estimate of the linear mixed model.
+
+    Parameters
+    ----------
+    values : mapping of mapping of float
+        Values by condition and participant.
+    periods : mapping of (participant, condition) to int
+        The period in which the participant had the condition.
+    reference : str
+    level : float
+    """
+    rows = [(who, name, value) for name, own in values.items() for who, value in own.items()]
+    others = [name for name in values if name != reference and values[name]]
+    people = list(dict.fromkeys(who for who, _, _ in rows))
+    times = sorted({periods[who, name] for who, name, _ in rows})[1:]
+    design = np.array([
+        [name == other for other in others] + [who == one for one in people]
+        + [periods[who, name] == time for time in times]
+        for who, name, _ in rows
+    ], dtype=float).reshape(len(rows), len(others) + len(people) + len(times))  # fmt: skip
+    rank = int(np.linalg.matrix_rank(design)) if rows else 0
+    freedom = len(rows) - rank
+    if rank < design.shape[1] or freedom < 1 or not others:
+        return {}
+    outcome = np.array([value for _, _, value in rows])
+    inverse = np.linalg.inv(design.T @ design)
+    found = inverse @ design.T @ outcome
+    error = float(((outcome - design @ found) ** 2).sum()) / freedom
+    half = stats.t.ppf((1 + level) / 2, freedom) * np.sqrt(error * np.diag(inverse))
+    return {
+        name: IntervalEstimate(float(found[n]), float(found[n] - half[n]), float(found[n] + half[n]))
+        for n, name in enumerate(others)
+    }

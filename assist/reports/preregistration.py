@@ -1,0 +1,95 @@
+"""Preregistration of a user study: a record, made before the first participant, of its file and of the analysis code.
+
+The report compares it with what was carried out. Anybody can: the digests are those of `sha256sum`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from planner.system.errors import DamagedFileError, ResultsExistError
+from planner.system.files import atomic
+
+from ..userstudy.export import REGISTERED
+from ..userstudy.plan import UserStudy
+from ..userstudy.session import JOURNAL
+from ..userstudy.tables import Tables
+
+ANALYSIS = (
+    "userstudy/questionnaires.py", "userstudy/tables.py", "reports/statistics.py", "reports/effects.py",
+    "reports/hypothesis_tests.py", "reports/userstudy_summary.py",
+)  # fmt: skip
+"""Files of the package on which the numbers of a report depend."""
+
+
+def analysis_digests() -> dict[str, str]:
+    """Return the SHA-256 digest of each file of the analysis."""
+    package = Path(__file__).parents[1]
+    return {name: hashlib.sha256((package / name).read_bytes()).hexdigest() for name in ANALYSIS}
+
+
+def register(study: UserStudy, folder: Path) -> dict[str, Any]:
+    """Write the record of a study into its folder, and return it.
+
+    Parameters
+    ----------
+    study : UserStudy
+    folder : Path
+        Folder in which the study will be saved.
+
+    Raises
+    ------
+    ResultsExistError
+        The study has begun, or has been registered.
+    """
+    for name, what in ((JOURNAL, "the study has begun"), (REGISTERED, "the study is registered")):
+        if (folder / name).exists():
+            raise ResultsExistError(f"{folder / name}: {what}; a registration comes first, and stays as it was")
+    record = {
+        "format": "kitassist preregistration 1",
+        "registered": datetime.now(UTC).isoformat(timespec="seconds"),
+        "version": metadata.version("kitassist"),
+        "study": hashlib.sha256(study.file.read_bytes()).hexdigest(),
+        "analysis": analysis_digests(),
+        "confirmatory": list(study.confirmatory),
+        "reference": study.reference,
+        "participants": study.participants,
+        "exclude_failed_checks": study.exclude_failed_checks,
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic(folder / REGISTERED) as path:
+        path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    return record
+
+
+def compared(study: UserStudy, tables: Tables, folder: Path) -> dict[str, Any] | None:
+    """Return when a study was registered, and how it differs from the record; None if it was not registered.
+
+    Raises
+    ------
+    DamagedFileError
+        The file is not such a record.
+    """
+    file = folder / REGISTERED
+    if not file.exists():
+        return None
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+        at, digest, analysis = datetime.fromisoformat(record["registered"]), record["study"], dict(record["analysis"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise DamagedFileError(file, None, f"not a preregistration: {error}") from None
+    deviations = []
+    first = min((row["arrived"] for row in tables.participants if row["arrived"] is not None), default=None)
+    if first is not None and datetime.fromisoformat(first) < at:
+        deviations.append("it was registered after the first participant had arrived")
+    if digest != hashlib.sha256(study.file.read_bytes()).hexdigest():
+        deviations.append("the study's file has changed")
+    changed = [name for name, own in analysis_digests().items() if analysis.get(name) != own]
+    if changed:
+        deviations.append(f"the code of the analysis has changed ({', '.join(changed)})")
+    return {"registered": record["registered"], "deviations": deviations}

@@ -1,0 +1,352 @@
+"""Analysis of user studies: tests and intervals beside independent implementations, Holm's family, preregistration."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import special, stats
+from userstudies import PLAN, SCORES, written
+
+from assist.cli import main
+from assist.reports.effects import difference, difference_within
+from assist.reports.hypothesis_tests import (
+    adjusted_for_period,
+    fisher_p,
+    holm,
+    mann_whitney,
+    newcombe,
+    paired_p,
+    sign_test,
+    signed_rank,
+    welch_p,
+)
+from assist.reports.preregistration import REGISTERED
+from assist.reports.userstudy_report import of_folder, write_report
+from assist.reports.userstudy_summary import _adjusted, _measure, measures, summarise
+from assist.userstudy.plan import OUTCOMES, read
+from assist.userstudy.tables import COLUMNS, Tables
+from assist.userstudy.tables import written as written_rows
+from planner.system.errors import InputFileError
+
+CONFIRMED = PLAN.replace("seed = 3", 'seed = 3\nconfirmatory = ["actions", "trust"]')
+WITHIN = CONFIRMED.replace("seed = 3", 'seed = 3\ndesign = "within"')
+
+
+def rows_of(outcomes: list[tuple[str, str, int, float | None, int]], **more: Any) -> Tables:
+    """Return tables in which participants have (order or condition, condition, period, actions, trust)."""
+    found = Tables()
+    for number, (assigned, condition, period, actions, trust) in enumerate(outcomes):
+        who = more.get("who", lambda n: f"P{n}")(number)
+        blank: dict[str, Any] = dict.fromkeys(COLUMNS["participants"])
+        if not found.participants or found.participants[-1]["participant"] != who:
+            found.participants.append(blank | {
+                "participant": who, "simulated": False, "status": "done", "stage": "thanks", "condition": assigned,
+                "arrived": "2026-11-27T12:00:00+00:00", "failed_checks": 0,
+            })  # fmt: skip
+        where = {"participant": who, "condition": condition, "period": period}
+        found.tasks.append(where | {
+            "task": "tiny", "position": 1, "finished": actions is not None, "actions": actions or 1,
+            "optimal_cost": 6.0, "suboptimal_actions": 0, "suggestions": 0, "followed": 0, "seconds": 10.0,
+        })  # fmt: skip
+        for item in SCORES["trust"]:
+            found.answers.append(dict.fromkeys(COLUMNS["answers"]) | where | {
+                "questionnaire": "trust", "item": item, "answer": trust, "score": trust,
+            })  # fmt: skip
+    return found
+
+
+def study_with(folder: Path, text: str = CONFIRMED) -> Any:
+    return read(written(folder / "study.toml", text))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_estimates_intervals_and_p_values_are_those_of_other_implementations(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(10, 3, 14 + seed), rng.normal(12, 5, 11)
+    near = {"rel": 1e-6, "abs": 1e-9}
+    peer = stats.ttest_ind(a, b, equal_var=False)
+    assert welch_p(a, b) == pytest.approx(peer.pvalue, **near)
+    found = difference(a, b)
+    assert (found.low, found.high) == pytest.approx(tuple(peer.confidence_interval()), **near)
+    pairs = a[:11] - b
+    paired = stats.ttest_rel(a[:11], b)
+    assert paired_p(pairs) == pytest.approx(paired.pvalue, **near)
+    within = difference_within(pairs)
+    assert (within.low, within.high) == pytest.approx(tuple(paired.confidence_interval()), **near)
+
+    # Ranks: every pair of people is compared, and the normal approximation computed by hand.
+    x, y = rng.integers(1, 8, 20).astype(float), rng.integers(2, 8, 15).astype(float)
+    u = sum((one > other) + 0.5 * (one == other) for one in x for other in y)
+    _, ties = np.unique(np.concatenate([x, y]), return_counts=True)
+    n, m, total = len(x), len(y), len(x) + len(y)
+    spread = math.sqrt(n * m / 12 * (total + 1 - (ties**3 - ties).sum() / (total * (total - 1))))
+    z = (max(u, n * m - u) - n * m / 2 - 0.5) / spread
+    ranked = mann_whitney(x, y)
+    assert ranked.p == pytest.approx(special.erfc(z / math.sqrt(2)), **near)
+    assert ranked.effect == pytest.approx(2 * u / (n * m) - 1, **near)
+
+    # The signed-rank test by all 2^10 signs; no two differences have the same size.
+    differences = pairs[:10]
+    ranks = np.argsort(np.argsort(np.abs(differences))) + 1
+    seen = abs((ranks * np.sign(differences)).sum())
+    signs = np.array(np.meshgrid(*[[-1, 1]] * 10)).reshape(10, -1)
+    signed = signed_rank(differences)
+    assert signed.p == pytest.approx(float((np.abs(ranks @ signs) >= seen).mean()), **near)
+    assert signed.effect == pytest.approx((ranks * np.sign(differences)).sum() / ranks.sum(), **near)
+
+    # Exact tests of completion, by all tables with these margins.
+    k, other = int(rng.integers(0, 13)), int(rng.integers(0, 10))
+    weights = {i: math.comb(12, i) * math.comb(9, k + other - i) for i in range(13) if 0 <= k + other - i <= 9}
+    extreme = sum(w for w in weights.values() if w <= weights[k]) / sum(weights.values()) if k in weights else 1.0
+    assert fisher_p(k, 12, other, 9) == pytest.approx(extreme, **near)
+    larger, smaller = 7 + seed, 2
+    tail = sum(math.comb(9 + seed, i) for i in range(smaller + 1)) / 2 ** (9 + seed)
+    assert sign_test(larger, smaller).p == pytest.approx(2 * tail, **near)
+
+
+def test_the_interval_of_two_shares_is_the_published_one() -> None:
+    """Newcombe (1998), method 10: 56/70 and 48/80, and the extremes 9/10 and 3/10."""
+    for counts, ends in (((56, 70, 48, 80), (0.0524, 0.3339)), ((9, 10, 3, 10), (0.1705, 0.8090)),
+                         ((10, 10, 0, 10), (0.6075, 1.0000))):  # fmt: skip
+        found = newcombe(*counts)
+        assert (found.low, found.high) == pytest.approx(ends, abs=5e-5)
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=7))
+def test_holm_is_the_closed_test_of_all_subfamilies(p_values: list[float]) -> None:
+    """The closed test rejects what every subfamily with it rejects, each by Bonferroni."""
+    n = len(p_values)
+    closed = [
+        max(
+            min(1.0, size * min(p_values[i] for i in family))
+            for size in range(1, n + 1)
+            for family in combinations(range(n), size)
+            if one in family
+        )
+        for one in range(n)
+    ]
+    assert holm(p_values) == pytest.approx(closed)
+    assert holm([*p_values, math.nan])[:n] == pytest.approx(holm([*p_values, 1.0])[:n])
+
+
+def test_least_squares_removes_what_people_learn_from_one_condition_to_the_next() -> None:
+    rng = np.random.default_rng(5)
+    names, values, periods = ("none", "a", "b"), {}, {}
+    rows = []
+    for number in range(12):
+        own = rng.normal(20, 5)
+        for period, name in enumerate(rng.permutation(names), start=1):
+            value = own + {"none": 0, "a": -2, "b": 1}[str(name)] - 3 * period + rng.normal(0, 1)
+            rows.append((f"P{number}", str(name), period, value))
+    rows = [row for number, row in enumerate(rows) if number % 11]  # some left earlier
+    for who, name, period, value in rows:
+        values.setdefault(name, {})[who] = value
+        periods[who, name] = period
+    found = adjusted_for_period({name: values[name] for name in names}, periods, "none")
+
+    # The same by partialling out: residuals after participants and periods (Frisch, Waugh and Lovell).
+    people = sorted({row[0] for row in rows})
+    nuisance = np.array([[who == one for one in people] + [period == t for t in (2, 3)] for who, _, period, _ in rows])
+    left = np.eye(len(rows)) - nuisance @ np.linalg.pinv(nuisance.astype(float))
+    x = left @ np.array([[name == "a", name == "b"] for _, name, _, _ in rows], dtype=float)
+    y = left @ np.array([row[3] for row in rows])
+    slope, residual, *_ = np.linalg.lstsq(x, y, rcond=None)
+    freedom = len(rows) - len(people) - 4
+    errors = np.sqrt(residual[0] / freedom * np.diag(np.linalg.inv(x.T @ x)))
+    for name, value, error in zip(("a", "b"), slope, errors, strict=True):
+        half = stats.t.ppf(0.975, freedom) * error
+        assert (found[name].value, found[name].low, found[name].high) == pytest.approx(
+            (value, value - half, value + half), rel=1e-6
+        )
+    assert found["a"].value == pytest.approx(-2, abs=1)
+    assert adjusted_for_period({"none": {"P1": 1.0}, "a": {}}, {("P1", "none"): 1}, "none") == {}
+
+
+def test_who_does_not_finish_counts_in_completion_and_has_the_worst_rank(tmp_path: Path) -> None:
+    """One action and a timeout beat no optimum of six."""
+    with_it = [("attention", "attention", 1, value, 6) for value in (6, 7, 6, None, None)]
+    without = [("none", "none", 1, value, 4) for value in (9, 8, 10, 9, 8)]
+    summary = summarise(study_with(tmp_path), rows_of([*with_it, *without]))
+    measured = {one["measure"]: one for one in summary["measures"]}
+    assert {cell["condition"]: (cell["n"], cell["mean"]) for cell in measured["actions"]["cells"]} == {
+        "none": (5, 8.8), "attention": (3, pytest.approx(19 / 3)),
+    }  # fmt: skip
+    (completed,) = measured["completion"]["differences"]
+    assert completed["mean"] == pytest.approx(-40)
+    assert completed["p"] == pytest.approx(stats.fisher_exact([[3, 2], [5, 0]]).pvalue)
+    worst = {one["measure"]: one for one in summary["worst_rank"]}["actions"]
+    assert worst["n"] == 5
+    assert worst["effect"] == pytest.approx((2 * 5 - 3 * 5) / 25)  # two pairs won by the unfinished, three lost
+    (likert, _) = summary["likert"]
+    assert (likert["item"], likert["effect"], likert["n"]) == ("rely", 1.0, 5)
+
+
+def test_only_the_named_outcomes_are_confirmatory_and_their_family_is_adjusted(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    rows = [(name, name, 1, int(rng.integers(6, 20)), int(rng.integers(1, 8))) for name in ("none", "attention") * 8]
+    summary = summarise(study_with(tmp_path), rows_of(rows))
+    confirmed = {one["measure"]: one["differences"][0] for one in summary["measures"] if one["confirmatory"]}
+    assert set(confirmed) == {"actions", "trust"}
+    smaller, larger = sorted(one["p"] for one in confirmed.values())
+    assert sorted(one["p_holm"] for one in confirmed.values()) == [
+        pytest.approx(min(1, 2 * smaller)), pytest.approx(max(larger, min(1, 2 * smaller))),
+    ]  # fmt: skip
+    others = [one for row in summary["measures"] if not row["confirmatory"] for one in row["differences"]]
+    assert others
+    assert all("p_holm" not in one for one in others)
+
+
+def test_what_cannot_be_confirmatory_is_refused(tmp_path: Path) -> None:
+    for wrong, said in (
+        ('["action"]', r"confirmatory\[1\]: 'action'; did you mean 'actions'"),
+        ('["actions", "actions"]', r"confirmatory\[2\]: 'actions'; expected different names"),
+        ('["remarks"]', r"confirmatory\[1\]: 'remarks'; expected one of completion, actions"),
+    ):
+        with pytest.raises(InputFileError, match=said):
+            study_with(tmp_path, CONFIRMED.replace('["actions", "trust"]', wrong))
+    for name in OUTCOMES:
+        assert study_with(tmp_path, CONFIRMED.replace('"trust"', f'"{name}"').replace('["actions", "actions"]',
+                          '["actions"]')).confirmatory  # fmt: skip
+
+
+def exported(folder: Path, tables: Tables, text: str = CONFIRMED) -> Path:
+    folder.mkdir(exist_ok=True)
+    written(folder / "study.toml", text)
+    for name, columns in COLUMNS.items():
+        (folder / f"{name}.csv").write_text(written_rows(columns, getattr(tables, name)))
+    return folder
+
+
+@pytest.mark.parametrize("text", [CONFIRMED, WITHIN], ids=["between", "within"])
+def test_the_report_separates_confirmatory_from_exploratory(
+    tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("assist.reports.userstudy_report._pictures", lambda *_: iter(()))
+    rng, rows = np.random.default_rng(2), list[Any]()
+    orders = ["none > attention", "attention > none"]
+    for number in range(12):
+        for period, name in enumerate(orders[number % 2].split(" > "), start=1):
+            one = (name, 1) if text == CONFIRMED else (orders[number % 2], period)
+            rows.append((one[0], name, one[1], None if number == 3 else int(rng.integers(6, 12)), 5))
+    within = {"who": lambda n: f"P{n // 2}"} if text == WITHIN else {}
+    folder = exported(tmp_path / "data", rows_of(rows, **within), text)
+    summary = write_report(folder, tmp_path / "report")
+    report = (tmp_path / "report" / "report.md").read_text()
+    confirmatory, _, exploratory = report.partition("### Exploratory")
+    assert "| actions per task | attention |" in confirmatory.partition("### Confirmatory")[2]
+    assert "p (Holm)" in confirmatory
+    assert "p (Holm)" not in exploratory
+    assert "| all tasks finished, % | attention |" in exploratory
+    assert "### Sensitivity: the unfinished as the worst" in exploratory
+    assert "| trust: rely | attention | 12 |" in exploratory
+    assert ("by period" in report) == (text == WITHIN)
+    assert "The study was not preregistered." in report
+    assert json.loads((tmp_path / "report" / "summary.json").read_text()) == summary
+
+
+def run(*words: object) -> Any:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("assist.reports.userstudy_report._pictures", lambda *_: iter(()))
+    file, data = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data"
+    said = run("study-prepare", file, "--data", data)
+    assert json.loads(said.stdout) == json.loads((data / REGISTERED).read_text())
+    again = run("study-prepare", file, "--data", data)
+    assert (again.exit_code, again.stderr.count("\n")) == (2, 1)
+    assert "the study is registered; a registration comes first" in again.stderr
+    rows = rows_of([(name, name, 1, 7, 5) for name in ("none", "attention") * 3])
+    for row in rows.participants:
+        row["arrived"] = "2999-01-01T00:00:00+00:00"
+    exported(data, rows)
+
+    def first_lines() -> str:
+        write_report(data, tmp_path / "report")
+        return (tmp_path / "report" / "report.md").read_text().split("\n\n")[1]
+
+    assert first_lines().endswith("the study's file and the analysis have not changed.")
+    written(data / "study.toml", CONFIRMED.replace("actions", "seconds"))
+    assert "but** the study's file has changed" in first_lines()
+    record = json.loads((data / REGISTERED).read_text())
+    record["analysis"]["reports/effects.py"] = "0"
+    (data / REGISTERED).write_text(json.dumps(record | {"registered": "3000-01-01T00:00:00+00:00"}))
+    for part in ("registered after the first participant had arrived", "has changed (reports/effects.py)"):
+        assert part in first_lines()
+    (data / REGISTERED).write_text("{}")
+    refused = run("study-report", data)
+    assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)
+    assert "not a preregistration" in refused.stderr
+    (data / REGISTERED).unlink()
+    (data / "journal.sqlite").touch()
+    assert "the study has begun" in run("study-prepare", file, "--data", data).stderr
+
+
+def test_links_of_participants_are_signed_by_a_command(tmp_path: Path) -> None:
+    file, ids = written(tmp_path / "study.toml"), tmp_path / "ids.txt"
+    ids.write_text("7\n\na&b\n=1\n")
+    options = ("study-prepare", file, "--data", tmp_path / "data", "--links", ids)
+    assert "expected --public-url URL as well" in run(*options).stderr
+    said = run(*options, "--public-url", "https://host.example/kits/").stdout
+    links = {row["participant"]: row["link"] for row in csv.DictReader(io.StringIO(said))}
+    assert list(links) == ["7", "a&b", "=1"]
+    assert links["a&b"].startswith("https://host.example/kits/study?participant=a%26b&signature=")
+    assert run(*options, "--public-url", "https://host.example/kits/").stdout == said
+    for content, wrong in (("7\n8\n7\n", "ids.txt:3: the ID of line 1"), ("\n", "expected an ID on each line"),
+                           ("x" * 101, "ids.txt:1: expected an ID of at most 100 characters")):  # fmt: skip
+        ids.write_text(content)
+        refused = run(*options, "--public-url", "https://host.example")
+        assert (refused.exit_code, wrong in refused.stderr) == (2, True)
+
+
+def test_an_export_of_an_earlier_version_is_read(tmp_path: Path) -> None:
+    rows = rows_of([("none", "none", 1, 7, 5)])
+    folder = exported(tmp_path / "data", rows)
+    (folder / "answers.csv").write_text(
+        "participant,condition,period,questionnaire,item,answer,score\nP0,none,1,trust,rely,5,5\n"
+    )
+    _, found = of_folder(folder)
+    assert found.answers[0] == dict.fromkeys(COLUMNS["answers"]) | {
+        "participant": "P0", "condition": "none", "period": 1, "questionnaire": "trust", "item": "rely",
+        "answer": "5", "score": 5,
+    }  # fmt: skip
+
+
+FOUR = WITHIN.replace('design = "within"\n', "") + "".join(
+    f'[[conditions]]\nname = "{name}"\npolicy = "none"\n' for name in ("c", "d")
+)
+
+
+@pytest.mark.slow
+def test_intervals_cover_the_truth_and_the_family_errs_rarely(tmp_path: Path) -> None:
+    """A thousand studies in which no condition has an effect, though people and variances differ."""
+    rng, study = np.random.default_rng(11), study_with(tmp_path, FOUR)
+    names, covered, compared, erring, studies = [one.name for one in study.conditions], 0, 0, 0, 1000
+    for _ in range(studies):
+        rows = [
+            (name, name, 1, float(rng.normal(12, 2 + number)), float(np.clip(rng.normal(4, 1.5), 1, 7)))
+            for number, name in enumerate(names) for _ in range(12)
+        ]  # fmt: skip
+        tables = rows_of(rows)
+        confirmed = [one for one in measures(study, tables) if one.name in study.confirmatory]
+        compared_all = _adjusted(study, [_measure(study, one, tables) for one in confirmed])  # of the summary
+        family = [one for measure in compared_all for one in measure["differences"]]
+        assert len(family) == 6
+        covered += sum(one["low"] <= 0 <= one["high"] for one in family)
+        compared += len(family)
+        erring += any(one["p_holm"] < 0.05 for one in family)
+    assert 0.93 <= covered / compared <= 0.97
+    assert erring / studies <= 0.055
