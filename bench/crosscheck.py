@@ -48,6 +48,7 @@ from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamPolicy
 from assist.team.travel import Travel
+from assist.team.whittle import Whittle
 from planner import Instance, Table, load, sweep
 
 DOMAINS = Path(__file__).resolve().parent.parent / "domains"
@@ -330,6 +331,8 @@ def policies_of(case: Case, whole: Pool, pool: Pool, found: TeamBound) -> Iterat
     """Yield the shipped policies, each with the pool that it uses."""
     for name in ("none", "reactive", "attention", "attention-never", "priority"):
         yield name, whole, whole.policy(name, case.travel)
+    # Three prices instead of eight make another, equally valid policy in less time.
+    yield "whittle", whole, Whittle.of(whole.policies, case.travel, (0.0, 0.2, 1.0))
     if len(found.price):
         yield "priority at the bound's prices", whole, Priority.of(whole.policies, case.travel, found.price)
     if pool is not whole:

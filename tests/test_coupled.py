@@ -40,17 +40,20 @@ def joint_optimum(agents: Agents, resources: float) -> float:
     """Return the optimal value by value iteration over all joint states and joint actions."""
     K, A, S = agents.shape
     P, states = matrices(agents), list(itertools.product(range(S), repeat=K))
+    now = {}
+    for joint in itertools.product(range(A), repeat=K):
+        now[joint] = np.full((S,) * K, -np.inf)
+        for x in states:
+            if sum(agents.uses[k, joint[k], x[k]] for k in range(K)) <= resources:
+                now[joint][x] = sum(agents.R[k, joint[k], x[k]] for k in range(K))
     value = np.zeros((S,) * K)
     for _ in range(120):
         best = np.full(value.shape, -np.inf)
-        for joint in itertools.product(range(A), repeat=K):
+        for joint, reward in now.items():
             after = value
             for k in range(K):
                 after = np.moveaxis(np.tensordot(P[k, joint[k]], after, axes=(1, k)), 0, k)
-            for x in states:
-                if sum(agents.uses[k, joint[k], x[k]] for k in range(K)) <= resources:
-                    now = sum(agents.R[k, joint[k], x[k]] for k in range(K))
-                    best[x] = max(best[x], now + GAMMA * after[x])
+            best = np.maximum(best, reward + GAMMA * after)
         value = best
     return float(value[tuple(agents.initial.argmax(axis=1))])
 
