@@ -204,6 +204,9 @@ class Case:
         team = tuple(int(person) for person in rng.integers(0, people, people))
         window = one(None, None, 0, 4, 8)
         sampled = not any(joins) and people < 4 and rng.random() < 0.3
+        robots = np.random.default_rng([number, 10])
+        if people > 1 and not sampled and robots.random() < 0.25:
+            setting = replace(setting, robots=int(robots.integers(2, 4)))
         return cls(
             number, task, setting, whom, population() if rng.random() < 0.2 and how != "weights" else whom,
             one(team, tuple(range(people))), distance, joins, part, window, 60 if sampled else 0,
