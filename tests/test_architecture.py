@@ -33,7 +33,7 @@ ROOMS = {
         on_demand portfolio""",
     "planner.batch": "solve_instance results_folder solve_batch",
     "planner": "engine",
-    "assist.people": """arguments choices misconception decision terms memory choice_model human mixture
+    "assist.people": """arguments choices misconception decision goals terms memory choice_model human mixture
         spread belief influence_kernels trust_rules user_code action_names signals""",
     "assist.person": """leaf_bounds pomdp policy archive problem_arrays belief_filter qmdp solution_cache alpha_vectors
         upper_hull hsvi solver suggestion_threshold""",

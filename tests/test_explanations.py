@@ -522,6 +522,7 @@ def explanations() -> list[Explanation]:
                         why = WhyNothing("cost", "attention", mine, exact=exact, elsewhere=elsewhere, about=about)
                         found.append(Explanation(nothing=why, words={"(a)": "Do A"}))
     found.append(Explanation(WhyStep("(a)", 1.0, None)))
+    found.append(Explanation(WhyStep("(a)", 0.6, some, "kit-a", 0.8)))
     now = WhyPerson(Prospect("ann", "(a)", 2.0, 0.1, 0.0), True, True, (), "attention")
     found.append(Explanation(WhyStep("(a)", 0.5, Contrast("(a)", "(b)", 0.0, "actions", None, 0.5)), now))
     for reason in ("paused", "never", "finished", "nobody", "waiting", "no-mistake", "mistake-elsewhere", "no-step"):

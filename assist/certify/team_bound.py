@@ -219,7 +219,8 @@ def upper_bound(
     Raises
     ------
     ValueError
-        A parameter is out of its range; sample paths are requested for several robots.
+        A parameter is out of its range; sample paths are requested for several robots; or a person's goal is one of
+        several.
     LimitError
         The subproblems would exceed the memory limit.
     """
@@ -229,6 +230,8 @@ def upper_bound(
     members = _members(pool, team)
     if whole("paths", paths, 0):
         pool.setting.require_one_robot("the bound from sample paths")
+    for member in members:
+        pool.choices(member).require_one_goal("a bound")
     travel = travel or pool.setting.travel(len(members))
     if len(travel) != len(members):
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")

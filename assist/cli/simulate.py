@@ -12,6 +12,7 @@ from planner.system import files
 from planner.system.progress import stages
 
 from .options.common import OUTPUT_FILE, instance_argument, json_option, separate_files
+from .options.goals import goal_options, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
@@ -37,10 +38,12 @@ from .terminal.console import print_json
     help="Steps after which an episode is cut off.",
 )
 @team_options
+@goal_options
 @json_option
 def simulate(
     instance: str, names: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
-    figure: Path | None, as_json: bool, **team: Any,
+    figure: Path | None, as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...], goal_knowledge: str,
+    **team: Any,
 ) -> None:  # fmt: skip
     """Simulate a team of people and a robot that assists them, and compare policies."""
     from ..plots import style
@@ -57,8 +60,9 @@ def simulate(
             raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(style.FORMATS)}")
     with policy_errors():
         policies, results = policies_of(names), []
-        made = team_of(instance, size=size, **team)
-        options = {"humans": team["humans"], "seed": team["seed"], "travel": made.travel}
+        goals = several_goals(instance, problems, goal_prior, domain=team["domain"], max_states=team["max_states"])
+        made = team_of(instance, size=size, goals=goals, **team)
+        options = {"humans": team["humans"], "seed": team["seed"], "travel": made.travel, "goals": goal_knowledge}
         steps: list[Any] = []
         kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": team["memory_limit"]}
         for name, policy in policies.items():
@@ -79,6 +83,7 @@ def simulate(
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": team["humans"],
             "pool": size, "drawn": drawn, "episodes": episodes, "seed": team["seed"],
             "setting": made.pool.setting.as_dict(), "population": made.population.as_dict(),
+            **({"goals": dict(goals.prior), "goal_knowledge": goal_knowledge} if goals else {}),
             "policies": [summary.record() for summary in summaries], "versions": versions(),
         })  # fmt: skip
     else:

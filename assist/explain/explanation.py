@@ -33,11 +33,17 @@ class WhyStep:
     likely : Contrast or None
         The step against the action that the person is most likely to choose among those that are worse; if none is
         worse, among all others. None if there is no other.
+    goal : str or None
+        The goal to which the comparisons refer, if the person pursues one of several.
+    goal_probability : float
+        How probable this goal is.
     """
 
     step: str
     alone: float
     likely: Contrast | None
+    goal: str | None = None
+    goal_probability: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +188,8 @@ class Explanation:
                 ("step", self.step), ("now", self.now), ("nothing", self.nothing), ("against", self.against)
             )
         }  # fmt: skip
+        if self.step is not None and self.step.goal is None:
+            del plain["step"]["goal"], plain["step"]["goal_probability"]
         for one in (plain["against"], (plain["step"] or {}).get("likely")):
             if one is not None and not math.isfinite(one["difference"]):
                 one["difference"] = None
@@ -214,6 +222,8 @@ class Explanation:
     def _sentences(self, say: Catalogue) -> Iterator[str]:
         if self.step is not None:
             yield say("step.suggestion", step=self._action(say, self.step.step))
+            if self.step.goal is not None:
+                yield say("step.goal", goal=self.step.goal, probability=say.percent(self.step.goal_probability))
             if self.against is None:
                 yield from self._step(say, self.step)
                 likely = self.step.likely

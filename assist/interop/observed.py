@@ -61,6 +61,7 @@ class Observed:
         ValueError
             The problem is truncated at a frontier, or its trust rule depends on whether advice is followed.
         """
+        pomdp.model.choices.require_one_goal("a problem with observed values")
         if pomdp.frontier is not None:
             raise ValueError("the problem is truncated at a frontier; expected one of an enumerated task")
         if pomdp.followed_low is not None:

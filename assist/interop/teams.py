@@ -72,6 +72,7 @@ class Teams:
     ) -> None:
         for policy in pool.policies:
             policy.require_enumerated("pool")
+            policy.pomdp.model.choices.require_one_goal("an environment")
         pool.setting.require_one_robot("an environment")
         self.pool, self.on_grid = pool, world == "model"
         self.travel = pool.setting.travel(places, distance)
@@ -109,7 +110,7 @@ class Teams:
         self.location[rows], self.busy_until[rows], self.clock[rows] = BASE, 0, 0
         if self.on_grid:
             pomdps = [solved.pomdp for solved in self.pool.policies]
-            self.who[rows], self.beta[rows], self.theta[rows] = from_the_prior(pomdps, self.model[rows], draw())
+            _, self.who[rows], self.beta[rows], self.theta[rows] = from_the_prior(pomdps, self.model[rows], draw())
 
     def free(self) -> NDArray[np.bool_]:
         """Return which robots are not under way, shape (N,)."""

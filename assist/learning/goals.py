@@ -24,6 +24,7 @@ from ..people.belief import Grid
 from ..people.choices import STAND_STILL
 from ..people.decision import NOTHING, Floats, choice
 from ..people.decision import lapse as lapses
+from ..people.goals import prior_over
 from ..people.human import Population
 from .fit import LogError, require_actions
 from .joint_states import JointStates
@@ -193,7 +194,7 @@ def inferred(
     strict: bool = False,
 ) -> InferredGoals:
     """Return the result of `infer_goals`, without warnings about faults in the log."""
-    first = _prior(goals, prior)
+    first = prior_over(goals, prior)
     grid = Grid.regular(Population()).beta if beta is None else np.asarray(beta, dtype=float)
     if grid.ndim != 1 or not len(grid) or not (np.isfinite(grid).all() and (grid >= 0).all()):
         raise ValueError(f"beta {grid}: expected one or more finite values from 0 upwards")
@@ -222,21 +223,6 @@ def inferred(
     with np.errstate(divide="ignore"):
         episodes = _posteriors(recording, likelihood, np.log(first), grid, states.task.actions)
     return InferredGoals(tuple(goals), first, episodes, faults, tuple(notes), left_out)
-
-
-def _prior(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None) -> Floats:
-    """Return the probability of each goal, after checking the given ones."""
-    if not goals:
-        raise ValueError("no goals; expected one or more")
-    if prior is None:
-        return np.full(len(goals), 1 / len(goals))
-    if set(prior) != set(goals):
-        odd = min(set(prior) ^ set(goals))
-        raise ValueError(f"prior: '{odd}' is {'no goal' if odd in prior else 'missing'}; expected {', '.join(goals)}")
-    shares = np.array([float(prior[name]) for name in goals])
-    if not ((shares >= 0).all() and abs(shares.sum() - 1) <= 1e-6):
-        raise ValueError(f"prior: sum {shares.sum():g}; expected numbers of 0 or more that add up to 1")
-    return shares / shares.sum()
 
 
 def _probabilities(recording: Recording, h: Floats, reached: NDArray[np.bool_], beta: Floats, rate: float) -> Floats:

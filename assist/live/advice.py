@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -39,6 +39,8 @@ class Reason:
     follow_interval : pair of float
         Interval that contains the mean, and 90 % of the probabilities of following, one for each pair of beta and
         theta, weighted by the belief.
+    goals : mapping of str to float
+        Probability of each goal, if the person pursues one of several.
     """
 
     saving: float
@@ -52,6 +54,13 @@ class Reason:
     followed: int = 0
     follow: float = 0.0
     follow_interval: tuple[float, float] = (0.0, 1.0)
+    goals: Mapping[str, float] = field(default_factory=dict, hash=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers as plain data; goals only if there are several."""
+        plain = {one.name: getattr(self, one.name) for one in fields(self)}
+        plain["goals"] = dict(self.goals)
+        return plain if self.goals else {name: value for name, value in plain.items() if name != "goals"}
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Reason:
@@ -63,7 +72,11 @@ class Reason:
             The data are not those of a reason.
         """
         values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in plain.items()}
-        for name, value in values.items():
+        goals = values.get("goals", {})
+        if not isinstance(goals, Mapping):
+            raise ValueError(f"reason 'goals': {str(goals)[:40]}")  # noqa: TRY004
+        named = [(name, value) for name, value in values.items() if name != "goals"]
+        for name, value in [*named, *goals.items()]:
             pair = name.endswith("_interval")
             numbers = value if pair and isinstance(value, tuple) and len(value) == 2 else () if pair else (value,)
             if not numbers or not all(type(one) in (int, float) and math.isfinite(one) for one in numbers):
@@ -111,6 +124,11 @@ class Advice:
             raise ValueError("this advice is from a record, and has no explanation; `Assistant.explain` gives one")
         return source()
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the advice as plain data."""
+        reason = None if self.reason is None else self.reason.as_dict()
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {"reason": reason}
+
     def __getstate__(self) -> dict[str, Any]:
         return {one.name: getattr(self, one.name) for one in fields(self)}
 
@@ -144,7 +162,7 @@ class PersonState:
     present : bool
         Whether the person is in the team; people who have left can return.
     finished : bool
-        Whether the goal of the person's task has been reached.
+        Whether the goal of the person's task has been reached; if it is one of several, whether it probably has.
     state : int
         State of the task, as its `CostToGo` numbers it.
     applicable : tuple of str
@@ -152,13 +170,15 @@ class PersonState:
     suggestion : str or None
         The open suggestion: what has been suggested since the person's last action.
     cost_to_go : float
-        Exact, in cost units; infinite in a dead end.
+        Exact, in cost units; infinite in a dead end. That of the most probable goal if there are several.
     steps : int
         Number of the person's actions in this task.
     grid : Grid
         The values of beta and theta that the belief distinguishes.
-    belief : float array, shape (B, T)
-        Probability of each pair of beta and theta.
+    belief : float array, shape (B, T) or (G * B, T)
+        Probability of each pair of beta and theta, or of each goal and pair if there are several goals.
+    goals : mapping of str to float
+        Probability of each goal, if the person pursues one of several.
     """
 
     person: str
@@ -171,6 +191,7 @@ class PersonState:
     steps: int
     grid: Grid
     belief: Floats
+    goals: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.belief.flags.writeable = False

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -32,6 +32,7 @@ from planner import CostToGo
 
 from ..explain.explanation import Explanation
 from ..people.decision import NOTHING, Floats
+from ..people.goals import Goals, goal_shares
 from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..people.spread import Spread
@@ -65,9 +66,9 @@ class Assistant:
 
     Parameters
     ----------
-    task : CostToGo or Policy
-        The cost-to-go of `planner.cost_to_go`, as a table or on demand; or a solved policy for one person, for instance
-        with a human model of one's own.
+    task : CostToGo, Goals or Policy
+        The cost-to-go of `planner.cost_to_go`, as a table or on demand; `Goals` if each person pursues one of several
+        goals, which is inferred; or a solved policy for one person, for instance with a human model of one's own.
     people : iterable of str, or mapping of str to task
         Names of the people, or a task for each name. More people may `join`.
     policy : str or callable
@@ -92,8 +93,8 @@ class Assistant:
 
     def __init__(
         self,
-        task: CostToGo | Policy | None = None,
-        people: Iterable[str] | Mapping[str, CostToGo | Policy] = (),
+        task: CostToGo | Goals | Policy | None = None,
+        people: Iterable[str] | Mapping[str, CostToGo | Goals | Policy] = (),
         *,
         policy: str | TeamPolicy = "attention",
         setting: Setting | None = None,
@@ -140,14 +141,18 @@ class Assistant:
         return not (self._team.present & ~self._team.ended).any()
 
     def join(
-        self, person: str, task: CostToGo | Policy | None = None, *, population: Population | Mixture | None = None
+        self,
+        person: str,
+        task: CostToGo | Goals | Policy | None = None,
+        *,
+        population: Population | Mixture | None = None,
     ) -> None:
         """Add a person, at the beginning of a task, or let one return to the task that they left.
 
         Parameters
         ----------
         person : str
-        task : CostToGo or Policy, optional
+        task : CostToGo, Goals or Policy, optional
             By default the team's.
         population : Population or Mixture, optional
             Prior of this person; by default that of the team.
@@ -181,14 +186,18 @@ class Assistant:
         self._advice = None
 
     def begin(
-        self, person: str, task: CostToGo | Policy | None = None, *, population: Population | Mixture | None = None
+        self,
+        person: str,
+        task: CostToGo | Goals | Policy | None = None,
+        *,
+        population: Population | Mixture | None = None,
     ) -> None:
         """Let a person begin the next task, finished or not; the belief in them remains.
 
         Parameters
         ----------
         person : str
-        task : CostToGo or Policy, optional
+        task : CostToGo, Goals or Policy, optional
             By default the same task again.
         population : Population or Mixture, optional
             Prior for the policy of this task; by default as before.
@@ -198,15 +207,24 @@ class Assistant:
         if task is not None or population is not None:
             problem = self._problem(task or record.problem.task, population or record.problem.prior)
         part, row = problem.at(problem.initial)
-        here, there = self._team.part(record)[0].policy.pomdp.grid, part.policy.pomdp.grid
+        before = self._team.part(record)[0]
+        here, there = before.policy.pomdp.grid, part.policy.pomdp.grid
         if not (np.array_equal(here.beta, there.beta) and np.array_equal(here.theta, there.theta)):
             raise ValueError(f"{person}: the next task distinguishes other values of beta and theta; expected the same")
+        if before.choices.goal_count != part.choices.goal_count:
+            raise ValueError(
+                f"{person}: the next task has {part.choices.goal_count} goals; expected {before.choices.goal_count}"
+            )
         record.past.add(record.problem, record.steps)
-        record.problem, record.before, record.steps = problem, self._team.belief[record.place].copy(), []
+        belief = self._team.belief[record.place]
+        if part.choices.goals is not None and part.choices.goal_count > 1:  # the next task has a goal of its own
+            person_alone = belief.reshape(-1, *there.shape).sum(axis=0)
+            belief[:] = np.concatenate([share * person_alone for share in part.choices.goals.values()])
+        record.problem, record.before, record.steps = problem, belief.copy(), []
         self._team.put(record, part, row)
         self._advice = None
 
-    def _problem(self, task: CostToGo | Policy | None, population: Population | Mixture | None) -> LiveTask:
+    def _problem(self, task: CostToGo | Goals | Policy | None, population: Population | Mixture | None) -> LiveTask:
         task, population = task or self._task, population or self.population
         if task is None:
             raise ValueError("there is no task; expected one for the team, or for each person")
@@ -242,7 +260,7 @@ class Assistant:
         record = self._team.known(person)
         k, problem = record.place, record.problem
         part, row = self._team.part(record)
-        if self._team.ended[k]:
+        if self._team.stopped(record):
             raise InapplicableError(f"{person} has reached the goal; expected `begin` before another action")
         slot = problem.slot(part, row, action)
         to = problem.after(part, row, slot)
@@ -290,7 +308,7 @@ class Assistant:
         part, row = record.problem.at(step.place)
         belief, choices = self._team.belief[record.place], part.choices
         update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
-        return not choices.optimal[row, step.slot]
+        return not choices.optimal[choices.of_goals(np.array([row]))[:, 0], step.slot].any()
 
     # Advice.
 
@@ -457,8 +475,16 @@ class Assistant:
         return Reason(
             saving, moving, saving - moving, beta.mean, (beta.low, beta.high), theta.mean, (theta.low, theta.high),
             len(answered), sum(step.suggestion == step.action for step in answered), follow.mean,
-            (follow.low, follow.high),
+            (follow.low, follow.high), self._goals(k),
         )  # fmt: skip
+
+    def _goals(self, k: int) -> dict[str, float]:
+        """Return the probability of each goal of a person; nothing if it is known."""
+        choices = self._team.parts[self._team.model[k]].choices
+        if choices.goals is None or choices.goal_count == 1:
+            return {}
+        share = goal_shares(self._team.belief[k], choices.goal_count)
+        return dict(zip(choices.goals, share.tolist(), strict=True))
 
     def _follow(self, k: int, robot: int) -> Spread:
         """Return the mean and interval of the probability that a person follows a suggestion, under the belief."""
@@ -479,19 +505,24 @@ class Assistant:
         record = self._team.by_name.get(person) or self._team.known(person)
         k, (part, row) = record.place, self._team.part(record)
         choices = part.choices
-        names = () if self._team.ended[k] else tuple(
+        names = () if self._team.stopped(record) else tuple(
             choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))
         )  # fmt: skip
         return PersonState(
             person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names,
-            self._suggestion(record), float(choices.h[row]), len(record.steps), part.policy.pomdp.grid,
-            self._team.belief[k].copy(),
+            self._suggestion(record), self.cost_to_go(person), len(record.steps), part.policy.pomdp.grid,
+            self._team.belief[k].copy(), self._goals(k),
         )  # fmt: skip
 
     def cost_to_go(self, person: str) -> float:
-        """Return the cost-to-go of a person's present state, in cost units; the person may be absent."""
-        part, row = self._team.part(self._team.by_name.get(person) or self._team.known(person))
-        return float(part.choices.h[row])
+        """Return the cost-to-go of a person's present state, in cost units; the person may be absent.
+
+        If they pursue one of several goals, it is that of the most probable one.
+        """
+        record = self._team.by_name.get(person) or self._team.known(person)
+        part, row = self._team.part(record)
+        share = goal_shares(self._team.belief[record.place], part.choices.goal_count)
+        return float(part.choices.h[part.choices.of_goals(np.array([row]))[share.argmax(), 0]])
 
     @property
     def step(self) -> int:
@@ -537,7 +568,10 @@ class Assistant:
             for record in self._team.records
         ]
         # A team of one robot has no lists of robots, as in all versions.
-        one, advice = self.setting.robots == 1, None if self._advice is None else [asdict(one) for one in self._advice]
+        one, advice = (
+            self.setting.robots == 1,
+            None if self._advice is None else [each.as_dict() for each in self._advice],
+        )
         return json.dumps(
             {
                 "format": FORMAT,
@@ -554,14 +588,14 @@ class Assistant:
         )
 
     @classmethod
-    def from_json(cls, document: str, *tasks: CostToGo | Policy, policy: TeamPolicy | None = None) -> Assistant:
+    def from_json(cls, document: str, *tasks: CostToGo | Goals | Policy, policy: TeamPolicy | None = None) -> Assistant:
         """Return a saved team, with the same beliefs, bit for bit.
 
         Parameters
         ----------
         document : str
             The result of `to_json`.
-        *tasks : CostToGo or Policy
+        *tasks : CostToGo, Goals or Policy
             The tasks of the team, in any order; the first is the default for people who join.
         policy : callable, optional
             The team's policy, if it was a function.
@@ -587,7 +621,7 @@ class Assistant:
             raise ValueError(f"this is no saved team that can be restored: {error}") from error
         return team
 
-    def _restore(self, saved: dict[str, Any], tasks: Mapping[str, CostToGo | Policy]) -> None:
+    def _restore(self, saved: dict[str, Any], tasks: Mapping[str, CostToGo | Goals | Policy]) -> None:
         for one in saved["people"]:
             for number, episode in enumerate(one["episodes"]):
                 task = tasks.get(episode["task"])

@@ -15,7 +15,7 @@ import math
 from array import array
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from sys import intern
 from typing import Any, Protocol
 
@@ -135,7 +135,7 @@ class Course:
             self.desk.follow(advices, step)
             return None
         if any(advice.person is not None for advice in advices) or advices != self.advices:
-            plain = [asdict(advice) for advice in advices]
+            plain = [advice.as_dict() for advice in advices]
             record |= {"advices": plain} if len(plain) > 1 else {"advice": plain[0]}
         self._note(record, advices)
         return record | {"step": self.desk.step}
@@ -447,7 +447,7 @@ class Course:
         here, advice = self.desk.robots[number - 1], self.advices[number - 1]
         errand: dict[str, Any] = {"person": None, "suggestion": None, "reason": None, "arrived": True}
         if not self.paused and advice.person is not None:
-            errand = asdict(advice) | {"reason": _plain(advice.reason)}
+            errand = advice.as_dict() | {"reason": _plain(advice.reason)}
         elif not self.paused and here is not None and here in self.present:
             known = self.person(here)
             if known["suggestion"] is not None:
@@ -483,7 +483,7 @@ def _plain(reason: Reason | None) -> dict[str, Any] | None:
     """Return a reason in the types that JSON has."""
     if reason is None:
         return None
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(reason).items()}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in reason.as_dict().items()}
 
 
 def _finite(cost: float) -> float | None:

@@ -19,6 +19,7 @@ from ..explain.contrast import Contrast, contrast
 from ..explain.explanation import Explanation, Prospect, WhyNothing, WhyPerson, WhyStep
 from ..people.choices import Choices
 from ..people.decision import Floats
+from ..people.goals import goal_shares
 from ..team.state import by_model, worth_of_actions
 from .live_task import InapplicableError, LiveTask, TaskPart
 from .roster import Roster
@@ -137,7 +138,7 @@ class DecisionPoint:
             problem, part, row = self._at(place)
             slot = problem.slot(part, row, against)
             name = part.choices.name(row, slot)
-            asked = self._contrast(place, step.step, name, float(self._chances(place)[slot]))
+            asked = self._contrast(place, robot, step.step, name, float(self._chances(place)[slot]))
         return self._in_words(place, Explanation(step, person, None, asked))
 
     def nothing_for(self, place: int, attended: int | None) -> Explanation:
@@ -196,25 +197,42 @@ class DecisionPoint:
     def _at(self, place: int) -> tuple[LiveTask, TaskPart, int]:
         return self.problems[place], self.parts[self.model[place]], int(self.x[place])
 
-    def _known(self, place: int) -> tuple[Choices | CostToGo, int]:
-        """Return all choices of a person's task, and their state there."""
-        problem, part, row = self._at(place)
-        return problem.policy.task, problem.place(part, row)
+    def _known(self, place: int, robot: int) -> tuple[Choices | CostToGo, int]:
+        """Return all choices of a person's task, and their state there, with the goal that a suggestion is for."""
+        problem, part, _ = self._at(place)
+        return problem.policy.task, problem.place(part, self._row(place, robot)[0])
 
-    def _contrast(self, place: int, step: str, alternative: str, probability: float) -> Contrast:
+    def _row(self, place: int, robot: int) -> tuple[int, str | None, float]:
+        """Return the row of the goal that a suggestion is for, with its name (None if it is known) and probability.
+
+        It is the most probable of the goals for which the suggestion is optimal, or of all if there is none.
+        """
+        _, part, row = self._at(place)
+        choices = part.choices
+        if choices.goals is None or choices.goal_count == 1:
+            return row, None, 1.0
+        rows = choices.of_goals(np.array([row]))[:, 0]
+        share = goal_shares(self.belief[place], len(rows))
+        optimal = choices.optimal[rows, part.policy.pomdp.suggested[row, robot]] & ~choices.goal[rows]
+        goal = int(np.where(optimal if optimal.any() else True, share, -1.0).argmax())
+        return int(rows[goal]), list(choices.goals)[goal], float(share[goal])
+
+    def _contrast(self, place: int, robot: int, step: str, alternative: str, probability: float) -> Contrast:
         say = self.problems[place].say
-        return contrast(*self._known(place), step, alternative, probability=probability, say=say)
+        return contrast(*self._known(place, robot), step, alternative, probability=probability, say=say)
 
     def _chances(self, place: int) -> Floats:
         """Return how likely a person is to make each choice without a suggestion, shape (A,), under the belief."""
         _, part, row = self._at(place)
         pomdp, choices = part.policy.pomdp, part.choices
         applicable = choices.applicable[row]
-        p = pomdp.chosen[row] @ self.belief[place].sum(axis=1)
+        each = pomdp.chosen[choices.of_goals(np.array([row]))[:, 0]]
+        p = np.einsum("gab,gb->a", each, self.belief[place].sum(axis=1).reshape(len(each), -1))
         return np.where(applicable, (1 - pomdp.model.lapse) * p + pomdp.model.lapse / applicable.sum(), 0.0)
 
     def _why_step(self, place: int, robot: int) -> WhyStep:
-        _, part, row = self._at(place)
+        part = self._at(place)[1]
+        row, goal, share = self._row(place, robot)
         choices, own = part.choices, int(part.policy.pomdp.suggested[row, robot])
         chances = self._chances(place)
         in_all = np.where(choices.applicable[row], choices.costs[row] + choices.h[choices.targets[row]], -np.inf)
@@ -224,8 +242,8 @@ class DecisionPoint:
         if others.any():
             slot = int(np.where(worse if worse.any() else others, chances, -1.0).argmax())
             names = choices.name(row, own), choices.name(row, slot)
-            likely = self._contrast(place, *names, float(chances[slot]))
-        return WhyStep(choices.name(row, own), float(chances[own]), likely)
+            likely = self._contrast(place, robot, *names, float(chances[slot]))
+        return WhyStep(choices.name(row, own), float(chances[own]), likely, goal, share)
 
     def _why_person(self, place: int, robot: int, arrived: bool) -> WhyPerson:
         mine, others = self._prospect(place, robot), list[Prospect]()

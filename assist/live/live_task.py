@@ -25,6 +25,7 @@ from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.action_names import Matcher, UnmatchedError, words_of
 from ..people.choices import Choices, require_goal
+from ..people.goals import Goals
 from ..people.human import Population
 from ..people.memory import choices_of
 from ..people.mixture import Mixture
@@ -82,8 +83,8 @@ class LiveTask:
 
     Parameters
     ----------
-    task : CostToGo or Policy
-        A task, or a policy for one person in it.
+    task : CostToGo, Goals or Policy
+        A task, goals of which people pursue one, or a policy for one person.
     setting : Setting
     prior : Population or Mixture
         The robot's prior of people.
@@ -96,7 +97,7 @@ class LiveTask:
         The place at which people begin.
     """
 
-    def __init__(self, task: CostToGo | Policy, setting: Setting, prior: Population | Mixture) -> None:
+    def __init__(self, task: CostToGo | Goals | Policy, setting: Setting, prior: Population | Mixture) -> None:
         self.task, self.prior = task, prior
         self.policy = task if isinstance(task, Policy) else _policy_for(task, setting, prior)
         self.initial = self.policy.task.initial
@@ -178,8 +179,16 @@ class LiveTask:
         return None if isinstance(task, Choices) else Artist(task.task)
 
 
-def _policy_for(known: CostToGo, setting: Setting, prior: Population | Mixture) -> Policy:
+def _policy_for(
+    known: CostToGo | Goals, setting: Setting, prior: Population | Mixture, *, most_rows: int = 200_000
+) -> Policy:
     """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
+    if isinstance(known, Goals):
+        if prior.weights:
+            raise ValueError("people who remember what they did: expected one goal")
+        if len(known) > most_rows:
+            raise ValueError(f"{len(known.tables)} goals: expected at most {most_rows:,} states of all goals together")
+        return qmdp(setting.problem(known.choices(), None, prior))
     if is_whole(known):
         return qmdp(setting.problem(choices_of(known, tuple(prior.weights)), None, prior))
     if prior.weights:
@@ -187,12 +196,14 @@ def _policy_for(known: CostToGo, setting: Setting, prior: Population | Mixture) 
     return TruncatedPolicy(SharedTask(known, prior), setting)
 
 
-def _known(task: CostToGo | Policy) -> CostToGo | Choices:
-    """Return a task's cost-to-go; of a policy for an enumerated task, the choices."""
+def _known(task: CostToGo | Goals | Policy) -> CostToGo | Choices:
+    """Return a task's cost-to-go, that of the first goal if there are several; of an enumerated policy, the choices."""
+    if isinstance(task, Goals):
+        return next(iter(task.tables.values()))
     return task.task if isinstance(task, Policy) else task
 
 
-def digest(task: CostToGo | Policy) -> str:
+def digest(task: CostToGo | Goals | Policy) -> str:
     """Return a hash of a task, independent of where it was loaded; for a policy, of all that beliefs depend on."""
     content = hashlib.sha256()
     known = _known(task)
@@ -206,6 +217,9 @@ def digest(task: CostToGo | Policy) -> str:
             content.update(np.ascontiguousarray(array).tobytes())
     else:
         content.update(known.task.sas.encode())
+    if isinstance(task, Goals):
+        for name, table in task.tables.items():
+            content.update(f"{name} {task.prior[name]} {table.task.goal}".encode())
     return content.hexdigest()[:32]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..people.goals import goal_shares
 from ..team.state import Ask, by_model
 from .live_task import LiveTask, TaskPart, UnknownError
 
@@ -116,8 +117,9 @@ class Roster:
     robot : int array, shape (P,)
         Robot action towards each person since their last action; 0 for none.
     erred, present, ended : bool arrays, shape (P,)
-        Whether the last action was not an optimal choice; whether the person is present, and has reached the goal.
-    belief : float array, shape (P, B, T)
+        Whether the last action was not an optimal choice; whether the person is present, and has (probably) reached
+        the goal.
+    belief : float array, shape (P, G * B, T)
     """
 
     def __init__(self, places: int) -> None:
@@ -193,8 +195,16 @@ class Roster:
             self._people[self.model[k]] -= 1
         self.model[k], self.x[k], self.erred[k], self.robot[k] = self._numbered(part), row, erred, robot
         self._people[self.model[k]] += 1
-        self.ended[k] = part.choices.goal[row]
+        rows = part.choices.of_goals(np.array([row]))[:, 0]
+        reached = part.choices.goal[rows]
+        # With several goals, whether they have reached theirs is only more or less probable.
+        self.ended[k] = reached[0] if len(rows) == 1 else goal_shares(self.belief[k], len(rows))[reached].sum() > 1 / 2
         self._change[k] += 1
+
+    def stopped(self, record: RosterEntry) -> bool:
+        """Return whether a person has certainly reached their goal, since every possible one is reached."""
+        part, row = self.part(record)
+        return bool(part.choices.goal[part.choices.of_goals(np.array([row]))].all())
 
     def _numbered(self, part: TaskPart) -> int:
         """Return the index of a part in `parts`. A new part replaces one without people, if there is one."""

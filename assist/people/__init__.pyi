@@ -15,6 +15,7 @@ from .decision import perceived_cost as perceived_cost
 from .decision import perceived_cost_to_go as perceived_cost_to_go
 from .decision import perceived_value as perceived_value
 from .decision import trust as trust
+from .goals import Goals as Goals
 from .human import Human as Human
 from .human import HumanModel as HumanModel
 from .human import Population as Population

@@ -1,9 +1,9 @@
 """Belief over a person's expertise and influence.
 
 The hidden pair (beta, theta) takes the values of a small `Grid`. A belief is an array of probabilities of shape
-(..., B, T). Beta never changes. Theta moves by a known map. Its result is divided between the two neighbouring grid
-points, so that its mean is exact (`shares`). Rounding to the nearest point would freeze trust whenever a step is
-shorter than half a cell.
+(..., B, T), or (..., G * B, T) if a person pursues one of G goals. Beta never changes. Theta moves by a known map. Its
+result is divided between the two neighbouring grid points, so that its mean is exact (`shares`). Rounding to the
+nearest point would freeze trust whenever a step is shorter than half a cell.
 """
 
 from __future__ import annotations
@@ -65,7 +65,8 @@ class Grid:
         return len(self.beta), len(self.theta)
 
     def spreads(self, belief: Floats) -> tuple[Spread, Spread]:
-        """Return the means and intervals of beta and theta under a belief, shape (B, T)."""
+        """Return the means and intervals of beta and theta under a belief, shape (B, T) or (G * B, T)."""
+        belief = belief.reshape(-1, *self.shape).sum(axis=0)
         theta = Spread.of(self.theta, belief.sum(axis=0), limits=(0.0, 1.0))
         return Spread.of(self.beta, belief.sum(axis=1)), theta
 
@@ -122,7 +123,7 @@ def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: F
     belief : float array, shape (N, B, T)
     likelihood : float array, shape (N, B, T)
         Probability of the observation.
-    low, weight : int and float arrays, shape (N, T)
+    low, weight : int and float arrays, shape (N, T) or (N, B, T)
         New theta of each grid point, as `Grid.shares` returns it.
 
     Returns
@@ -144,8 +145,10 @@ def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: F
         )
     joint /= evidence[:, None, None]
     moved = np.zeros_like(joint)
-    rows = np.arange(len(joint))
+    low = np.broadcast_to(low if low.ndim == 3 else low[:, None], joint.shape)
+    weight = np.broadcast_to(weight if weight.ndim == 3 else weight[:, None], joint.shape)
+    rows, columns = np.ogrid[: joint.shape[0], : joint.shape[1]]
     for t in range(joint.shape[2]):
-        moved[rows, :, low[:, t]] += joint[:, :, t] * (1 - weight[:, t, None])
-        moved[rows, :, low[:, t] + 1] += joint[:, :, t] * weight[:, t, None]
+        moved[rows, columns, low[:, :, t]] += joint[:, :, t] * (1 - weight[:, :, t])
+        moved[rows, columns, low[:, :, t] + 1] += joint[:, :, t] * weight[:, :, t]
     return moved

@@ -6,7 +6,7 @@ state `x`. The rest of this package uses these arrays, and does not depend on PD
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -99,6 +99,9 @@ class Choices:
         Value of each term for each choice.
     key : uint64 array, shape (n,), or None
         Key of each row's task state (`keys_of`). None if the state's number is the key.
+    goals : mapping of str to float, or None
+        Prior probability of each goal, if a row is a task state of a person who pursues one of several
+        (`goals.Goals`). None if the goal is known.
     """
 
     h: NDArray[np.float64]
@@ -114,6 +117,7 @@ class Choices:
     terms: tuple[str, ...] | None = None
     features: NDArray[np.float64] | None = None
     key: NDArray[np.uint64] | None = None
+    goals: Mapping[str, float] | None = None
 
     __repr__ = outline
 
@@ -184,6 +188,23 @@ class Choices:
         return len(self.h)
 
     @property
+    def goal_count(self) -> int:
+        """The number of goals, one of which a person pursues."""
+        return 1 if self.goals is None else len(self.goals)
+
+    def of_goals(self, x: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the rows of each goal, shape (G, N), in the task states of some rows, shape (N,)."""
+        if self.goal_count == 1:
+            return x[None]
+        states = len(self) // self.goal_count
+        return np.asarray(x % states + states * np.arange(self.goal_count)[:, None])
+
+    def require_one_goal(self, what: str) -> None:
+        """Raise a `ValueError` that names `what`, if a person's goal is one of several."""
+        if self.goal_count > 1:
+            raise ValueError(f"{what}: expected people whose goal is known, and there are {self.goal_count} goals")
+
+    @property
     def unit(self) -> float:
         """The smallest positive cost of a choice, in cost units: the scale of the task's costs; 1 if all are free."""
         costs = self.costs[self.applicable]
@@ -204,8 +225,8 @@ class Choices:
         return row if self.state is None else int(self.state[row])
 
     def row(self, state: int) -> int:
-        """Return the row of a task state without memory, or any of its rows if there is none."""
-        if self.state is None:
+        """Return the row of a task state without memory, or any of its rows if there is none; of the first goal."""
+        if self.state is None or self.goals is not None:
             return state
         return self.initial if self.state[self.initial] == state else int(np.searchsorted(self.state, state))
 

@@ -71,14 +71,41 @@ def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: P
 
 @njit()
 def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> None:
-    """Replace a belief, shape (B, T), by its posterior after one choice; other arguments as in `posterior`.
+    """Replace a belief, shape (G * B, T), by its posterior after one choice; other arguments as in `posterior`.
 
-    `after` is a work array of the same shape.
+    `after` is a work array of the same shape. The row `x` may be that of any goal (`people.goals`).
     """
     old, new = belief.reshape(belief.size), after.reshape(after.size)
-    scale = 1.0 / posterior(old, new, x, robot, slot, m)
+    size = m.chosen.shape[2] * len(m.theta)
+    goals = len(old) // size
+    states, mass = len(m.counts) // goals, 0.0
+    for goal in range(goals):
+        part = slice(goal * size, (goal + 1) * size)
+        mass += posterior(old[part], new[part], goal * states + x % states, robot, slot, m)
+    scale = 1.0 / mass
     for h in range(len(old)):
         old[h] = new[h] * scale
+
+
+@njit()
+def exclude_reached(belief: Floats, x: int, m: ProblemArrays) -> None:
+    """Condition a belief, shape (G * B, T), on the fact that a person in row `x` goes on: their goal is not reached.
+
+    A belief in which every goal is reached stays as it is.
+    """
+    betas = m.chosen.shape[2]
+    goals = len(belief) // betas
+    states = len(m.counts) // goals
+    left = 0.0
+    for goal in range(goals):
+        if not m.goal[goal * states + x % states]:
+            left += belief[goal * betas : (goal + 1) * betas].sum()
+    if left <= 0.0:
+        return
+    for goal in range(goals):
+        if m.goal[goal * states + x % states]:
+            belief[goal * betas : (goal + 1) * betas] = 0.0
+    belief /= left
 
 
 @njit()

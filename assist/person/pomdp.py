@@ -6,6 +6,10 @@ holds the arrays of the model. It also has the two functions of a belief filter:
 and the posterior belief. Every solver returns a `Policy` (`person.policy`).
 
 The robot actions of a state are numbered from 0: nothing, then the suggestions, then the executions.
+
+If a person pursues one of G goals (`people.goals`), the goal is hidden, too. There is then a row of the arrays for each
+pair of a goal and a task state, and a belief has the shape (G * B, T): one part for each goal, in their order. The
+robot actions are the same for all goals: what is optimal for one of them may be suggested.
 """
 
 from __future__ import annotations
@@ -57,7 +61,8 @@ class AssistPOMDP:
         Discount factor per step, in (0, 1).
     c_suggest, c_execute : float
         Costs of a suggestion and of executing an action, in the task's cost units.
-    prior : float array, shape (B, T)
+    prior : float array, shape (G * B, T)
+        G is 1 if the goal is known.
     robot_actions : int array, shape (n,)
         Number of robot actions in each state.
     suggested : int array, shape (n, R)
@@ -158,6 +163,8 @@ class AssistPOMDP:
             raise ValueError(f"suggestions '{suggestions}': expected 'optimal' or 'all'")
         if execute and frontier is not None:
             raise ValueError("execute: expected a problem of all states, and this one is truncated")
+        if execute:
+            model.choices.require_one_goal("execute")
         if execute and model.choices.state is not None:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
@@ -173,8 +180,11 @@ class AssistPOMDP:
         followed_low = followed_weight = None
         if rule.uses_answer:
             followed_low, followed_weight = _trust_shares(model, grid, rule, v, robots.suggested, followed=True)
+        prior = grid.prior(population)
+        if model.choices.goals is not None:
+            prior = np.concatenate([share * prior for share in model.choices.goals.values()])
         return cls(
-            model=model, grid=grid, gamma=gamma, c_suggest=c_suggest, c_execute=c_execute, prior=grid.prior(population),
+            model=model, grid=grid, gamma=gamma, c_suggest=c_suggest, c_execute=c_execute, prior=prior,
             robot_actions=robots.number, suggested=robots.suggested, afterstate=robots.afterstate,
             robot_costs=robots.costs, chosen=chosen, unsuggested=unsuggested, low=low, weight=weight,
             frontier=frontier, followed_low=followed_low, followed_weight=followed_weight,
@@ -196,7 +206,7 @@ class AssistPOMDP:
         return final
 
     def likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]) -> Floats:
-        """Return the likelihood P(action | x, robot, beta, theta), shape (N, B, T).
+        """Return the likelihood P(action | x, robot, goal, beta, theta), shape (N, G * B, T).
 
         It combines choice and influence (equations 5 and 6) with the model's lapse rate.
 
@@ -205,6 +215,11 @@ class AssistPOMDP:
         x, robot, action : int arrays, shape (N,)
             Task state, robot action (0: nothing), and slot of the person's choice.
         """
+        rows = self.model.choices.of_goals(x)
+        return np.concatenate([self._likelihood(own, robot, action) for own in rows], axis=1)
+
+    def _likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]) -> Floats:
+        """Return the likelihood in rows of one goal, shape (N, B, T)."""
         suggestion, acting = self.suggested[x, robot], self.afterstate[x, robot]
         p = self.chosen[acting, action][:, :, None]
         followed = self.chosen[acting, np.maximum(suggestion, 0)][:, :, None]
@@ -222,12 +237,15 @@ class AssistPOMDP:
     def update(
         self, belief: Floats, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]
     ) -> Floats:
-        """Return the posterior beliefs, shape (N, B, T), given the people's actions; arguments as in `likelihood`."""
-        low, weight = self.low[x, robot], self.weight[x, robot]
+        """Return the posterior beliefs, shape (N, G * B, T), after people's actions; arguments as in `likelihood`."""
+        rows = self.model.choices.of_goals(x).T
+        robots, betas = robot[:, None], len(self.grid.beta)
+        low, weight = self.low[rows, robots], self.weight[rows, robots]
         if self.followed_low is not None and self.followed_weight is not None:
-            follows = (action == self.suggested[x, robot])[:, None]
-            low = np.where(follows, self.followed_low[x, robot], low)
-            weight = np.where(follows, self.followed_weight[x, robot], weight)
+            follows = (action[:, None] == self.suggested[rows, robots])[:, :, None]
+            low = np.where(follows, self.followed_low[rows, robots], low)
+            weight = np.where(follows, self.followed_weight[rows, robots], weight)
+        low, weight = low.repeat(betas, axis=1), weight.repeat(betas, axis=1)
         return beliefs.update(belief, self.likelihood(x, robot, action), low, weight)
 
     @cached_property
@@ -272,6 +290,9 @@ class _RobotActions(NamedTuple):
         execute = c_execute is not None
         offered = choices.optimal if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
         offered = offered & ~choices.goal[:, None]
+        if choices.goal_count > 1:  # the same in the rows of all goals, even if one has been reached
+            count = choices.goal_count
+            offered = np.tile(offered.reshape(count, -1, offered.shape[1]).any(axis=0), (count, 1))
         count = offered.sum(axis=1)
         robot_actions = 1 + count * (2 if execute else 1)
         shape = (len(choices), int(robot_actions.max(initial=1)))
@@ -295,6 +316,8 @@ def _choice_probabilities(
     chosen = np.stack(list(chances(chooses, model.choices, model.q, grid.beta)), axis=-1)
     # Such probabilities count as 0: the influence (equation 6) at theta = 0 or 1 divides by them.
     chosen[chosen < 1e-290] = 0.0
+    if model.choices.goal_count > 1:  # people who have reached their goal stop, so that a further action is a lapse
+        chosen[model.choices.goal] = 0.0
     slots = np.arange(chosen.shape[1])
     columns = [np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T]
     return chosen, np.stack(columns, axis=1)

@@ -8,6 +8,8 @@ little is lost. The values are an upper bound on the value of any policy.
 `evaluate` computes the values of a policy that depends on x only. Their mean under a belief is the return of that
 policy, hence a lower bound on the optimal value.
 
+If the goal is hidden (`people.goals`), it counts as observed from the next step on, too.
+
 Rounding: every sum here has fewer than a thousand terms, all of one sign. So the relative error of one step is below
 1000 times the unit roundoff, about 1e-13, and that of a value below 1e-13 / (1 - gamma).
 """
@@ -72,11 +74,22 @@ class QMDP(Policy):
         Parameters
         ----------
         x : int array, shape (N,)
-        belief : float array, shape (N, B, T)
+        belief : float array, shape (N, G * B, T)
         """
-        q = np.full((len(x), self.q_mdp.shape[1]), -np.inf)
-        x, flat = read_only(x, np.int64), read_only(belief, float).reshape(len(x), self.q_mdp[0, 0].size)
-        _expected(q, x, flat, read_only(self._flat), read_only(self.pomdp.robot_actions))
+        return self.expected(self.pomdp.model.choices.of_goals(x), belief)
+
+    def expected(self, rows: NDArray[np.int64], belief: Floats) -> Floats:
+        """Return what `q_values` does, where `rows`, shape (G, N), are the rows of each goal."""
+        q = np.full((rows.shape[1], self.q_mdp.shape[1]), -np.inf)
+        flat = read_only(belief, float).reshape(rows.shape[1], len(rows), self.q_mdp[0, 0].size)
+        for goal, x in enumerate(rows):
+            own = q if goal == 0 else np.full_like(q, -np.inf)
+            _expected(
+                own, read_only(x, np.int64), read_only(flat[:, goal]), read_only(self._flat),
+                read_only(self.pomdp.robot_actions),
+            )  # fmt: skip
+            if goal:
+                q += own
         return q
 
     @cached_property
@@ -85,7 +98,8 @@ class QMDP(Policy):
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""
-        return np.einsum("nbt,nbt->n", self.value_mdp[x], belief)
+        value = self.value_mdp[self.pomdp.model.choices.of_goals(x).T]
+        return np.einsum("nbt,nbt->n", value.reshape(belief.shape), belief)
 
 
 @shows_progress
@@ -195,6 +209,9 @@ def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | No
     q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
     q[ends] = -np.inf
     q[ends, 0] = value[ends]
+    if pomdp.model.choices.goal_count > 1:  # a suggestion to somebody who has reached their goal costs, and no more
+        useless = np.arange(1, q.shape[1]) < pomdp.robot_actions[ends, None]
+        q[ends, 1:] = np.where(useless, -pomdp.robot_costs[ends, 1:], -np.inf)[:, :, None, None]
     _q_values(q, value, read_only(order), ProblemArrays.of(pomdp))
     return QMDP(pomdp, value, q)
 

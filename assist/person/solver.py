@@ -244,12 +244,13 @@ def solve(
     LimitError
         The first bounds alone would exceed the memory limit. Nothing has been computed then.
     ValueError
-        A number is negative.
+        A number is negative, or the goal is one of several.
     """
     assert callable(progress)
     for name, number in (("gap", gap), ("time_limit", time_limit), ("memory_limit_mb", memory_limit_mb)):
         if number is not None and not number >= 0:
             raise ValueError(f"{name} {number:g}: expected 0 or more")
+    pomdp.model.choices.require_one_goal("the certified solver")
     options = options or SolverOptions()
     needed = first_bounds_bytes(pomdp, options.depth) / 1e6
     if needed > memory_limit_mb:

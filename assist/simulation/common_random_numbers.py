@@ -22,12 +22,15 @@ class CommonRandomNumbers:
         self.row, self.places = numbers % BLOCK, places
         self.streams = [
             [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, kind, int(b)))) for b in blocks]
-            for kind in range(4)
+            for kind in range(5)
         ]
         self.drawn = np.empty((len(blocks), BLOCK, places))
 
     def draw(self, kind: int, rows: NDArray[np.int64]) -> Floats:
-        """Return uniform numbers for some episodes: kind 0 for people's types, 1 for choices, 2 for trust updates."""
+        """Return uniform numbers for some episodes.
+
+        Kind 0 is for people's types, 1 for choices, 2 for trust updates, and 4 for goals.
+        """
         for block in np.unique(self.block[rows]):  # the streams of finished episodes need not advance
             self.streams[kind][block].random(out=self.drawn[block])
         return self.drawn[self.block[rows], self.row[rows]]
@@ -40,7 +43,7 @@ class CommonRandomNumbers:
 
 def from_the_prior(
     pomdps: Sequence[AssistPOMDP], model: NDArray[np.int64], drawn: Floats
-) -> tuple[NDArray[np.int64], Floats, Floats]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
     """Draw the types of people in the robot's model: points of the grid, from the prior of their model.
 
     Parameters
@@ -54,13 +57,15 @@ def from_the_prior(
 
     Returns
     -------
-    mind, beta, theta : arrays of the same shape
-        Index of beta in the grid, and the values of beta and theta.
+    goal, mind, beta, theta : arrays of the same shape
+        Number of the goal, index of beta in the grid, and the values of beta and theta.
     """
+    goal = np.zeros(model.shape, dtype=np.int64)
     mind, beta, theta = np.zeros(model.shape, dtype=np.int64), np.zeros(model.shape), np.zeros(model.shape)
     for number, pomdp in enumerate(pomdps):
         at, prior = model == number, pomdp.prior.ravel()
         cell = np.searchsorted(np.cumsum(prior), drawn[at], side="right")
-        b, t = np.divmod(np.minimum(cell, np.flatnonzero(prior)[-1]), len(pomdp.grid.theta))
+        part, t = np.divmod(np.minimum(cell, np.flatnonzero(prior)[-1]), len(pomdp.grid.theta))
+        goal[at], b = np.divmod(part, len(pomdp.grid.beta))
         mind[at], beta[at], theta[at] = b, pomdp.grid.beta[b], pomdp.grid.theta[t]
-    return mind, beta, theta
+    return goal, mind, beta, theta

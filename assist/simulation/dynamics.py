@@ -16,7 +16,7 @@ from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import update_trust, weigh_by_influence
-from ..person.belief_filter import update
+from ..person.belief_filter import exclude_reached, update
 from ..person.problem_arrays import ProblemArrays
 
 
@@ -102,7 +102,7 @@ class Minds(NamedTuple):
 def act(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
     """Let the people of some rows, all of one model, act once."""
     p = np.empty(m.chosen.shape[1])
-    after = np.empty((m.chosen.shape[2], len(m.theta)))
+    after = np.empty(people.belief.shape[1:])
     has_beliefs = len(people.belief) > 0
     for i in rows:
         x, robot, theta = people.x[i], people.robot[i], people.theta[i]
@@ -134,6 +134,8 @@ def act(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemA
                 people.theta[i] = update_trust(theta, minds.eta, gain)
         if has_beliefs:
             update(people.belief[i], after, x, robot, slot, m)
+            if len(after) > m.chosen.shape[2] and not m.goal[y]:
+                exclude_reached(people.belief[i], y, m)
         people.x[i] = y
 
 

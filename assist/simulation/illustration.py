@@ -10,6 +10,7 @@ from ..team.travel import Travel
 from .episodes import Episode, Episodes, Trace
 from .pool import Pool
 from .simulate import simulate
+from .task_view import GoalKnowledge
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,16 @@ class Illustration:
         humans: int | Sequence[int],
         seed: int,
         travel: Travel | None = None,
+        goals: GoalKnowledge = "inferred",
     ) -> Illustration:
         """Select one of a policy's episodes and simulate it with a trace; other parameters as in `simulate`."""
         alone = simulate(pool, "none", humans=humans, episodes=helped.episode, seed=seed, travel=travel)
         shown = typical(helped, alone)
         traces: tuple[Trace, Trace] = ([], [])
         for one, trace in zip((policy, "none"), traces, strict=True):
-            simulate(pool, one, humans=humans, episodes=[shown.episode], seed=seed, travel=travel, trace=trace)
+            simulate(
+                pool, one, humans=humans, episodes=[shown.episode], seed=seed, travel=travel, goals=goals, trace=trace
+            )
         return cls(shown, *traces)
 
 

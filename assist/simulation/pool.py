@@ -16,6 +16,7 @@ from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.choices import Choices, require_goal
+from ..people.goals import Goals
 from ..people.human import Human, Population
 from ..people.memory import choices_of
 from ..people.mixture import Mixture
@@ -72,6 +73,11 @@ class Pool:
         shapes = {policy.pomdp.grid.shape for policy in self.policies}
         if len(shapes) > 1:
             raise ValueError(f"grids of shapes {sorted(shapes)}: expected the same for everybody")
+        goals = {policy.pomdp.model.choices.goal_count for policy in self.policies}
+        if len(goals) > 1:
+            raise ValueError(
+                f"people with {' and '.join(map(str, sorted(goals)))} goals: expected as many for everybody"
+            )
         for policy in self.policies:
             if policy.pomdp.gamma != self.setting.gamma:
                 raise ValueError(f"gamma {policy.pomdp.gamma:g}: expected that of the setting, {self.setting.gamma:g}")
@@ -88,7 +94,7 @@ class Pool:
     @shows_progress
     def sample(
         cls,
-        table: CostToGo | Choices,
+        table: CostToGo | Choices | Goals,
         size: int,
         *,
         seed: Seed,
@@ -108,8 +114,9 @@ class Pool:
 
         Parameters
         ----------
-        table : CostToGo or Choices
-            Cost-to-go of the people's task, as a table or on demand. `Choices` are enumerated, whatever their number.
+        table : CostToGo, Choices or Goals
+            Cost-to-go of the people's task, as a table or on demand. `Choices` are enumerated, whatever their number,
+            as are `Goals`: each person pursues one of them in each episode.
         size : int
             Number of people.
         seed : int or Generator
@@ -148,6 +155,11 @@ class Pool:
         population = population or Population()
         prior = prior or population
         rng = np.random.default_rng(np.random.SeedSequence(entropy(seed), spawn_key=(0,)))
+        if isinstance(table, Goals):
+            if population.weights or prior.weights:
+                raise ValueError("people with weights of terms: expected one goal")
+            _allow(policy_bytes(len(table)), len(table), size if setting.knowledge == "own" else 1, memory_limit_mb)
+            table = table.choices()
         needed = {"weights": population.weights or prior.weights, "execute": setting.execute, "solver": solver != qmdp}
         people: Sequence[Human]
         if isinstance(table, Choices) or is_whole(table, MAX_ENUMERATED if any(needed.values()) else states):
@@ -199,6 +211,11 @@ class Pool:
             LazyPolicy(policy.pomdp.priced(c_suggest), getattr(policy, "solver", qmdp)) for policy in self.policies
         )
         return replace(self, setting=replace(self.setting, c_suggest=c_suggest), policies=policies)
+
+    @property
+    def goals(self) -> int:
+        """The number of goals, one of which each person pursues."""
+        return self.choices(0).goal_count
 
     def choices(self, person: int) -> Choices:
         """Return the choices of a person's task."""

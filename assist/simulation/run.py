@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planner.system.files import finite
 
 from ..people.decision import NOTHING, Floats
+from ..people.goals import given_likeliest
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
@@ -17,7 +18,7 @@ from .dynamics import PeopleArrays
 from .episodes import Episodes, Trace
 from .pool import Pool
 from .schedule import Schedule
-from .task_view import StepView, TaskParts, TaskView, World
+from .task_view import GoalKnowledge, StepView, TaskParts, TaskView, World
 
 
 class Run:
@@ -38,6 +39,7 @@ class Run:
         trace: Trace | None,
         progress: Callable[[int], None],
         parts: TaskParts,
+        goals: GoalKnowledge,
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
         self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
@@ -48,12 +50,15 @@ class Run:
         self.people = np.ascontiguousarray(self.random_numbers.team(len(pool.people)) if teams is None else teams)
         self.model = pool.model[self.people]
         self.mind = np.zeros(shape, dtype=np.int64)
+        goal = np.zeros(shape, dtype=np.int64)
+        if pool.goals > 1:
+            goal = _drawn(pool, self.model, self.random_numbers.draw(4, np.arange(len(numbers))))
         self.beta = np.array([human.beta for human in pool.people])[self.people]
         self.theta = np.array([human.theta for human in pool.people])[self.people]
         if self.on_grid:
             drawn = self.random_numbers.draw(0, np.arange(len(numbers)))
             pomdps = [solved.pomdp for solved in pool.policies]
-            self.mind, self.beta, self.theta = from_the_prior(pomdps, self.model, drawn)
+            goal, self.mind, self.beta, self.theta = from_the_prior(pomdps, self.model, drawn)
         self.sigma = np.array([human.sigma for human in pool.people])[self.people]
         self.first_theta = self.theta.copy()
 
@@ -61,6 +66,11 @@ class Run:
         self.x = self.task_view.initial.copy()
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]
+        if pool.goals > 1:
+            # Rows contain the goal. The robot's policy sees the rows of the first goal, whatever it is.
+            states = np.array([len(solved.pomdp.model.choices) // pool.goals for solved in pool.policies])
+            self.goal, self.states = goal, states[self.model]
+            self.x += goal * self.states
         self.erred = np.zeros(shape, dtype=bool)
         self.robots = pool.setting.robots
         self.location = np.full((len(numbers), self.robots), BASE, dtype=np.int64)
@@ -68,6 +78,11 @@ class Run:
         self.belief: Floats | None = None
         if getattr(policy, "uses_belief", True):
             self.belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
+            if pool.goals > 1 and goals == "known":
+                own = np.arange(pool.goals) == goal[:, :, None]
+                self.belief *= own.repeat(self.belief.shape[2] // pool.goals, axis=2)[..., None]
+                self.belief /= self.belief.sum(axis=(2, 3), keepdims=True)
+        self.goals = goals
         self.actions = np.zeros(shape, dtype=np.int64)
         self.costs = np.zeros(shape)
         self.helped = np.zeros(shape, dtype=np.int64)
@@ -134,10 +149,15 @@ class Run:
         if not len(free):
             return robot, charged
         every = slice(None) if len(free) == len(self.x) else free
+        visible, belief = view.x, self.belief
+        if self.pool.goals > 1:
+            visible = view.x % self.states
+            if belief is not None and self.goals == "likeliest":
+                belief = given_likeliest(belief, self.pool.goals)
         team = TeamState(
-            step=step, x=view.x[every], active=active[every], erred=self.erred[every],
+            step=step, x=visible[every], active=active[every], erred=self.erred[every],
             location=self.location[every] if self.robots > 1 else self.location[every, 0], model=view.model[every],
-            belief=None if self.belief is None else _rows(self.belief, every), policies=view.policies,
+            belief=None if belief is None else _rows(belief, every), policies=view.policies,
             travel=self.travel, free=arrived[every] if self.robots > 1 else None,
         )  # fmt: skip
         action = self.policy(team)
@@ -199,8 +219,17 @@ class Run:
                 "cost_to_go_after": finite(choices.h[view.x[e, k]]),
                 "theta": float(theta_before[e, k]),
                 "reward": float(reward[e, k]),
+                **({"goal": list(choices.goals or ())[self.goal[e, k]]} if self.pool.goals > 1 else {}),
             }
             trace.append(row)
+
+
+def _drawn(pool: Pool, model: NDArray[np.int64], uniform: Floats) -> NDArray[np.int64]:
+    """Return the number of each person's goal, drawn from the prior by uniform numbers; arrays of the same shape."""
+    every = [list((policy.pomdp.model.choices.goals or {}).values()) for policy in pool.policies]
+    below = np.cumsum(every, axis=1)[model]
+    last = np.array([np.flatnonzero(shares)[-1] for shares in every])[model]  # rounding must not select beyond it
+    return np.minimum((uniform[..., None] >= below).sum(axis=-1), last)
 
 
 def _rows(array: Floats, rows: NDArray[np.int64] | slice) -> Floats:

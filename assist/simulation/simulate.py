@@ -32,7 +32,7 @@ from .episodes import Episodes, Trace
 from .pool import MEMORY_LIMIT_MB, Pool
 from .run import Run
 from .schedule import Schedule
-from .task_view import TaskParts, World
+from .task_view import GoalKnowledge, TaskParts, World
 
 SOLVING = "solving people's POMDPs"
 PEOPLE_AT_A_TIME = 16_384
@@ -51,6 +51,7 @@ def simulate(
     travel: Travel | None = None,
     presence: Schedule | None = None,
     world: World = "people",
+    goals: GoalKnowledge = "inferred",
     trace: Trace | None = None,
     jobs: int = 1,
     memory_limit_mb: float = MEMORY_LIMIT_MB,
@@ -79,6 +80,9 @@ def simulate(
     world : "people" or "model"
         Whether the people of the pool act, or people of the robot's model: beta and theta are then drawn from the
         prior, on its grid, and people have lapses. A model's bounds hold in the second world.
+    goals : "inferred", "likeliest" or "known"
+        What the robot knows of people's goals, where each pursues one of several. It infers them from actions, acts on
+        the most probable one alone, or is told the goal at the beginning of each episode.
     trace : list, optional
         A dictionary is appended for every action of every person.
     jobs : int
@@ -111,6 +115,8 @@ def simulate(
         raise TypeError(f"pool: expected people at a task, a Pool, not what is a {type(pool).__name__}")
     if world not in get_args(World):
         raise ValueError(f"world {world!r}: expected {' or '.join(map(repr, get_args(World)))}")
+    if goals not in get_args(GoalKnowledge):
+        raise ValueError(f"goals {goals!r}: expected {', '.join(map(repr, get_args(GoalKnowledge)))}")
     count = _count(episodes)
     places, given = _team(humans, len(pool.people), count)
     _allow(count, places, memory_limit_mb)
@@ -138,13 +144,14 @@ def simulate(
         return Run(
             pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=seed_number,
             name=called, travel=travel, presence=presence, world=world, trace=trace, progress=advance, parts=parts,
+            goals=goals,
         ).run()  # fmt: skip
 
     with ThreadPoolExecutor(jobs) as workers:
         found = Episodes.joined(list(map(run, chunks) if jobs == 1 else workers.map(run, chunks)))
     if not explain or found.interventions.any() or not found.actions.any():
         return found
-    again = partial(simulate, seed=seed_number, travel=travel, presence=presence, world=world)
+    again = partial(simulate, seed=seed_number, travel=travel, presence=presence, world=world, goals=goals)
     return _with_threshold(found, pool, policy, travel, again, progress)
 
 

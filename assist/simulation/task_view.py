@@ -28,6 +28,7 @@ from .dynamics import Minds, PeopleArrays, act
 from .pool import Pool
 
 World = Literal["people", "model"]
+GoalKnowledge = Literal["inferred", "likeliest", "known"]
 
 Ints = NDArray[np.int64]
 

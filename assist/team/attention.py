@@ -120,4 +120,5 @@ class AttentionSwitching:
 
     def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         assert self.never is not None
-        return np.einsum("nbt,nbt->n", self.never[policy][x], belief)[:, None]
+        never = self.never[policy][policy.pomdp.model.choices.of_goals(x).T]
+        return np.einsum("nbt,nbt->n", never.reshape(belief.shape), belief)[:, None]

@@ -232,7 +232,9 @@ class AttentionSubproblem:
         LimitError
             The states of a long way would exceed the available memory.
         """
-        price = np.array(price, dtype=float)
+        price, one_goal = np.array(price, dtype=float), alone.model.choices.goal_count == 1
+        if len(price):  # whose states are those that are reachable from one initial state
+            alone.model.choices.require_one_goal(f"prices of {len(price)} steps")
         positions = 2 + max(entry_steps, longest or 0)
         layout = TimeExpansion.of(alone, positions, len(price), kept)
         _require_room(alone, layout)
@@ -241,7 +243,8 @@ class AttentionSubproblem:
         x, position, own = layout.x, layout.position, np.arange(len(layout))
         final = alone.final[x] | layout.cut
         choices = _choices(alone.model.choices, layout, final)
-        count = np.where(final, 1, moves.count(position, alone.robot_actions[x]))
+        # With several goals, the robot does not see which rows are final.
+        count = np.where(final & one_goal, 1, moves.count(position, alone.robot_actions[x]))
         used = np.arange(moves.meant.shape[1]) < count[:, None]
         row, meant = x[:, None], moves.meant[position]
         afterstate = layout.number(layout.step[:, None], moves.then[position], alone.afterstate[row, meant])
@@ -280,7 +283,7 @@ class AttentionSubproblem:
         number = np.arange(self.pomdp.robot_costs.shape[1])
         under_way = self.layout.position[:, None] > HERE
         attended = ((number > 0) | under_way) & (number < self.pomdp.robot_actions[:, None])
-        return attended & ~self.pomdp.final[:, None]
+        return attended & ~(self.pomdp.final & (self.pomdp.model.choices.goal_count == 1))[:, None]
 
     def states(self, step: int, position: int) -> NDArray[np.int64]:
         """Return the numbers of the states, shape (n,), of a step and a position; -1 where one does not exist."""

@@ -47,11 +47,13 @@ def named(
     Raises
     ------
     ValueError
-        The name is unknown, or the policy needs to enumerate a task that is too large.
+        The name is unknown, or the policy needs to enumerate a task that is too large, or to know each person's goal.
     """
     if name == "none":
         return NoAssistance()
     if name == "reactive":
+        for policy in policies:  # a mistake with one goal may be a step to another
+            policy.pomdp.model.choices.require_one_goal(f"policy {name!r}")
         return Reactive()
     if name == "attention":
         return AttentionSwitching()

@@ -221,10 +221,10 @@ class Priority:
     def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the values of an arrival in 1, 2, ... steps, followed by the Q-values with the robot present."""
         solved: SolvedSubproblem = policy.with_robot(self)
-        states = solved.states[step][:, x]
+        states = solved.states[step][:, policy.pomdp.model.choices.of_goals(x)]
         if (states < 0).any():
             raise ValueError(
                 f"somebody is at step {step} where nobody can be so soon: with prices of steps all begin at step 0"
             )
-        arriving = [solved.policy.q_values(states[HERE + steps], belief)[:, :1] for steps in range(1, 1 + self.longest)]
-        return np.concatenate([*arriving, solved.policy.q_values(states[HERE], belief)], axis=1)
+        arriving = [solved.policy.expected(states[HERE + steps], belief)[:, :1] for steps in range(1, 1 + self.longest)]
+        return np.concatenate([*arriving, solved.policy.expected(states[HERE], belief)], axis=1)

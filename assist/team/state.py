@@ -214,6 +214,7 @@ class TeamState:
         """Return each person's exact cost-to-go, shape (N, K); 0 for people who are not active."""
         h = np.zeros(self.x.size)
         for group, rows in self.groups():
+            self.policies[group].pomdp.model.choices.require_one_goal("the cost-to-go")
             h[rows] = self.policies[group].pomdp.model.choices.h[self.x.ravel()[rows]]
         return h.reshape(self.x.shape)
 

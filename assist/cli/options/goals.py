@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,7 +16,11 @@ from planner.system.progress import stages
 from planner.system.threads import on_threads
 
 from ..terminal.console import ExitCode, fail
+from .common import Command, with_options
 from .task import tell_note, tell_of_compiling
+
+if TYPE_CHECKING:
+    from ...people.goals import Goals
 
 
 def goals_of(
@@ -49,6 +54,47 @@ def goals_of(
     return dict(zip(names, every, strict=True))
 
 
+def goal_options(command: Command) -> Command:
+    """Add the options for people who pursue one of several goals. `several_goals` takes the first two."""
+    return with_options(
+        command,
+        (
+            click.option(
+                "--goals", "problems", multiple=True, metavar="PROBLEM",
+                help="A further problem, with another goal that people may pursue, or a folder of problems. Repeat it "
+                     "for several. INSTANCE has the first goal.",
+            ),
+            click.option(
+                "--goal-prior", multiple=True, metavar="GOAL=P,...",
+                help="Probability of each goal, by the problem's name. All are equal unless given.",
+            ),
+            click.option(
+                "--goal-knowledge", type=click.Choice(["inferred", "likeliest", "known"]), default="inferred",
+                show_default=True,
+                help="How the robot knows the goals: from a posterior, from the most probable goal only, or exactly.",
+            ),
+        ),
+    )  # fmt: skip
+
+
+def several_goals(
+    instance: str, problems: Sequence[str], prior: Sequence[str], *, domain: str | None, max_states: int
+) -> Goals | None:
+    """Return the goals of INSTANCE and of further problems; None if there is one only."""
+    from ...people.goals import Goals
+
+    if not problems:
+        if prior:
+            raise click.UsageError("--goal-prior: expected --goals, too")
+        return None
+    every = list(dict.fromkeys(str(found.problem) for found in find_instances([instance, *problems], domain)))
+    known = goals_of(every, domain=domain, max_states=max_states, time_limit=None, cache=None, jobs=None)
+    try:
+        return Goals(known, prior_of(prior, "--goal-prior") or {})  # type: ignore[arg-type]
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+
+
 def _same_domain(found: Sequence[Instance]) -> None:
     """Check that all problems have the same domain file, or files with the same text."""
     first = found[0]
@@ -58,8 +104,8 @@ def _same_domain(found: Sequence[Instance]) -> None:
             fail(f"{other}: its domain is {files[1]}; expected {files[0]}, as for {first}", ExitCode.FAILED)
 
 
-def prior_of(given: Sequence[str]) -> dict[str, float] | None:
-    """Return the prior that `--prior` gives, by the names of the goals.
+def prior_of(given: Sequence[str], option: str = "--prior") -> dict[str, float] | None:
+    """Return the prior that an option gives, by the names of the goals.
 
     Raises
     ------
@@ -74,6 +120,6 @@ def prior_of(given: Sequence[str]) -> dict[str, float] | None:
         except ValueError:
             name = ""
         if not name or name in prior:
-            raise click.UsageError(f"--prior {pair}: expected GOAL=PROBABILITY, once for each goal")
+            raise click.UsageError(f"{option} {pair}: expected GOAL=PROBABILITY, once for each goal")
         prior[name] = value
     return prior or None

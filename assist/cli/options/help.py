@@ -11,7 +11,10 @@ from rich_click import RichCommand, RichHelpConfiguration
 from rich_click.rich_panel import RichOptionPanel
 
 GROUPS = {
-    "Task": ("--domain", "--max-states", "--region-states", "--state", "--plan", "--protocol", "--format"),
+    "Task": (
+        "--domain", "--max-states", "--region-states", "--state", "--plan", "--protocol", "--format",
+        "--goals", "--goal-prior",
+    ),
     "Log": ("--columns", "--drop", "--rename", "--gaps", "--strict", "--advice", "--confidence"),
     "People": (
         "--humans", "--pool", "--beta", "--theta", "--sigma", "--eta", "--utility-scale", "--trust", "--population",
@@ -22,8 +25,8 @@ GROUPS = {
         "--level", "--largest-beta",
     ),
     "Robot": (
-        "--robots", "--policy", "--knowledge", "--suggestions", "--execute", "--gamma", "--c-suggest", "--c-execute",
-        "--c-move", "--travel-time", "--distances", "--lapse",
+        "--robots", "--policy", "--knowledge", "--goal-knowledge", "--suggestions", "--execute", "--gamma",
+        "--c-suggest", "--c-execute", "--c-move", "--travel-time", "--distances", "--lapse",
     ),
     "Service": (
         "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy", "--bridge", "--tick",

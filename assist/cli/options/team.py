@@ -29,6 +29,7 @@ from .task import costs_of, one_instance
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
+    from ...people.goals import Goals
     from ...people.human import Population
     from ...people.mixture import Mixture
     from ...simulation.pool import Pool
@@ -83,15 +84,19 @@ class TeamSetup(NamedTuple):
         try:
             return self.pool.policy(policy, self.travel)
         except ValueError as error:  # the policy needs a problem that is not truncated
-            fail(f"{self.instance}: {error} (--region-states)", ExitCode.FAILED)
+            hint = " (--region-states)" if self.pool.goals == 1 else ""
+            fail(f"{self.instance}: {error}{hint}", ExitCode.FAILED)
 
 
 def team_of(
     instance: str, *, humans: int, size: int, seed: int, domain: str | None, distances: Path | None, beta: Range,
     theta: Range, sigma: Range, population_file: Path | None, people: str | None, prior: Path | None,
-    memory_limit: float, max_states: int, region_states: int, **setting: Any,
+    memory_limit: float, max_states: int, region_states: int, goals: Goals | None = None, **setting: Any,
 ) -> TeamSetup:  # fmt: skip
-    """Draw a pool of `size` people. Expected errors end the command in one line."""
+    """Draw a pool of `size` people, of whom each pursues one of some goals if there are several.
+
+    Expected errors end the command in one line.
+    """
     from ...simulation.pool import Pool
     from ...team.settings import Setting
 
@@ -103,7 +108,7 @@ def team_of(
     except ValueError as error:
         raise click.UsageError(f"--prior {prior}: {error}") from None
     found = one_instance(instance, domain)
-    known = costs_of(found, max_states=max_states, memory_limit_mb=None)
+    known = goals or costs_of(found, max_states=max_states, memory_limit_mb=None)
     try:
         travel = travel_of(chosen := Setting(**with_rule_of(population_file, setting)), humans, distances)
         pool = Pool.sample(

@@ -1,0 +1,135 @@
+"""Several goals, one of which a person pursues, in place of a task whose goal is known.
+
+`Goals` holds the cost-to-go of each goal and a prior. Its `Choices` have a row for each pair of a goal and a task
+state. Row g * m + x is task state x of a person who pursues goal g, with m task states. A person stays in the rows of
+their goal, so that a problem on these rows is one problem for each goal, side by side. The robot sees x only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from planner import CostToGo, Table
+
+from .choices import WAIT, Choices
+from .decision import Floats
+
+
+def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None) -> Floats:
+    """Return the probability of each goal, after checking the given ones.
+
+    Parameters
+    ----------
+    goals : mapping of str to CostToGo
+    prior : mapping of str to float, or None
+        None if all goals are equally probable.
+
+    Raises
+    ------
+    ValueError
+        There is no goal, or the prior is no distribution over the goals.
+    """
+    if not goals:
+        raise ValueError("no goals; expected one or more")
+    if prior is None:
+        return np.full(len(goals), 1 / len(goals))
+    if set(prior) != set(goals):
+        odd = min(set(prior) ^ set(goals))
+        raise ValueError(f"prior: '{odd}' is {'no goal' if odd in prior else 'missing'}; expected {', '.join(goals)}")
+    shares = np.array([float(prior[name]) for name in goals])
+    if not ((shares >= 0).all() and abs(shares.sum() - 1) <= 1e-6):
+        raise ValueError(f"prior: sum {shares.sum():g}; expected numbers of 0 or more that add up to 1")
+    return shares / shares.sum()
+
+
+def goal_shares(belief: Floats, goals: int) -> Floats:
+    """Return the probability of each goal, shape (..., G), under beliefs, shape (..., G * B, T).
+
+    Parameters
+    ----------
+    belief : float array, shape (..., G * B, T)
+    goals : int
+        The number G.
+    """
+    return np.asarray(belief.reshape(*belief.shape[:-2], goals, -1).sum(axis=-1))
+
+
+def given_likeliest(belief: Floats, goals: int) -> Floats:
+    """Return beliefs, given that the goal is the most probable one under each; arguments as in `goal_shares`.
+
+    Ties favour the first goal.
+    """
+    share = goal_shares(belief, goals)[..., None, None]
+    best = share == share.max(axis=-3, keepdims=True)
+    best &= best.cumsum(axis=-3) == 1
+    parts = belief.reshape(*belief.shape[:-2], goals, -1, belief.shape[-1])
+    return np.where(best, parts / np.where(best, share, 1.0), 0.0).reshape(belief.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Goals:
+    """The goals of which a person pursues one, with a prior; it takes the place of a task.
+
+    Attributes
+    ----------
+    tables : mapping of str to Table
+        Cost-to-go of each goal, by the goal's name, as `planner.sweep_goals` returns them.
+    prior : mapping of str to float
+        Probability of each goal at the beginning of a task; by default all are equal.
+
+    Raises
+    ------
+    ValueError
+        A goal cannot be reached, the tables have different states, or the prior is no distribution.
+    """
+
+    tables: Mapping[str, Table]
+    prior: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        shares = prior_over(self.tables, self.prior or None)
+        object.__setattr__(self, "prior", dict(zip(self.tables, shares.tolist(), strict=True)))
+        first = next(iter(self.tables.values()))
+        for name, table in self.tables.items():
+            if not isinstance(table, Table):
+                raise ValueError(f"goal '{name}': expected a table of all states, as `sweep_goals` returns it")  # noqa: TRY004
+            if table.space.numbering is not first.space.numbering:
+                raise ValueError(f"goal '{name}' has states of its own; expected tables from one call of `sweep_goals`")
+            h = table.lookup([table.initial])[0]
+            if not 0 < h < np.inf:
+                what = "holds in" if h == 0 else "cannot be reached from"
+                raise ValueError(f"goal '{name}' {what} the initial state; expected goals that have to be pursued")
+
+    @property
+    def method(self) -> str:
+        """How the cost-to-go was computed."""
+        return next(iter(self.tables.values())).method
+
+    def __len__(self) -> int:
+        """Return the number of rows of the choices."""
+        return sum(map(len, self.tables.values()))
+
+    def choices(self) -> Choices:
+        """Return the choices of all goals: m rows for each, in the order of the goals."""
+        each = [Choices.of(table) for table in self.tables.values()]
+        count, m = len(each), len(each[0])
+        # Where no action is applicable, people wait unless they have reached their goal. Rows of one state have the
+        # same choices, since the robot does not see which goal was reached.
+        waiting = [np.flatnonzero(one.applicable[:, 0] & (one.actions[:, 0] == WAIT)) for one in each]
+        waits = np.concatenate([one + number * m for one in waiting for number in range(count)])
+
+        def joined(name: str) -> np.ndarray:
+            return np.concatenate([getattr(one, name) for one in each])
+
+        applicable, costs = joined("applicable"), joined("costs")
+        applicable[waits, 0], costs[waits, 0] = True, 1.0
+        first = each[0]
+        return Choices(
+            joined("h"), joined("goal"), applicable, joined("actions"),
+            np.concatenate([one.targets + number * m for number, one in enumerate(each)]), costs, joined("optimal"),
+            first.names, first.initial, state=np.tile(np.arange(m), count),
+            key=None if first.key is None else np.tile(first.key, count), goals=self.prior,
+        )  # fmt: skip

@@ -1,0 +1,366 @@
+"""People who pursue one of several goals: the belief, the policy, the simulation and the live assistant."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT, invoke, kit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from teams import equal
+
+from assist.certify import upper_bound
+from assist.learning import Log, infer_goals
+from assist.live import Assistant
+from assist.people import Goals, HumanModel, Population
+from assist.people.goals import given_likeliest
+from assist.person import AssistPOMDP, qmdp, solve
+from assist.simulation import Pool, simulate
+from assist.simulation.belief_trace import Watched
+from assist.team import Setting
+from planner import Table, sweep, sweep_goals
+
+PRIOR = {"a": 0.5, "b": 0.2, "c": 0.3}
+LAPSE, ETA = 0.01, 0.2
+KITS = ROOT / "docs" / "examples" / "kits"
+
+
+def three_goals(name: str) -> Goals:
+    """A shipped kitting task with its own goal, and with some facts of two states on a random walk."""
+    table, rng = kit(name), np.random.default_rng(5)
+    task, at, goals = table.task, table.initial, [table.task.goal]
+    first = table.values([at])[0][-2:].tolist()
+    while len(goals) < 3:
+        at = int(rng.choice(table.choices([at]).targets))
+        facts = tuple(enumerate(table.values([at])[0].tolist()))[-2:]
+        if [value for _, value in facts] != first and facts not in goals:
+            goals.append(facts)
+    tables = sweep_goals([replace(task, goal=goal) for goal in goals])
+    return Goals(dict(zip("abc", tables, strict=True)), PRIOR)
+
+
+TASKS = {name: three_goals(name) for name in ("tiny", "sealed")}
+SMALL = Population(beta=(0.2, 1.4), theta=(0.3, 0.8))
+
+Steps = list[tuple[int, str | None, str]]
+"""State, suggestion and action of each step."""
+
+
+def by_enumeration(goals: Goals, pomdp: AssistPOMDP, steps: Steps, *, seen_going_on: bool) -> np.ndarray:
+    """The belief after a history: a sum over all goals, betas and sequences of theta, by the definitions."""
+    grid, found = pomdp.grid, np.zeros((len(goals.tables), *pomdp.grid.shape))
+    tables = list(goals.tables.values())
+
+    def value(g: int, x: int) -> float:
+        return 0.0 if tables[g].is_goal([x])[0] else -min(costs(g, x), default=1 + tables[g][x])
+
+    @cache
+    def costs(g: int, x: int) -> list[float]:
+        table = tables[g]
+        rows = table.choices([x])
+        return [table.task.costs[a] + table[int(y)] for a, y in zip(rows.actions, rows.targets, strict=True)]
+
+    @cache
+    def one(g: int, beta: float, theta: float, step: tuple[int, str | None, str]) -> tuple[float, float]:
+        """The probability of a step, and theta after it."""
+        table, (x, suggestion, action) = tables[g], step
+        rows, q = table.choices([x]), costs(g, x)
+        names = [table.task.actions[a] for a in rows.actions]
+        p = [1.0] * len(q) if min(q) == np.inf else [np.exp(-beta * (cost - min(q))) for cost in q]
+        p = [0.0 if table.is_goal([x])[0] else each / sum(p) for each in p]
+        after = theta
+        if suggestion is not None:
+            weights = [each * (theta if name == suggestion else 1 - theta) for each, name in zip(p, names, strict=True)]
+            p = [each / sum(weights) for each in weights] if sum(weights) > 0 else p
+            y = int(rows.targets[names.index(suggestion)])
+            before, expected = value(g, x), value(g, y)
+            after = theta if before == expected else min(max(theta + ETA * (expected - before), 0.0), 1.0)
+        return (1 - LAPSE) * p[names.index(action)] + LAPSE / len(q), after
+
+    def follow(g: int, b: int, t: int, mass: float, left: Steps) -> None:
+        if not left:
+            found[g, b, t] += mass
+            return
+        if seen_going_on and len(left) < len(steps) and tables[g].is_goal([left[0][0]])[0]:
+            return
+        chance, theta = one(g, grid.beta[b], grid.theta[t], left[0])
+        low = min(int(np.searchsorted(grid.theta, theta, side="right")) - 1, len(grid.theta) - 2)
+        share = (theta - grid.theta[low]) / (grid.theta[low + 1] - grid.theta[low])
+        for at, part in ((low, 1 - share), (low + 1, share)):
+            if part > 0:
+                follow(g, b, at, mass * chance * part, left[1:])
+
+    prior = grid.prior(SMALL)
+    for g, share in enumerate(goals.prior.values()):
+        for b, t in np.argwhere(prior > 0).tolist():
+            follow(g, b, t, share * prior[b, t], steps)
+    return (found / found.sum()).reshape(-1, grid.shape[1])
+
+
+@pytest.mark.parametrize("name", TASKS)
+@settings(max_examples=4, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_the_belief_is_that_of_enumerated_histories(name: str, seed: int) -> None:
+    """Through suggestions, trust, lapses, and the knowledge that a person goes on."""
+    goals = TASKS[name]
+    setting = Setting(knowledge="exact", lapse=LAPSE, eta=ETA, suggestions="all", c_suggest=0.0, max_steps=4)
+    pool = Pool.sample(goals, 2, seed=seed, setting=setting, population=SMALL)
+    choices, trace = pool.choices(0), list[dict[str, Any]]()
+    rng = np.random.default_rng(seed)
+
+    def anything(team: Any) -> Any:
+        count = team.policies[0].pomdp.robot_actions[team.x]
+        return team.act(np.where(team.active.any(axis=1), team.active.argmax(axis=1), -1), rng.integers(count))
+
+    watched = Watched(anything)
+    simulate(pool, watched, humans=2, episodes=1, seed=seed, trace=trace, explain=False)
+    for place in (0, 1):
+        steps, x = Steps(), choices.initial
+        for row in (row for row in trace if row["place"] == place):
+            if steps:
+                known = by_enumeration(goals, pool.policies[0].pomdp, steps, seen_going_on=True)
+                np.testing.assert_allclose(_going_on(known, goals, x), watched.beliefs[row["step"]][place], atol=1e-12)
+            steps.append((x, row["suggestion"], row["action"]))
+            slot = [choices.name(x, a) for a in range(choices.applicable[x].sum())].index(row["action"])
+            x = int(choices.targets[x, slot])
+
+
+def _going_on(belief: np.ndarray, goals: Goals, x: int) -> np.ndarray:
+    """Condition a belief on the fact that the person has not reached their goal in a state."""
+    reached = np.array([table.is_goal([x])[0] for table in goals.tables.values()])
+    parts = np.where(reached[:, None, None], 0, belief.reshape(len(reached), -1, belief.shape[1]))
+    return (parts / parts.sum()).reshape(belief.shape)
+
+
+def test_a_single_goal_changes_nothing(tiny: Table) -> None:
+    one = Goals({"kit": tiny})
+    setting = Setting(c_suggest=0.2)
+    for policy in ("attention", "reactive", "priority"):
+        found = [
+            simulate(Pool.sample(task, 3, seed=1, setting=setting), policy, humans=2, episodes=20, seed=4)
+            for task in (tiny, one)
+        ]
+        assert equal(*found)
+    told = []
+    for task in (tiny, one):
+        desk = Assistant(task, ["ann"], setting=setting)
+        for action in ("(fetch box-a)", "(place hammer slot-2 box-a)"):
+            told.append((desk.recommend().as_dict(), desk.person("ann").belief.tobytes(), desk.explain().as_dict()))
+            desk.observe("ann", action)
+    assert told[:2] == told[2:]
+
+
+def problem_of(goals: Goals, **more: Any) -> AssistPOMDP:
+    return AssistPOMDP.of(HumanModel.exact(goals.choices()), population=SMALL, **more)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_values_are_averages_over_the_goals(name: str) -> None:
+    """With the same robot actions for all goals, the values are those of people whose goal is known."""
+    goals, rng = TASKS[name], np.random.default_rng(1)
+    unknown = qmdp(problem_of(goals, suggestions="all", c_suggest=0.2))
+    single = [
+        qmdp(problem_of(Goals({key: table}), suggestions="all", c_suggest=0.2)) for key, table in goals.tables.items()
+    ]
+    belief = rng.random((50, *unknown.pomdp.prior.shape))
+    belief /= belief.sum(axis=(1, 2), keepdims=True)
+    x = rng.integers(len(goals) // 3, size=50)
+    reached = np.array([table.is_goal(x) for table in goals.tables.values()])
+    parts = belief.reshape(50, 3, -1, belief.shape[2])
+    expected = sum(one.value(x, parts[:, g]) for g, one in enumerate(single))
+    np.testing.assert_allclose(unknown.value(x, belief), expected, atol=1e-5)
+    before = ~reached.any(axis=0)
+    q = sum(one.q_values(x[before], parts[before, g]) for g, one in enumerate(single))
+    np.testing.assert_allclose(unknown.q_values(x, belief)[before], q, atol=1e-5)
+
+
+def test_a_suggestion_after_the_goal_costs_and_no_more() -> None:
+    goals = TASKS["tiny"]
+    policy = qmdp(problem_of(goals, c_suggest=0.2))
+    certain = policy.pomdp.prior.reshape(3, -1) * np.array([[0], [1], [0]])
+    certain = (certain / certain.sum()).reshape(1, *policy.pomdp.prior.shape)
+    x = np.flatnonzero(goals.tables["b"].is_goal(np.arange(len(goals) // 3)))[:1]
+    q = policy.q_values(x, certain)[0]
+    assert q[0] == 0
+    np.testing.assert_allclose(q[1 : policy.pomdp.robot_actions[x[0]]], -0.2)
+
+
+def test_what_the_robot_knows_of_goals_is_worth_something() -> None:
+    """A robot that is told the goals acts on certainty; one that acts on the likeliest goal sees no other."""
+    pool = Pool.sample(TASKS["tiny"], 4, seed=2, setting=Setting(c_suggest=0.05, c_move=0.0, knowledge="exact"))
+    seen: dict[str, np.ndarray] = {}
+    for knows in ("known", "likeliest", "inferred"):
+        watched = Watched(pool.policy("attention"))
+        trace: list[dict[str, Any]] = []
+        simulate(pool, watched, humans=2, episodes=1, seed=5, goals=knows, trace=trace)  # type: ignore[arg-type]
+        seen[knows] = np.array([belief.reshape(2, 3, -1).sum(axis=2) for belief in watched.beliefs.values()])
+        if knows == "known":
+            own = [next(row["goal"] for row in trace if row["place"] == place) for place in (0, 1)]
+            true = np.array([np.array([*"abc"]) == goal for goal in own])
+            np.testing.assert_allclose(seen[knows], np.broadcast_to(true, seen[knows].shape))
+    np.testing.assert_allclose(seen["likeliest"].max(axis=2), 1)
+    np.testing.assert_allclose(seen["inferred"][0], [list(PRIOR.values())] * 2)
+    returns = [
+        simulate(pool, "attention", humans=2, episodes=300, seed=5, goals=knows).discounted_return.mean()
+        for knows in ("known", "inferred")
+    ]
+    assert returns[0] > returns[1] > simulate(pool, "none", humans=2, episodes=300, seed=5).discounted_return.mean()
+
+
+def test_goals_occur_as_often_as_the_prior_says() -> None:
+    pool = Pool.sample(TASKS["tiny"], 2, seed=2, setting=Setting(max_steps=1, knowledge="exact"))
+    for world in ("people", "model"):
+        trace: list[dict[str, Any]] = []
+        simulate(pool, "none", humans=2, episodes=2000, seed=1, world=world, trace=trace)  # type: ignore[arg-type]
+        share = [np.mean([row["goal"] == name for row in trace]) for name in PRIOR]
+        assert share == pytest.approx(list(PRIOR.values()), abs=0.03)
+
+
+def test_a_policy_does_not_see_the_goal() -> None:
+    """Histories with equal actions and beliefs lead to equal states, whatever the goal."""
+    pool = Pool.sample(TASKS["tiny"], 2, seed=2, setting=Setting(knowledge="exact"))
+    states = len(pool.choices(0)) // 3
+
+    def looks(team: Any) -> Any:
+        assert (team.x < states).all()
+        with pytest.raises(ValueError, match="the cost-to-go: expected people whose goal is known"):
+            team.cost_to_go()
+        return team.act(np.full(len(team.x), -1), np.zeros_like(team.x))
+
+    simulate(pool, looks, humans=2, episodes=5, seed=1)
+
+
+@pytest.mark.parametrize("policy", ["attention-never", "priority", "whittle"])
+def test_with_certainty_a_policy_does_what_it_does_for_people_with_that_goal(policy: str) -> None:
+    """Travel takes time, so that the robot stays, comes and goes, with its own values of each."""
+    goals, setting = TASKS["tiny"], Setting(c_suggest=0.05, suggestions="all", c_move=0.1, travel_time=1)
+    found = []
+    for task, knows in ((goals.tables["b"], "inferred"), (Goals(goals.tables, {"a": 0, "b": 1, "c": 0}), "inferred")):
+        pool = Pool.sample(task, 3, seed=2, setting=setting)
+        found.append(simulate(pool, policy, humans=3, episodes=50, seed=5, goals=knows))  # type: ignore[arg-type]
+    assert found[0].interventions.any()
+    assert equal(*found)
+
+
+def test_the_most_probable_goal_alone() -> None:
+    belief = np.array([[[0.1, 0.1], [0.3, 0.0], [0.2, 0.3]], [[0.5, 0.0], [0.2, 0.3], [0.0, 0.0]]])
+    found = given_likeliest(belief, 3)
+    np.testing.assert_allclose(found, [[[0, 0], [0, 0], [0.4, 0.6]], [[1, 0], [0, 0], [0, 0]]])
+
+
+class TestLive:
+    """The live assistant infers the goal."""
+
+    setting = Setting(c_suggest=0.01, c_move=0.0, lapse=LAPSE)
+
+    def desk(self, name: str = "tiny") -> Assistant:
+        return Assistant(TASKS[name], ["ann", "bob"], setting=self.setting, population=SMALL)
+
+    def test_the_posterior_is_that_of_infer_goals(self) -> None:
+        """Without suggestions, for two tasks in a row."""
+        goals, rng = TASKS["sealed"], np.random.default_rng(3)
+        table, desk, rows = goals.tables["a"], self.desk("sealed"), list[dict[str, Any]]()
+        for episode in ("1", "2"):
+            x = table.initial
+            for step in range(5):
+                found = table.choices([x])
+                pick = rng.integers(len(found.actions))
+                action, x = table.task.actions[found.actions[pick]], int(found.targets[pick])
+                desk.observe("ann", action)
+                rows.append({"person": "ann", "episode": episode, "step": step, "action": action})
+            shown = desk.person("ann").goals
+            desk.begin("ann")
+        assert desk.person("ann").goals == pytest.approx(PRIOR)
+        grid = desk.person("ann").grid
+        known = infer_goals(goals.tables, Log.of(rows), prior=PRIOR, beta=grid.beta, lapse=LAPSE).episodes[-1]
+        np.testing.assert_allclose(list(shown.values()), known.posterior[-1], atol=1e-12)
+
+    def test_it_is_saved_taken_back_and_explained(self) -> None:
+        desk, said = self.desk(), []
+        for _ in range(3):
+            before = desk.person("ann").belief
+            advice = desk.recommend()
+            if advice.person == "ann":
+                assert advice.reason is not None
+                assert sum(advice.reason.goals.values()) == pytest.approx(1)
+                said.append(advice.explanation)
+            action = desk.person("ann").applicable[0]
+            desk.observe("ann", action)
+            assert desk.undo("ann") == action
+            assert (desk.person("ann").belief == before).all()
+            desk.observe("ann", action)
+        again = Assistant.from_json(desk.to_json(), TASKS["tiny"])
+        assert (again.person("ann").belief == desk.person("ann").belief).all()
+        assert again.recommend().as_dict() == desk.recommend().as_dict()
+        step = said[0].step
+        assert step is not None
+        assert step.goal in PRIOR
+        assert f"your goal is {step.goal}" in said[0].text()
+        with pytest.raises(ValueError, match="is not among"):
+            Assistant.from_json(desk.to_json(), TASKS["sealed"])
+
+    def test_who_has_probably_finished_gets_no_advice(self) -> None:
+        goals, desk = TASKS["tiny"], self.desk()
+        plan = goals.tables["a"].optimal_plan()
+        assert plan is not None
+        for action in plan:
+            assert not desk.person("ann").finished
+            desk.observe("ann", action)
+        assert desk.person("ann").goals["a"] > 0.5
+        assert desk.person("ann").finished
+        assert desk.recommend().person != "ann"
+        before = desk.person("ann").goals["a"]
+        desk.observe("ann", desk.person("ann").applicable[0])  # it was another goal after all, or a lapse
+        assert desk.person("ann").goals["a"] < before
+        assert not desk.person("ann").finished
+
+
+def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:
+    goals = TASKS["tiny"]
+    pool = Pool.sample(goals, 2, seed=1)
+    expected = "expected people whose goal is known, and there are 3 goals"
+    for refused in (
+        lambda: solve(problem_of(goals)), lambda: upper_bound(pool), lambda: pool.policy("reactive"),
+        lambda: problem_of(goals, execute=True), lambda: Assistant(goals, ["ann"], policy="reactive"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=expected):
+            refused()
+    with pytest.raises(ValueError, match="people with weights of terms: expected one goal"):
+        Pool.sample(goals, 2, seed=1, population=Population(weights={"goals": (0, 1)}))
+    with pytest.raises(ValueError, match="people with 1 and 3 goals: expected as many for everybody"):
+        Pool.joined([pool, Pool.sample(tiny, 2, seed=1)])
+    with pytest.raises(ValueError, match="has states of its own"):
+        Goals({"a": tiny, "b": sweep(tiny.task)})
+    with pytest.raises(ValueError, match="holds in the initial state"):
+        Goals({"a": sweep(replace(tiny.task, goal=tuple(enumerate(tiny.task.initial))))})
+    with pytest.raises(ValueError, match=r"goals 'none': expected 'inferred', 'likeliest', 'known'"):
+        simulate(pool, "none", humans=1, episodes=1, seed=1, goals="none")  # type: ignore[arg-type]
+    desk = Assistant(tiny, ["ann"])
+    with pytest.raises(ValueError, match="the next task has 3 goals; expected 1"):
+        desk.begin("ann", goals)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    given = ["simulate", KITS / "travel.pddl", "--goals", KITS, "--humans", "2", "--pool", "2", "--episodes", "20"]
+    results = {}
+    for knows in ("inferred", "known"):
+        result = invoke(*given, "--goal-knowledge", knows, "--goal-prior", "travel=.5,mend=.5,mount=0", "--json")
+        assert (result.exit_code, result.stderr) == (0, "")
+        results[knows] = json.loads(result.stdout)
+        assert results[knows]["goals"] == {"travel": 0.5, "mend": 0.5, "mount": 0}
+    assert results["inferred"]["policies"] != results["known"]["policies"]
+    invoke(*given, "--policy", "none", "--trace", tmp_path / "trace.jsonl")
+    trace = [json.loads(line) for line in (tmp_path / "trace.jsonl").read_text().splitlines()]
+    assert {row["goal"] for row in trace} == {"travel", "mend", "mount"}
+    result = invoke(*given, "--policy", "reactive")
+    assert (result.exit_code, "expected people whose goal is known" in result.stderr) == (1, True)
+    result = invoke(*given[:2], *given[4:], "--goal-prior", "travel=1")
+    assert (result.exit_code, "--goal-prior: expected --goals, too" in result.stderr) == (2, True)
+    result = invoke(*given, "--max-states", "10")
+    assert (result.exit_code, "expected a table of all states" in result.stderr) == (2, True)
