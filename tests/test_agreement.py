@@ -40,8 +40,8 @@ def check(reading: Reading, task: Task, changed: dict[str, str]) -> None:
         ("(take nut red)", "(steal nut red)", ("domain.pddl", None), "an action .*, which is not in the files"),
         ("Atom at(red)", "Atom at(blue)", ("problem.pddl", 4), r"\(at blue\) holds initially"),
         ("Atom held(nut)", "Atom on(nut, red)", ("problem.pddl", 4), r"\(on nut red\) does not hold initially"),
-        ("Atom held(nut)", "Atom held(nut, red)", ("problem.pddl", None), "a fact .*, which is none of the files"),
-        ("Atom held(nut)", "Atom held(nuts)", ("problem.pddl", None), "which is none of the files"),
+        ("Atom held(nut)", "Atom held(nut, red)", ("problem.pddl", None), "a fact .*, which is not in the files"),
+        ("Atom held(nut)", "Atom held(nuts)", ("problem.pddl", None), "which is not in the files"),
     ],
 )  # fmt: skip
 def test_a_difference_is_told(tmp_path: Path, old: str, new: str, place: tuple[str, int | None], words: str) -> None:

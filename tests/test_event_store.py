@@ -95,7 +95,7 @@ def test_nothing_of_an_erased_person_is_in_the_folder(tiny: Table, fixed: Table,
     traces = (b"Bartholomew", b"barts-", b"come-2718", b"box-c")
     assert all(trace in content(tmp_path) for trace in traces[:3])
     before, mine = session.beliefs()["ann"], session.person("ann")
-    with pytest.raises(AbsentError, match="nothing is recorded of 'bob'"):
+    with pytest.raises(AbsentError, match="nothing is recorded about 'bob'"):
         session.erase("bob", "as asked")
     for reason in ("", "x" * 201, "bartholomew asked"):
         with pytest.raises(ValueError, match="reason: expected 1 to 200 characters, without the person's name"):

@@ -255,7 +255,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     # The live assistant.
     "back to another task by an event": (
         lambda g: happen(g.table, Event("joined", "ann"), Event("left", "ann"), Event("joined", "ann", task="tiny")),
-        InapplicableError, "ann comes back to the task that they left",
+        InapplicableError, "ann returns to the task that they left",
     ),
     "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), FramesError, "the trace is empty"),
     "the operator's link": (
@@ -279,7 +279,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     "an own policy": (saved_with_an_own_policy, ValueError, "the policy was a function; expected it as `policy`"),
     "back to another task": (
         comes_back_to_another,
-        ValueError, "ann comes back to the task that they left; `begin` gives",
+        ValueError, "ann returns to the task that they left; `begin` gives",
     ),
     "another grid": (
         lambda g: Assistant(g.table, people=["ann"]).join("bob", qmdp(make(g.choices))),

@@ -389,7 +389,7 @@ def test_data_can_be_withdrawn_until_the_studys_date_and_the_report_counts_every
     it_is(datetime(2027, 4, 1, 0, 1, tzinfo=UTC))
     with pytest.raises(InapplicableError, match="data could be withdrawn until 2027-03-31"):
         parts["bob"].report("withdrew")
-    with pytest.raises(InapplicableError, match="the data of ann are in no analysis"):
+    with pytest.raises(InapplicableError, match="the data of ann are not part of the analysis"):
         parts["ann"].report("excluded", reason="late")
     parts["eve"].report("withdrew")  # who takes part can leave at any time
     session.erase("cid", "wrote a letter")  # and the researchers can erase at any time

@@ -178,7 +178,7 @@ class ReportArrival(_Request):
 
 
 class Suggest(_Leaf):
-    """Says the suggestion of the errand, each once; fails if there is none, or if the robot is to go elsewhere first.
+    """Makes the suggestion of the errand, once; fails if there is none, or if the robot has to go elsewhere first.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class Suggest(_Leaf):
         self._said: Any = None
 
     def update(self) -> Status:
-        """Say it."""
+        """Make the suggestion, unless it has been made; fail if there is none yet."""
         errand = self.errand
         if errand["suggestion"] is None or not errand["arrived"]:
             self.feedback_message = "no suggestion"

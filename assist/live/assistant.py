@@ -165,7 +165,7 @@ class Assistant:
             if team.present[place]:
                 raise ValueError(f"{person} is there already")
             if task is not None or population is not None:
-                raise ValueError(f"{person} comes back to the task that they left; `begin` gives them another")
+                raise ValueError(f"{person} returns to the task that they left; `begin` gives them another")
             team.present[place] = True
         else:
             place = len(team.records)

@@ -196,7 +196,7 @@ class Course:
             raise InapplicableError(f"{name} is there already")
         if name in self._notes:
             if event.task is not None:
-                raise InapplicableError(f"{name} comes back to the task that they left")
+                raise InapplicableError(f"{name} returns to the task that they left")
             return None
         most = 10_000  # people over a whole session, which bounds its memory
         if len(self._notes) >= most:
@@ -299,7 +299,7 @@ class Course:
             Nothing is recorded of this person.
         """
         if person not in self._notes or not NAME.fullmatch(person):
-            raise AbsentError(f"nothing is recorded of {person[:80]!r}")
+            raise AbsentError(f"nothing is recorded about {person[:80]!r}")
         return Event("left", person) if person in self.present else None
 
     def without(self, person: str, label: str) -> Change:

@@ -36,5 +36,5 @@ def lines(file: Path) -> Iterator[dict[str, Any]]:
             except (ValueError, RecursionError):
                 record = None
             if not isinstance(record, dict):
-                raise DamagedFileError(file, number, "is no event of a session; expected a JSON object")
+                raise DamagedFileError(file, number, "is not an event of a session; expected a JSON object")
             yield record

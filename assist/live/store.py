@@ -362,7 +362,7 @@ def stored(file: Path) -> tuple[dict[str, Any], list[tuple[str | None, dict[str,
         if header is not None:
             return header, records
         if not former.exists():
-            raise DamagedFileError(file, None, "is no journal of a session")
+            raise DamagedFileError(file, None, "is not the journal of a session")
     found, *old = list(old_journal.lines(former)) or [{}]
     return found, [(None, record) for record in old]
 
@@ -405,7 +405,7 @@ def _document(text: Any, file: Path, n: int) -> dict[str, Any]:
     except (ValueError, TypeError, RecursionError):
         found = None
     if not isinstance(found, dict):
-        raise DamagedFileError(file, None, f"event {n} is no event of a session; expected a JSON object")
+        raise DamagedFileError(file, None, f"event {n} is not an event of a session; expected a JSON object")
     return found
 
 

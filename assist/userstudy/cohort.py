@@ -249,7 +249,7 @@ class Cohort:
     def _excludes(self, person: Participant, event: Event) -> dict[str, Any]:
         reason = event.reason if isinstance(event, StudyEvent) else None
         if person.status in (DECLINED, WITHDREW):
-            raise InapplicableError(f"the data of {person.code} are in no analysis")
+            raise InapplicableError(f"the data of {person.code} are not part of the analysis")
         if reason is not None and not 0 < len(reason) <= LONGEST_REASON:
             raise InvalidError(f"reason: expected 1 to {LONGEST_REASON} characters; found {len(reason)}")
         return {"reason": reason}

@@ -87,7 +87,7 @@ def _check_fact(reading: Reading, fact: str, holds: bool, objects: Mapping[str, 
     atom = (name, *(inner.split(", ") if inner else ()))
     symbol = reading.domain.predicates.get(name)
     if symbol is None or len(symbol.parameters) != len(atom) - 1 or not objects.keys() >= set(atom[1:]):
-        refuse(reading.instance.problem, None, f"{TRANSLATOR} has a fact {fact}, which is none of the files")
+        refuse(reading.instance.problem, None, f"{TRANSLATOR} has a fact {fact}, which is not in the files")
     if holds != (atom in reading.problem.facts):
         at = reading.problem.facts.get(atom, reading.problem.init)
         other = "holds" if holds else "does not hold"

@@ -59,7 +59,7 @@ def write(problem: Problem, folder: Path) -> tuple[Instance, dict[str, str]]:
     except Exception as error:  # noqa: BLE001  it raises any exception, internal errors included
         clear_walkers()
         reason = " ".join(str(error).split()) if isinstance(error, UPException) else "unified-planning fails at it"
-        raise PDDLError(named(problem).problem, None, f"not to be written as classical PDDL: {reason}") from None
+        raise PDDLError(named(problem).problem, None, f"cannot be written as classical PDDL: {reason}") from None
     renamed = {name: item.name for name, item in writer.nto_renamings.items() if name != item.name}
     return instance, {name: own for name, own in renamed.items() if own and not re.search(r"[\s(),]", own)}
 

@@ -164,7 +164,7 @@ def types(file: Path, section: Expression | None) -> Types:
             refuse(file, each.place, f"type '{each.name}' is under (either ...); expected one type")
         parent = each.kinds[0]
         if "number" in (each.name, parent):
-            refuse(file, each.place, "'number' is no type of objects")
+            refuse(file, each.place, "'number' is not a type of objects")
         if each.name == OBJECT and parent != OBJECT:
             refuse(file, each.place, f"'{OBJECT}' is above all types, and cannot be under '{parent}'")
         if each.name == OBJECT:
@@ -241,9 +241,9 @@ def typed(
 
 def _kinds(file: Path, kind: Expression, known: Types | None) -> tuple[str, ...]:
     if kind.parts and (kind.head != "either" or len(kind.parts) == 1 or not all(part.word for part in kind.parts)):
-        refuse(file, kind, f"'{shown(kind)}' is no type; expected TYPE or (either TYPE ...)")
+        refuse(file, kind, f"'{shown(kind)}' is not a type; expected TYPE or (either TYPE ...)")
     if not kind.word and not kind.parts:
-        refuse(file, kind, "'()' is no type")
+        refuse(file, kind, "'()' is not a type")
     names = kind.parts[1:] or (kind,)
     for name in names:
         if known is not None and name.word not in known.parents:
@@ -257,7 +257,7 @@ def parameters(file: Path, parts: Iterable[Expression], known: Types) -> tuple[T
     names: set[str] = set()
     for each in found:
         if each.name in names:
-            refuse(file, each.place, f"'{each.name}' stands twice in one list of variables")
+            refuse(file, each.place, f"'{each.name}' occurs twice in one list of variables")
         names.add(each.name)
     return tuple(found)
 

@@ -135,7 +135,7 @@ class Formulas:
     def _quantified(self, part: Expression, scope: Scope) -> tuple[tuple[Expression, ...], Scope]:
         """Read the variables of a quantifier. Return them as a typed list, with the scope inside the quantifier."""
         if part.word:
-            refuse(self.file, part, f"'{part}' is no list of variables; expected (?VARIABLE - TYPE ...)")
+            refuse(self.file, part, f"'{part}' is not a list of variables; expected (?VARIABLE - TYPE ...)")
         inner, written = dict(scope), []
         for each in parameters(self.file, part.parts, self.names.types):
             name, number = each.name, 2
@@ -265,7 +265,7 @@ class Formulas:
         if changed.head in ("=", *CONDITIONS, *COMPARISONS):
             refuse(
                 self.file, formula,
-                f"'{shown(formula)}' is no effect: expected (PREDICATE ARGUMENT ...), or one of {', '.join(EFFECTS)}",
+                f"'{shown(formula)}' is not an effect; expected (PREDICATE ARGUMENT ...) or {', '.join(EFFECTS)}",
             )  # fmt: skip
         atom = self.atom(changed, scope, EFFECTS)
         if (rule := self.derived.get(changed.head)) is not None:

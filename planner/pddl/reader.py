@@ -232,7 +232,7 @@ def _action(file: Path, part: Expression, formulas: Formulas) -> Action:
         refuse(file, part, f"action '{title}' has no :effect")
     listing = found.get(":parameters")
     if listing is not None and listing.word:
-        refuse(file, listing, f"Parameters of action '{title}': expected (?VARIABLE - TYPE ...), not '{listing}'")
+        refuse(file, listing, f"parameters of action '{title}': expected (?VARIABLE - TYPE ...), not '{listing}'")
     parameters = declarations.parameters(file, () if listing is None else listing.parts, formulas.names.types)
     scope = formulas.scope(parameters, part)
     formulas.variables(parameters)  # for their types
@@ -276,7 +276,7 @@ def _problem(
     if len(goal.parts) != 2 or not goal.parts[1].parts:
         refuse(file, goal, "expected (:goal CONDITION), and one condition")
     if metric is not None and str(metric) != "(:metric minimize (total-cost))":
-        refuse(file, metric, "of metrics only (:metric minimize (total-cost)) is supported")
+        refuse(file, metric, "the only supported metric is (:metric minimize (total-cost))")
     return Problem(
         name=_parts(whole, "problem")[0].word,
         requirements=_parts(whole, ":requirements"),
@@ -337,7 +337,7 @@ def _value(file: Path, fact: Expression, formulas: Formulas) -> tuple[tuple[str,
     arguments: Iterable[Expression] = formulas.arguments(of, function, {}) if function is not None else of.parts[1:]
     value = whole_number(number)
     if value is None:
-        refuse(file, number, f"'{shown(number)}' is no whole number of 0 or more, as costs have to be")
+        refuse(file, number, f"'{shown(number)}' is not a cost; expected a whole number of 0 or more")
     formulas.limited(number, value)
     if of.head == "total-cost" and (value or len(of.parts) > 1):
         refuse(file, fact, "the sum of costs begins with 0: expected (= (total-cost) 0)")

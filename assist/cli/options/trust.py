@@ -86,13 +86,13 @@ def trust_of(
     """
     found = TrustOptions(trust, compare_trust, not theta_per_episode, advice, confidence)
     if theta_per_episode and not found.wanted:
-        raise click.UsageError("--theta-per-episode: expected --trust or --compare-trust")
+        raise click.UsageError("--theta-per-episode: expected --trust or --compare-trust as well")
     if advice is None:
         if is_given("confidence"):
-            raise click.UsageError("--confidence: expected --advice")
+            raise click.UsageError("--confidence: expected --advice as well")
         return found
     if not found.wanted:
-        raise click.UsageError("--advice: expected --trust or --compare-trust")
+        raise click.UsageError("--advice: expected --trust or --compare-trust as well")
     context = click.get_current_context()
     for parameter in context.command.params:
         if parameter.name and parameter.name not in WITH_ADVICE and is_given(parameter.name):

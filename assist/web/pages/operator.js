@@ -199,7 +199,7 @@ async function tell(path, options, said) {
 }
 
 function erase(name) {
-  const reason = prompt(`Erase everything that is recorded of ${name}, for good? Enter a reason without the name.`);
+  const reason = prompt(`Erase everything that is recorded about ${name}, permanently? Enter a reason that does not contain the name.`);
   if (reason) tell(`/api/people/${encodeURIComponent(name)}/records?reason=${encodeURIComponent(reason)}`, { method: "DELETE" }, `The records of ${name} are erased.`);
 }
 

@@ -62,7 +62,7 @@ function remover(code) {
 
 function eraser(code) {
   const path = () => {
-    const reason = prompt(`Erase everything that is recorded of ${code}, for good? Enter a reason without the code.`);
+    const reason = prompt(`Erase everything that is recorded about ${code}, permanently? Enter a reason that does not contain the code.`);
     return reason ? `/api/people/${encodeURIComponent(code)}/records?reason=${encodeURIComponent(reason)}` : null;
   };
   return button(code, "Erase", path, `The records of ${code} are erased.`);

@@ -106,7 +106,7 @@ function next(seat) {
 
 /** Withdraw data by the code that the last page of the study showed. */
 function withdraws() {
-  tell("Your data will be in no table and no result. This cannot be undone.");
+  tell("Your data will not appear in any table or result. This cannot be undone.");
   at("withdraw").hidden = false;
   at("withdraw").addEventListener("submit", async (event) => {
     event.preventDefault();
