@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
+from websockets.sync.server import ServerConnection, serve
 
 from assist.web.client import Client, RefusedError
 
@@ -59,3 +60,25 @@ def test_a_report_is_sent_until_the_proxy_reaches_the_service(proxy: Proxy) -> N
 def test_a_refusal_without_json_is_one_sentence(proxy: Proxy) -> None:
     with pytest.raises(RefusedError, match="404 Not Found"):
         Client(proxy.link).act("(fetch box-a)")
+
+
+@pytest.mark.parametrize(("status", "is_restored"), [(502, True), (503, True), (403, False)])
+def test_a_watcher_waits_for_a_service_that_a_proxy_does_not_reach(status: int, is_restored: bool) -> None:
+    answers = [status, status, None]
+
+    def first(connection: ServerConnection, _: object) -> object:
+        found = answers.pop(0)
+        return None if found is None else connection.respond(found, "no service")
+
+    with serve(lambda connection: connection.send('{"seq": 1}'), "127.0.0.1", 0, process_request=first) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        watched = Client(f"http://127.0.0.1:{server.socket.getsockname()[1]}/join/ann#t", pause=0.01).watch()
+        if is_restored:
+            assert next(watched) == {"seq": 1}
+        else:
+            with pytest.raises(ConnectionRefusedError, match="403"):
+                next(watched)
+        watched.close()  # type: ignore[attr-defined]
+        server.shutdown()
+        thread.join()

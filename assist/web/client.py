@@ -194,7 +194,7 @@ class Client:
             The service cannot be reached within `patience`, or refuses the connection.
         """
         try:
-            from websockets.exceptions import ConnectionClosed, InvalidHandshake
+            from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
             from websockets.sync.client import connect
         except ImportError:
             raise MissingExtraError("watching needs", "websockets", "web") from None
@@ -208,7 +208,9 @@ class Client:
                         heard = time.monotonic()
                         yield json.loads(message)
             except InvalidHandshake as error:
-                raise ConnectionRefusedError(f"{self.url}{path}: {error}") from None
+                status = error.response.status_code if isinstance(error, InvalidStatus) else 0
+                if status not in AGAIN or time.monotonic() > heard + self.patience:
+                    raise ConnectionRefusedError(f"{self.url}{path}: {error}") from None
             except (OSError, ConnectionClosed):
                 if time.monotonic() > heard + self.patience:
                     raise

@@ -79,11 +79,15 @@ class Service:
         Largest number of queued reports; further ones are refused with status 503.
     batch : int
         Largest number of reports in one write to the disk. More would delay the first answer of a full batch.
+    connections : int
+        Largest number of open connections for one person's view, such as those of several tabs.
     """
 
     def __init__(
-        self, session: Session, access: AccessTokens, *, tick: float = 2.0, waiting: int = 5000, batch: int = 256
-    ) -> None:
+        self, session: Session, access: AccessTokens, *, tick: float = 2.0, waiting: int = 5000, batch: int = 256,
+        connections: int = 64,
+    ) -> None:  # fmt: skip
+        self._most_connections = connections
         self.session, self.access, self.tick, self._batch = session, access, tick, batch
         session.changed = self._seen
         self.views = {person: _json(self.session.person(person)) for person in self.session.people}
@@ -242,6 +246,10 @@ class Service:
                 await self.pass_on(Event("elapsed"))
 
     # Watching.
+
+    def is_crowded(self, person: str) -> bool:
+        """Whether no further connection for a person's view is accepted."""
+        return len(self._watchers.get(person, ())) >= self._most_connections
 
     def watch(self, person: str) -> Watcher:
         """Register a watcher of a person's view."""

@@ -12,7 +12,8 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from .service import Service
 
 DROPPED, REMOVED, DENIED, ENDS = 1013, 4404, 4403, 1012
-"""Close codes: the client did not read, the person left, access is denied, the service ends."""
+"""Close codes: the client did not read or has too many connections, the person left, access is denied, the service
+ends."""
 
 router = APIRouter()
 
@@ -54,6 +55,9 @@ async def person_events(socket: WebSocket, name: str) -> None:
     service: Service = socket.app.state.service
     if socket.state.caller.person not in (None, name) or name not in service.views:
         await socket.close(DENIED)
+        return
+    if service.is_crowded(name):
+        await socket.close(DROPPED)
         return
     await socket.accept(_accepted(socket))
     if name not in service.views:

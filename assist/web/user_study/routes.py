@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, HTTPException, Request, Response
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, WithJsonSchema
 
 from ...live.events import LONGEST_REASON
 from ...userstudy.cohort import StudyEvent
@@ -82,11 +82,22 @@ class Excluded(BaseModel):
     reason: str | None = Field(min_length=1, max_length=LONGEST_REASON)
 
 
+# The questionnaire checks answers, with clearer messages than those of a type that is a union.
+GivenAnswer = Annotated[
+    Any,
+    WithJsonSchema({
+        "anyOf": [
+            {"type": "number"}, {"type": "string"}, {"type": "array", "items": {"type": "string"}}, {"type": "null"},
+        ]
+    }),
+]  # fmt: skip
+
+
 class Onward(Once):
     """Request to complete a stage and proceed to the next one."""
 
     stage: str = Field(min_length=1, max_length=120, description="The stage that is completed.")
-    answers: dict[str, int | float | str | list[str] | None] | None = Field(
+    answers: dict[str, GivenAnswer] | None = Field(
         None, description="Answers, if the stage is a questionnaire; a list for several choices, null for none."
     )
 

@@ -47,6 +47,8 @@ class StudyService(Service):
         Whether simulated participants are admitted.
     look_every : float
         Seconds between two checks for idle and absent participants. The study's own limits are minutes.
+    connections : int
+        Largest number of open connections for one participant's view.
     """
 
     def __init__(
@@ -57,8 +59,11 @@ class StudyService(Service):
         ticks: bool = True,
         rehearsal: bool = False,
         look_every: float = 1.0,
+        connections: int = 64,
     ) -> None:
-        super().__init__(session, access, tick=1e7)  # effectively never: each team has a clock of its own
+        super().__init__(
+            session, access, tick=1e7, connections=connections
+        )  # effectively never: each team has a clock of its own
         self.study, self.folder, self.ticks, self.rehearsal = session.study, session.folder, ticks, rehearsal
         self._held: StudySession = session
         self._look_every = look_every

@@ -1,0 +1,177 @@
+"""A hostile visitor of a user study: every attack is refused in one sentence, and the study is undisturbed."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from starlette.websockets import WebSocketDisconnect
+from test_userstudy_pages import Web
+from userstudies import PLAN, SCORES
+
+from assist.web.cookies import cookie_of
+from assist.web.request_limits import LARGEST, Allowance
+from assist.web.tokens import VISITOR
+from planner import Table
+
+SCRIPT, FORMULA = "<script>alert(1)</script>", '=HYPERLINK("http://evil.example";"x")'
+CONNECTIONS = 8
+BURST = 60  # requests at once of one caller, fewer than by default, so that a flood is short
+
+
+def test_a_hostile_visitor_is_refused_and_disturbs_nobody(tiny: Table, tmp_path: Path) -> None:
+    text = PLAN.replace(f'practice = "{PLAN.split("practice = ")[1].split(chr(34))[1]}"\n', "")
+    web = Web(tiny, tmp_path, text, allowance=Allowance(burst=BURST, clock=lambda: 0.0), connections=CONNECTIONS)
+    with web.client:
+        attacks(web, tiny)
+
+
+def attacks(web: Web, table: Table) -> None:
+    ask, key = web.ask, {"key": "k" * 24}
+    links = ask("POST", "/api/study/links", json={"participants": ["7", "8"]}).json()["links"]
+    seven, eight = (parse_qs(urlsplit(link).query)["signature"][0] for link in links.values())
+
+    def joins(**body: Any) -> Any:
+        return ask("POST", "/api/study/seats", VISITOR, json=body)
+
+    ann = joins(id="participant 7", signature=seven).json()["person"]
+    eve = joins(id="eve").json()["person"]
+    own, hers = f"/api/people/{ann}", f"/api/study/participants/{ann}"
+    mine = f"/api/study/participants/{eve}"
+    assert web.onward(ann, "consent", id="once").status_code == 200
+    cookie = {"Cookie": f"{cookie_of(web.access.base, f'person {ann}')}={web.access.token(ann)}"}
+    named = {**cookie, "Kitassist-Caller": f"person%20{ann}"}
+    cross = {**named, "Origin": "https://evil.example", "Sec-Fetch-Site": "cross-site"}
+    deep: Any = "x"
+    for _ in range(500):
+        deep = [deep]
+
+    def raw(method: str, path: str, **more: Any) -> Callable[[], Any]:
+        return lambda: web.client.request(method, path, **more)
+
+    def by(who: str | None, method: str, path: str, **body: Any) -> Callable[[], Any]:
+        return lambda: ask(method, path, who, **({"json": body} if body else {}))
+
+    refused: dict[str, tuple[int, Callable[[], Any]]] = {
+        # Other people's rows.
+        "no token": (401, raw("GET", own)),
+        "a guessed token": (401, raw("GET", own, headers={"Authorization": "Bearer " + "a" * 32})),
+        "another's view": (403, by(eve, "GET", own)),
+        "another's view by the join link": (403, by(VISITOR, "GET", own)),
+        "another's drawing": (403, by(eve, "GET", f"{own}/drawing")),
+        "another's action": (403, by(eve, "POST", f"{own}/actions", action="(fetch box-a)")),
+        "another's progress": (403, by(eve, "POST", f"{hers}/onward", stage="instructions")),
+        "another's withdrawal": (403, by(eve, "POST", f"{hers}/withdraw")),
+        "another's withdrawal code": (403, by(eve, "GET", f"{hers}/withdrawal")),
+        "a guessed withdrawal code": (404, by(VISITOR, "POST", "/api/study/withdrawals", code=f"{ann}-22222222")),
+        "another's records erased": (403, by(eve, "DELETE", f"{own}/records?reason=x")),
+        "another excluded": (403, by(eve, "POST", f"{hers}/exclude", reason="x")),
+        "everybody's stages": (403, by(eve, "GET", "/api/study")),
+        "everybody's data": (403, by(eve, "GET", "/api/study/export")),
+        "everybody's data by a guessed link": (403, raw("GET", "/study/export/x")),
+        "everybody's actions": (403, by(eve, "GET", "/api/log")),
+        "the secret by its path": (404, raw("GET", "/study/pages/..%2f..%2f..%2fsecret")),
+        # Seats.
+        "a seat by its ID": (403, lambda: joins(id="participant 7")),
+        "a seat by its ID and a key": (409, lambda: joins(id="participant 7", **key)),
+        "a seat by a forged signature": (403, lambda: joins(id="participant 7", signature="a" * 32)),
+        "a seat by another's signature": (403, lambda: joins(id="participant 7", signature=eight)),
+        "signed links": (403, by(VISITOR, "POST", "/api/study/links", participants=["9"])),
+        "a second seat": (403, by(eve, "POST", "/api/study/seats", id="second")),
+        "a simulated seat": (403, lambda: joins(id="bot", simulated=True)),
+        # Replay, and stages out of order.
+        "a stage again": (409, by(ann, "POST", f"{hers}/onward", stage="consent")),
+        "the last stage at once": (409, by(eve, "POST", f"{mine}/onward", stage="thanks")),
+        "an action before the task": (409, by(eve, "POST", f"/api/people/{eve}/actions", action="(fetch box-a)")),
+        "an undone action": (409, by(eve, "POST", f"/api/people/{eve}/undo")),
+        # What is too large or of another form.
+        "answers where none are asked": (422, by(eve, "POST", f"{mine}/onward", stage="consent", answers={"a": 1})),
+        "a large form": (413, by(eve, "POST", f"{mine}/onward", stage="consent", answers={"a": "x" * LARGEST})),
+        "a deep form": (422, by(eve, "POST", f"{mine}/onward", stage="consent", answers={"a": deep})),
+        "no JSON": (422, raw("POST", f"{mine}/onward", content=b"\xff\x00", headers=bearer(web, eve))),
+        "markup as a stage": (409, by(eve, "POST", f"{mine}/onward", stage=SCRIPT)),
+        "markup as a code": (404, by(VISITOR, "POST", "/api/study/withdrawals", code=SCRIPT)),
+        "markup as a participant": (404, by(None, "GET", f"/api/people/{SCRIPT.replace('/', '%2F')}")),
+        # Another site's page, in the browser of a participant.
+        "a cross-site post": (403, raw("POST", f"{hers}/withdraw", headers=cross)),
+        "a cross-site form": (403, raw("POST", f"{hers}/withdraw", headers=cross, data={"a": "b"})),
+        "a cross-site reading": (403, raw("GET", own, headers=cross)),
+    }  # fmt: skip
+    events, view = ask("GET", "/api/study").json()["events"], ask("GET", own, ann).json()
+    assert len(refused) >= 30
+    for name, (status, attack) in refused.items():
+        answer = attack()
+        assert answer.status_code == status, (name, answer.status_code, answer.text[:200])
+        said = answer.json()
+        assert set(said) == {"detail"}, name
+        assert "\n" not in said["detail"].strip(), name
+        assert 5 < len(said["detail"]) < 300, (name, said)
+        assert "Traceback" not in said["detail"]
+
+    def connects(who: str, headers: dict[str, str] | None = None, protocols: list[str] | None = None) -> Any:
+        own_token = ["kitassist", f"token.{web.access.token(who)}"]
+        return web.client.websocket_connect(
+            f"/api/people/{ann}/events", subprotocols=protocols or own_token, headers=headers or {}
+        )
+
+    for who, headers, protocols in ((eve, None, None), (ann, {**cookie, "Origin": "https://evil.example"},
+                                    ["kitassist", f"caller.person%20{ann}"])):  # fmt: skip
+        with pytest.raises(WebSocketDisconnect) as closed, connects(who, headers, protocols):
+            pass
+        assert closed.value.code == 4403
+
+    # Floods: of a participant's connections, and of requests. Neither stops another participant.
+    with ExitStack() as held:
+        token = f"token.{web.access.token(eve)}"
+        opened = 0
+        path, codes = f"/api/people/{eve}/events", list[int]()
+        while not codes:
+            try:
+                held.enter_context(web.client.websocket_connect(path, subprotocols=["kitassist", token]))
+                opened += 1
+            except WebSocketDisconnect as refusal:
+                codes.append(refusal.code)
+        assert (opened, codes) == (CONNECTIONS, [1013])
+    flood = [web.client.get(own).status_code for _ in range(2 * BURST)]
+    assert flood[-1] == 429
+    assert "too many requests" in web.client.get(own).json()["detail"]
+
+    # Nothing has changed, a repeated request has one effect, and the participant goes on to the end.
+    assert ask("GET", own, ann).json() == view
+    assert ask("GET", "/api/study").json()["events"] == events
+    web.onward(ann, "consent", id="once")
+    assert ask("GET", own, ann).json() == view
+    web.onward(ann, "instructions")
+    for action in table.optimal_plan(table.initial) or ():
+        assert ask("POST", f"{own}/actions", ann, json={"action": action}).status_code == 200
+    web.onward(ann, "task tiny")
+    bad = [{}, {"mental": SCRIPT}, {**SCORES["nasa-tlx"], "mental": 105}, {**SCORES["nasa-tlx"], FORMULA: 5}]
+    for answers in bad:
+        answer = web.onward(ann, "questionnaire nasa-tlx", answers=answers)
+        assert (answer.status_code, set(answer.json())) == (422, {"detail"})
+        assert answer.json()["detail"].startswith("answers.")
+    web.onward(ann, "questionnaire nasa-tlx", answers=SCORES["nasa-tlx"])
+    web.onward(ann, "questionnaire trust", answers=SCORES["trust"])
+    too_long = web.onward(ann, "questionnaire remarks", answers={"remarks": "x" * 4001})
+    assert too_long.json()["detail"] == "answers.remarks: expected a text of at most 4,000 characters"
+    done = web.onward(ann, "questionnaire remarks", answers={"remarks": FORMULA + SCRIPT})
+    assert done.json()["study"]["kind"] == "thanks"
+    packed = zipfile.ZipFile(io.BytesIO(ask("GET", "/api/study/export").content))
+    everything = {name: packed.read(name).decode() for name in packed.namelist() if name.endswith(".csv")}
+    people = everything["participants.csv"].splitlines()[1:]
+    assert [(row.split(",")[0], row.split(",")[1]) for row in people] == [(ann, "false"), (eve, "false")]
+    cells = [cell for name, text in everything.items() for row in text.splitlines() for cell in row.split(",")]
+    assert any(cell.startswith("\"'=HYPERLINK") for cell in cells)  # a text, not a formula
+    assert not any(cell.startswith(("=", '"=')) for cell in cells)
+    assert json.loads(done.text)["study"]["completion"] in everything["participants.csv"]
+
+
+def bearer(web: Web, who: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {web.access.token(who)}", "Content-Type": "application/json"}
