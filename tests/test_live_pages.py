@@ -8,13 +8,15 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
-from conftest import KITTING, table_of
+from conftest import KITTING, ROOT, table_of
 
 from assist.cli import main
 from assist.drawing import Artist
@@ -448,3 +450,34 @@ def test_an_animation_is_a_page_that_everybody_can_use(chromium: Any, artist: Ar
     assert page.locator("figure:visible").count() == 1
     assert "Return box-a to storage" in page.inner_text("figure:visible figcaption")
     page.close()
+
+
+@pytest.mark.slow
+def test_two_robots_serve_six_people_and_the_page_shows_both(chromium: Any, tmp_path: Path) -> None:
+    from serving import served
+
+    people = ("--humans", 6, "--simulate", 6, "--pace", 0.2, "--beta", 0.1, 0.3, "--c-suggest", 0.05, "--c-move", 0.01)
+    script = [sys.executable, ROOT / "docs" / "examples" / "robot.py"]
+    with served(*people, "--robots", 2, "--travel-time", 1, "--data", tmp_path) as running:
+        robots = [
+            subprocess.Popen([*script, running.operator, str(number)], stdout=subprocess.PIPE, text=True)
+            for number in (1, 2)
+        ]
+        page = chromium.new_page()
+        page.set_default_timeout(PATIENCE)
+        page.goto(running.operator)
+        section = page.get_by_role("region", name="The robots")
+        assert section.get_by_role("heading", level=3).all_inner_texts() == ["Robot 1", "Robot 2"]
+        for number in (1, 2):
+            page.get_by_text(f"robot {number} here", exact=True).first.wait_for()
+        section.get_by_text("On the way to").or_(section.get_by_text("Goes to")).first.wait_for()
+        section.get_by_text("Serves").first.wait_for()
+        assert violations(page) == []
+        said = [robot.communicate(timeout=120)[0].splitlines() for robot in robots]
+        seen = running.ask("GET", "/api/team").json()
+        page.close()
+    for lines in said:
+        assert any(line.startswith("going to simulated-") for line in lines)
+    assert any(line.startswith("to simulated-") for lines in said for line in lines)
+    assert len(seen["robots"]) == 2
+    assert all(person["finished"] for person in seen["people"])
