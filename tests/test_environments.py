@@ -35,9 +35,9 @@ def total(env: TeamEnv, policy: str) -> list[float]:
         env.reset(seed=5 if episode == 0 else None)
         discounted, step, over = 0.0, 0, False
         while not over:
-            action = env.encode(chooses(env.team)) if env.is_free else 0
+            action = env.encode(chooses(env.team)) if env.is_free else np.zeros_like(env.action_space.sample())
             _, reward, terminated, truncated, info = env.step(action)
-            assert not info["illegal"]
+            assert not np.any(info["illegal"])
             discounted += env.pool.setting.gamma**step * reward
             step, over = step + 1, terminated or truncated
         returns.append(discounted)
@@ -211,3 +211,34 @@ def test_an_environment_needs_its_extra(tmp_path: Path, monkeypatch: pytest.Monk
         with pytest.raises(MissingExtraError, match=r"environments need gymnasium: .*\[gym\]"):
             importlib.import_module(name)
     assert tmp_path.exists()
+
+
+@pytest.mark.parametrize("travel_time", [0.0, 2.0])
+def test_an_episode_of_two_robots_is_the_simulators(tiny_choices: Choices, travel_time: float) -> None:
+    setting = Setting(c_suggest=0.1, travel_time=travel_time, robots=2, max_steps=30)
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
+    found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5)
+    assert total(TeamEnv(pool, 3), "priority") == pytest.approx(found.discounted_return.tolist())
+
+
+def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None:
+    slow = {"instance": "kitting/tiny", "humans": 3, "people": 4, "setting": Setting(robots=2, travel_time=1)}
+    env = gymnasium.make("kitassist/Team-v0", **slow)
+    check_env(env.unwrapped, skip_render_check=True)
+    many = gymnasium.make_vec("kitassist/Team-v0", num_envs=16, **slow)
+    seen, info = many.reset(seed=1)
+    many.action_space.seed(1)
+    collided = False
+    for _ in range(60):
+        assert seen in many.observation_space
+        assert ((seen["location"][:, 0] != seen["location"][:, 1]) | (seen["location"] == 0).all(axis=1)).all()
+        assert (info["action_mask"][~seen["free"].astype(bool)][:, 1:] == 0).all()
+        numbers = many.action_space.sample()
+        allowed = np.take_along_axis(info["action_mask"], numbers[..., None], axis=2)[..., 0] > 0
+        seen, *_, info = many.step(numbers)
+        collided |= bool((info["illegal"] & allowed).any())
+    assert collided
+    with pytest.raises(ValueError, match=r"expected 0 to \d+, for each of 2 robots"):
+        env.unwrapped.step(0)
+    with pytest.raises(ValueError, match="robots 2: expected 1, as each station has one robot"):
+        parallel_env(instance="kitting/tiny", humans=2, setting=Setting(robots=2))

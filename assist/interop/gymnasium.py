@@ -55,34 +55,39 @@ class _Desk:
         self.sight = Sight(self.teams, beliefs=beliefs)
         self.actions = 1 + humans * self.sight.robots
 
-    def spaces(self) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Discrete]:
+    def spaces(self) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Space[Any]]:
         """Return the observation space and the action space of one team."""
         spaces, sight, humans = gymnasium.spaces, self.sight, self.teams.x.shape[1]
-        seen = {
-            "action_mask": spaces.MultiBinary(self.actions),
+        robots = self.teams.pool.setting.robots
+        seen: dict[str, gymnasium.spaces.Space[Any]] = {
+            "action_mask": spaces.MultiBinary(self.actions if robots == 1 else [robots, self.actions]),
             "active": spaces.MultiBinary(humans),
             "alone": spaces.Box(0.0, 1.0, (humans, sight.robots), np.float32),
             "cost_to_go": spaces.Box(0.0, sight.largest, (humans,), np.float32),
             "erred": spaces.MultiBinary(humans),
-            "free": spaces.Discrete(2),
-            "location": spaces.Discrete(humans + 1),
+            "free": spaces.Discrete(2) if robots == 1 else spaces.MultiDiscrete([2] * robots),
+            "location": spaces.Discrete(humans + 1) if robots == 1 else spaces.MultiDiscrete([humans + 1] * robots),
             "model": spaces.MultiDiscrete([sight.models] * humans),
             "state": spaces.MultiDiscrete([sight.states] * humans),
         }
         if sight.beliefs:
             seen["belief"] = spaces.Box(0.0, 1.0, (humans, *sight.hidden), np.float32)
-        return spaces.Dict(seen), spaces.Discrete(self.actions)
+        one = spaces.Discrete(self.actions)
+        return spaces.Dict(seen), one if robots == 1 else spaces.MultiDiscrete([self.actions] * robots)
 
     def mask(self) -> NDArray[np.int8]:
-        """Return the mask of possible actions, shape (N, actions).
+        """Return the mask of possible actions, shape (N, actions), or (N, M, actions) with M robots.
 
         Action 0 (do nothing) is always possible. It is the only one while the robot is under way.
         """
         teams = self.teams
         possible = self.sight.mask() * ~teams.finished[:, :, None]
-        possible[:, :, 1:] *= (teams.travel.steps[teams.location][:, :-1] == 0)[:, :, None]  # the robot acts on arrival
-        flat = possible.reshape(len(possible), -1) * teams.free()[:, None]
-        return np.concatenate([np.ones((len(flat), 1), dtype=np.int8), flat.astype(np.int8)], axis=1)
+        if teams.location.ndim > 1:
+            possible = np.repeat(possible[:, None], teams.location.shape[1], axis=1)
+        possible[..., 1:] *= (teams.travel.steps[teams.location][..., :-1] == 0)[..., None]  # the robot acts on arrival
+        possible *= teams.reachable()[..., None]
+        flat = possible.reshape(*possible.shape[:-2], -1).astype(np.int8)
+        return np.concatenate([np.ones((*flat.shape[:-1], 1), dtype=np.int8), flat], axis=-1)
 
     def observe(self) -> Observation:
         """Return the observation of all teams; the first axis of each array is the team, N."""
@@ -94,7 +99,7 @@ class _Desk:
         }
 
     def decode(self, numbers: NDArray[np.int64]) -> TeamAction:
-        """Return the team actions that numbers of shape (N,) stand for.
+        """Return the team actions that numbers of shape (N,), or (N, M) with M robots, stand for.
 
         0 does nothing; 1 + k R + r sends the robot to person k and does robot action r there.
         """
@@ -103,7 +108,7 @@ class _Desk:
         return TeamAction(np.where(stays, NOBODY, person), np.where(stays, 0, robot))
 
     def encode(self, action: TeamAction) -> NDArray[np.int64]:
-        """Return the numbers of team actions, shape (N,); the inverse of `decode`."""
+        """Return the numbers of team actions; the inverse of `decode`."""
         return np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.robot)
 
     def step(
@@ -113,7 +118,7 @@ class _Desk:
 
         Returns
         -------
-        illegal : bool array, shape (N,)
+        illegal : bool array, shape (N,), or (N, M) with M robots
             Whether the action was impossible and did nothing.
         done : pair of int arrays, shape (N, K)
             The robot action on each person, and the slot of each person's action.
@@ -121,8 +126,10 @@ class _Desk:
             In cost units.
         """
         teams = self.teams
-        illegal = self.mask()[np.arange(len(numbers)), numbers] == 0
-        moved = np.zeros(len(numbers), dtype=bool)
+        illegal = np.take_along_axis(self.mask(), numbers[..., None], axis=-1)[..., 0] == 0
+        if numbers.ndim > 1:
+            illegal |= teams.collisions(self.decode(np.where(illegal, 0, numbers)).person)
+        moved = np.zeros(numbers.shape, dtype=bool)
         moved[rows] = ~illegal[rows]
         robot, way = teams.send(self.decode(np.where(moved, numbers, 0)))
         drawn = np.empty((*teams.x.shape, 2))
@@ -134,12 +141,16 @@ class _Desk:
 
 
 class TeamEnv(gymnasium.Env):
-    """One robot and a team of K people, as an environment with one agent.
+    """A robot and a team of K people, as an environment with one agent.
 
     Action 0 does nothing. Action 1 + k R + r sends the robot to person k, where it does robot action r: 0 says nothing,
     the others suggest. `action_mask`, in the observation and in `info`, marks the possible actions. An impossible one
     does nothing and sets `info["illegal"]`. The reward is minus the cost of the step, in cost units, undiscounted. An
     episode terminates when all people have finished and is truncated after `setting.max_steps` steps.
+
+    With M robots, M > 1 (`setting.robots`), an action is M such numbers, one for each robot. `location`, `free`,
+    `action_mask` and `illegal` then have an entry for each robot. A robot that is sent to a person with whom another
+    one is, or to whom one with a lower number goes, stays where it is.
 
     After `reset(seed=s)` the episodes are episodes 0, 1, ... of `simulate(pool, ..., humans=K, episodes=n, seed=s)`,
     with the same random numbers. The same actions therefore have the same outcome. `team` is the state that team
@@ -203,16 +214,17 @@ class TeamEnv(gymnasium.Env):
 
     @property
     def is_free(self) -> bool:
-        """Whether the robot has arrived and may act."""
-        return bool(self._desk.teams.free()[0])
+        """Whether a robot has arrived and may act."""
+        return bool(self._desk.teams.free()[0].any())
 
-    def encode(self, action: TeamAction) -> int:
-        """Return the number of a team policy's action."""
-        return int(self._desk.encode(action)[0])
+    def encode(self, action: TeamAction) -> Any:
+        """Return the number of a team policy's action, or an array of M numbers."""
+        numbers = self._desk.encode(action)[0]
+        return numbers if numbers.ndim else int(numbers)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return the mask of possible actions, shape (actions,); the interface of MaskablePPO in sb3-contrib."""
-        return self._desk.mask()[0].astype(bool)
+        """Return the mask of possible actions, shape (actions,), or (M * actions,): the interface of MaskablePPO."""
+        return self._desk.mask()[0].astype(bool).reshape(-1)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -238,9 +250,9 @@ class TeamEnv(gymnasium.Env):
         people = np.array([options["team"]], dtype=np.int64) if "team" in options else drawn
         teams.begin(np.zeros(1, dtype=np.int64), people, lambda: draws.draw(0, np.zeros(1, dtype=np.int64)))
         self._seen = []
-        return self._observation(), self._info(illegal=False)
+        return self._observation(), self._info(np.zeros(teams.location.shape[1:], dtype=bool))
 
-    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Apply the robot's action, then let each person who has not finished act once.
 
         Raises
@@ -253,24 +265,27 @@ class TeamEnv(gymnasium.Env):
         if self._draws is None:
             raise gymnasium.error.ResetNeeded("step: expected reset before it")
         teams = self._desk.teams
-        number = np.array([int(action)])
-        if not 0 <= number[0] < self._desk.actions:
-            raise ValueError(f"action {action}: expected 0 to {self._desk.actions - 1}")
+        robots = teams.pool.setting.robots
+        number = np.array([int(action)]) if robots == 1 else np.asarray(action, dtype=np.int64)[None]
+        if number.shape != teams.location.shape or not ((number >= 0) & (number < self._desk.actions)).all():
+            each = "" if robots == 1 else f", for each of {robots} robots"
+            raise ValueError(f"action {action}: expected 0 to {self._desk.actions - 1}{each}")
         before = teams.x[0].copy()
         illegal, (robot, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number, self._draws)
         if self.render_mode is not None:
             self._remember(before, robot[0], slot[0])
         terminated = bool(teams.finished.all())
         truncated = not terminated and bool(teams.clock[0] >= teams.pool.setting.max_steps)
-        return self._observation(), float(reward[0]), terminated, truncated, self._info(illegal=bool(illegal[0]))
+        return self._observation(), float(reward[0]), terminated, truncated, self._info(illegal[0])
 
     def _observation(self) -> Observation:
         return {name: array[0] for name, array in self._desk.observe().items()}
 
-    def _info(self, *, illegal: bool) -> dict[str, Any]:
+    def _info(self, illegal: NDArray[np.bool_]) -> dict[str, Any]:
         teams = self._desk.teams
         return {
-            "action_mask": self._desk.mask()[0], "illegal": illegal, "episode_number": self._episode,
+            "action_mask": self._desk.mask()[0], "illegal": illegal if illegal.ndim else bool(illegal),
+            "episode_number": self._episode,
             "people": teams.people[0].copy(), "steps": int(teams.clock[0]),
         }  # fmt: skip
 
@@ -301,7 +316,7 @@ class TeamEnv(gymnasium.Env):
         if self._stage is None:
             self._stage = EnvironmentPicture(self._instance)
         teams = self._desk.teams
-        there = int(teams.location[0]) if self.is_free else BASE
+        there = np.where(teams.free()[0], teams.location[0], BASE).reshape(-1).tolist()
         return self._stage.draw(
             self._seen, teams.finished[0], there, int(teams.clock[0]), as_svg=self.render_mode == "svg"
         )
@@ -352,11 +367,11 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         return self._desk.teams.state()
 
     def encode(self, action: TeamAction) -> NDArray[np.int64]:
-        """Return the numbers of a team policy's actions, shape (N,)."""
+        """Return the numbers of a team policy's actions, shape (N,), or (N, M) with M robots."""
         return self._desk.encode(action)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return the mask of possible actions, shape (N, actions)."""
+        """Return the mask of possible actions, shape (N, actions), or (N, M, actions) with M robots."""
         return self._desk.mask().astype(bool)
 
     def reset(
@@ -380,7 +395,7 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         self._draws = CommonRandomNumbers(number, np.arange(self.num_envs), teams.x.shape[1])
         self._begin(np.arange(self.num_envs), self._draws)
         self._ended = np.zeros(self.num_envs, dtype=bool)
-        return self._observed(np.zeros(self.num_envs, dtype=bool))
+        return self._observed(np.zeros(teams.location.shape, dtype=bool))
 
     def _begin(self, rows: NDArray[np.int64], draws: CommonRandomNumbers) -> None:
         people = draws.team(len(self.pool.people))[rows]
@@ -393,16 +408,17 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         if self._draws is None:
             raise gymnasium.error.ResetNeeded("step: expected reset before it")
         numbers = np.asarray(actions, dtype=np.int64)
-        if numbers.shape != (self.num_envs,) or (numbers < 0).any() or (numbers >= self._desk.actions).any():
-            raise ValueError(f"actions: expected {self.num_envs} numbers from 0 to {self._desk.actions - 1}")
         teams, ended = self._desk.teams, self._ended
+        if numbers.shape != teams.location.shape or (numbers < 0).any() or (numbers >= self._desk.actions).any():
+            each = "" if numbers.ndim == teams.location.ndim == 1 else f" in an array of shape {teams.location.shape}"
+            raise ValueError(f"actions: expected {self.num_envs} numbers from 0 to {self._desk.actions - 1}{each}")
         illegal, _, reward = self._desk.step(np.flatnonzero(~ended), numbers, self._draws)
         if ended.any():
             self._begin(np.flatnonzero(ended), self._draws)
         terminated = np.logical_and.reduce(teams.finished, axis=1)
         truncated = ~terminated & (teams.clock >= self.pool.setting.max_steps)
         self._ended = terminated | truncated
-        seen, info = self._observed(illegal & ~ended)
+        seen, info = self._observed(illegal & ~(ended if illegal.ndim == 1 else ended[:, None]))
         return seen, np.where(ended, 0.0, reward), terminated, truncated, info
 
     def _observed(self, illegal: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:

@@ -30,8 +30,9 @@ class EnvironmentPicture:
         self.artist = Artist(load(instance))
 
     def draw(
-        self, done: Sequence[tuple[int, str]], finished: NDArray[np.bool_], robot: int, step: int, *, as_svg: bool
-    ) -> Any:
+        self, done: Sequence[tuple[int, str]], finished: NDArray[np.bool_], robots: Sequence[int], step: int, *,
+        as_svg: bool,
+    ) -> Any:  # fmt: skip
         """Draw all tasks after a sequence of actions.
 
         Parameters
@@ -39,8 +40,8 @@ class EnvironmentPicture:
         done : sequence of (int, str)
             The person (0 to K - 1) and the ground action, in order.
         finished : bool array, shape (K,)
-        robot : int
-            The person whom the robot is with; any other number if it is with none.
+        robots : sequence of int
+            The person whom each robot is with; any other number if it is with none.
         step : int
         as_svg : bool
             Return the text of an SVG document instead of an array of shape (height, width, 3).
@@ -55,7 +56,7 @@ class EnvironmentPicture:
             actions = [action for at, action in done if at == place]
             values = self.artist.subject.follow(actions)[-1]
             last = "has finished" if ended else self.artist.say(actions[-1]) if actions else ""
-            rows.append((Frame(tuple(values), f"person {place + 1}, step {step}", last, robot=place == robot),))
+            rows.append((Frame(tuple(values), f"person {place + 1}, step {step}", last, robot=place in robots),))
         (picture,) = draw_frames(self.artist, rows, theme="light")
         if as_svg:
             return picture.svg

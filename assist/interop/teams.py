@@ -43,7 +43,7 @@ def pool_of(
 
 
 class Teams:
-    """N teams of K people each, with one robot per team.
+    """N teams of K people each, with the robots of the pool's setting.
 
     Attributes
     ----------
@@ -51,13 +51,15 @@ class Teams:
         As in `TeamState`; `people` are indices into the pool.
     belief : float array, shape (N, K, B, T), or None
         The belief over (beta, theta) of each person; None without `filters`.
-    location, busy_until, clock : int arrays, shape (N,)
-        Where the robot is or is going, the step of its arrival, and the number of steps of the episode so far.
+    location, busy_until : int arrays, shape (N,), or (N, M) with M robots, M > 1
+        Where the robot is or is going, and the step of its arrival.
+    clock : int array, shape (N,)
+        Number of steps of the episode so far.
 
     Raises
     ------
     ValueError
-        The pool is of a truncated task, or has several robots.
+        The pool is of a truncated task.
     """
 
     def __init__(
@@ -73,7 +75,6 @@ class Teams:
         for policy in pool.policies:
             policy.require_enumerated("pool")
             policy.pomdp.model.choices.require_one_goal("an environment")
-        pool.setting.require_one_robot("an environment")
         self.pool, self.on_grid = pool, world == "model"
         self.travel = pool.setting.travel(places, distance)
         self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}
@@ -88,7 +89,8 @@ class Teams:
         self.beta, self.theta = np.zeros(shape), np.zeros(shape)
         self.finished, self.erred = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
         self.belief = np.zeros((*shape, *self._prior.shape[1:])) if filters else None
-        self.location, self.busy_until, self.clock = (np.zeros(teams, dtype=np.int64) for _ in range(3))
+        robots, self.clock = pool.setting.robots, np.zeros(teams, dtype=np.int64)
+        self.location, self.busy_until = np.zeros((2, teams, *([robots] if robots > 1 else [])), dtype=np.int64)
 
     def begin(self, rows: NDArray[np.int64], people: NDArray[np.int64], draw: Callable[[], Floats]) -> None:
         """Begin an episode in some teams.
@@ -113,26 +115,56 @@ class Teams:
             _, self.who[rows], self.beta[rows], self.theta[rows] = from_the_prior(pomdps, self.model[rows], draw())
 
     def free(self) -> NDArray[np.bool_]:
-        """Return which robots are not under way, shape (N,)."""
-        return self.busy_until <= self.clock
+        """Return which robots are not under way, in the shape of `location`."""
+        return self.busy_until <= (self.clock if self.busy_until.ndim == 1 else self.clock[:, None])
+
+    def reachable(self) -> NDArray[np.bool_]:
+        """Return to which people each robot may be sent, shape (N, K), or (N, M, K) with M robots.
+
+        Nobody to whom another robot is under way, and nobody while the robot itself is.
+        """
+        free = self.free()
+        going = np.repeat(free[..., None], self.x.shape[1], axis=-1)
+        if free.ndim > 1:
+            teams, robots = np.nonzero(~free)
+            going[teams, :, self.location[teams, robots]] = False
+        return going
 
     def state(self) -> TeamState:
         """Return the state that team policies read; its step is the largest clock of any team."""
         return TeamState(
             step=int(self.clock.max()), x=self.x, active=~self.finished, erred=self.erred, location=self.location,
             model=self.model, belief=self.belief, policies=self.pool.policies, travel=self.travel,
+            free=self.free() if self.location.ndim > 1 else None,
         )  # fmt: skip
 
     def send(self, action: TeamAction) -> tuple[NDArray[np.int64], Floats]:
         """Send the robots; return their action on each person and the cost of moving (cost units), shape (N, K)."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
-        rows = np.flatnonzero(action.person != NOBODY)
-        to, origin = action.person[rows], self.location[rows]
-        robot[rows, to] = action.robot[rows]
+        sent = np.nonzero(action.person != NOBODY)
+        rows, to, origin = sent[0], action.person[sent], self.location[sent]
+        robot[rows, to] = action.robot[sent]
         charged[rows, to] = self.travel.c_move * self.travel.distance[origin, to]
-        self.busy_until[rows] = self.clock[rows] + self.travel.steps[origin, to]
-        self.location[rows] = to
+        self.busy_until[sent] = self.clock[rows] + self.travel.steps[origin, to]
+        self.location[sent] = to
         return robot, charged
+
+    def collisions(self, person: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which of several robots are sent to where another one is or goes, shape (N, M).
+
+        Of two robots that are sent to a person, the first one goes there. A robot that is not sent stays, so that
+        nobody else can come to its place.
+        """
+        refused = np.zeros(person.shape, dtype=bool)
+        while True:
+            after = np.where((person == NOBODY) | refused, self.location, person)
+            moves = after != self.location
+            same = (after[:, :, None] == after[:, None]) & (after != BASE)[:, :, None]
+            before = np.tri(person.shape[1], k=-1, dtype=bool)  # [m, l]: l is before m
+            wrong = moves & (same & (before | ~moves[:, None])).any(axis=2)
+            if not wrong.any():
+                return refused
+            refused |= wrong
 
     def step(
         self, rows: NDArray[np.int64], robot: NDArray[np.int64], draws: Floats
