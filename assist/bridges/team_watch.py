@@ -13,13 +13,13 @@ LOG = logging.getLogger(__name__)
 
 
 class Tasks:
-    """Coroutines that run beside each other; the failure of one is logged."""
+    """Coroutines that run at the same time; the failure of one is logged."""
 
     def __init__(self) -> None:
         self._tasks: set[asyncio.Task[None]] = set()
 
     def start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Run a coroutine beside the others."""
+        """Run a coroutine at the same time as the others."""
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._ended)
@@ -90,7 +90,7 @@ class TeamWatch:
             await asyncio.sleep(self._every)
 
     def follow(self, person: str) -> None:
-        """Watch a person from now on, if nobody does yet."""
+        """Watch a person from now on, unless the person is watched already."""
         task = self._watched.get(person)
         if task is None or task.done():
             self._watched[person] = self._tasks.start(self._watch(person))

@@ -3,7 +3,7 @@
 A person pursues one of G goals and chooses by the Boltzmann choice (equation 5) on the exact cost-to-go of that goal.
 The hidden type is the pair of the goal and beta. Beta belongs to the person and takes the values of a grid. The belief
 in it is carried over from each episode of a person to the next, in the order of `Recording`. The goal of each episode
-is drawn anew from the prior. The posterior is then the normalised product of the prior and of the probabilities of all
+is drawn from the prior. The posterior is then the normalised product of the prior and of the probabilities of all
 actions, without any approximation.
 """
 

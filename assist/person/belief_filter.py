@@ -89,9 +89,9 @@ def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Prob
 
 @njit()
 def exclude_reached(belief: Floats, x: int, m: ProblemArrays) -> None:
-    """Condition a belief, shape (G * B, T), on the fact that a person in row `x` goes on: their goal is not reached.
+    """Condition a belief, shape (G * B, T), on the goal not being reached in row `x`, since the person goes on working.
 
-    A belief in which every goal is reached stays as it is.
+    A belief in which every goal is reached does not change.
     """
     betas = m.chosen.shape[2]
     goals = len(belief) // betas

@@ -54,7 +54,7 @@ class Item:
     reversed : bool
         Whether a high answer means a low score.
     correct : int, float, str or None
-        For attention checks, the answer of somebody who reads the question. Such items are in no score.
+        For attention checks, the answer that the question asks for. Such items are not part of a score.
     conditions : tuple of str
         The conditions in which the question is asked; empty: all.
     """

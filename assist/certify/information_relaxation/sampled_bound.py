@@ -411,7 +411,7 @@ def _code(t: int, state: Ints, radix: Ints, team: _Team) -> int:
 def _without_attention(state: Ints, idle: Ints, team: _Team) -> int:
     """Fill in each person's edge without attention, `END` if there is none; return the person who then must have it.
 
-    A robot on its way to a person continues. The number is -1 if nobody must have attention.
+    A robot on its way to a person continues. The number is -1 if there is no such person.
     """
     forced = -1
     for k in range(len(state)):
