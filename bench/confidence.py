@@ -24,11 +24,11 @@ from joint import joint_bounds
 from scipy.special import stdtrit
 from tables import cell, record_option, write_record
 
-from assist.certify.computation import BoundOptions
 from assist.certify.information_relaxation.belief_nodes import BeliefNodes
 from assist.certify.information_relaxation.confidence import CONFIDENCE, FEWEST, SampledBound
 from assist.certify.information_relaxation.options import RelaxationOptions
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
+from assist.certify.options import BoundOptions
 from assist.certify.prices import kinds_of, search, window_of
 from assist.cli.options.help import Command
 from assist.people.belief import Grid

@@ -32,14 +32,15 @@ import numpy as np
 from graphs import graph_task
 from tables import Columns, cell, record_option, write_record
 
-from assist.certify.computation import BoundOptions
+from assist.certify.options import BoundOptions
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.large_tasks import truncated_bound
 from assist.people.choice_model import ChoiceModel, boltzmann
-from assist.people.choices import Choices, mix
+from assist.people.choices import Choices
 from assist.people.decision import Floats, perceived_value
 from assist.people.human import Population
 from assist.people.mixture import Mixture
+from assist.people.state_keys import mix
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule

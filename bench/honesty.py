@@ -22,8 +22,8 @@ import numpy as np
 from tables import Columns, cell, more_option, record_option, write_record
 
 from assist.people.choices import Choices
-from assist.people.decision import perceived_cost_to_go
 from assist.people.human import Human, HumanModel, Population
+from assist.people.misconception import perceived_cost_to_go
 from assist.person.pomdp import AssistPOMDP, Suggestions
 from assist.person.solver import solve
 from planner import Instance, load, sweep

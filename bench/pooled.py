@@ -10,8 +10,8 @@ import numpy as np
 from assist.person.problem_arrays import ProblemArrays
 from assist.simulation.dynamics import Minds, PeopleArrays, act
 from assist.simulation.pool import Pool
-from assist.team.attention_subproblem import HERE
 from assist.team.priority import Priority
+from assist.team.time_expansion import HERE
 
 
 def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: int) -> np.ndarray:

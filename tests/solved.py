@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from test_qmdp import GRID
 
 from assist.people.choices import Choices
-from assist.people.decision import perceived_cost_to_go
 from assist.people.human import Human, HumanModel
+from assist.people.misconception import perceived_cost_to_go
 from assist.person.pomdp import AssistPOMDP
 from assist.person.solver import Solution, solve
 from planner import Instance

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from assist.person.policy import LazyPolicy
+from assist.person.lazy_policy import LazyPolicy
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate

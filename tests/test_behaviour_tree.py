@@ -16,7 +16,7 @@ from test_ros2 import DRIVES
 
 from assist.live.simulated_person import SimulatedPerson
 from assist.live.store import stored
-from assist.people.human import advice_takers
+from assist.people.mixture import advice_takers
 from assist.web.client import RefusedError
 from assist.web.server import SimulatedSeats, listen, run
 

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from assist.live.live_task import LiveTask
 from assist.people.belief import Grid, ImpossibleObservationError, update
 from assist.people.choices import Choices
-from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, trust
+from assist.people.decision import choice, influence, lapse, trust
 from assist.people.human import Human, HumanModel, Population
+from assist.people.misconception import perceived_cost_to_go
 from assist.people.mixture import Mixture, advice_takers
 from assist.people.spread import Spread
 from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome, outcome_at_disagreement
@@ -372,7 +373,7 @@ def test_compiled_filters_are_the_equations(
     x = int(rng.choice(np.flatnonzero(~tiny_choices.goal)))
     robot = int(rng.integers(pomdp.robot_actions[x]))
     belief = rng.dirichlet(np.full(grid.beta.size * grid.theta.size, 0.3))
-    belief[rng.random(len(belief)) < 0.2] = 0.0
+    belief[(rng.random(len(belief)) < 0.2) & (belief < belief.max())] = 0.0
     belief /= belief.sum()
     parts = np.empty((4, len(belief)))
     followed, declined, lapsed, complied = parts[0], parts[1], parts[2], parts[3 if m.uses_answer else 2]

@@ -18,8 +18,9 @@ from assist.people.choices import Choices
 from assist.people.decision import perceived_cost, perceived_value
 from assist.people.human import Human, Population
 from assist.person import AssistPOMDP, qmdp
-from assist.team.attention_subproblem import AWAY, HERE, AttentionSubproblem
+from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.settings import Setting
+from assist.team.time_expansion import AWAY, HERE
 from planner import Instance, LimitError, Table
 
 ENTRY = 0.4

@@ -20,10 +20,11 @@ from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.attention_subproblem import AWAY, HERE, AttentionSubproblem
+from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.policies import POLICIES
 from assist.team.settings import Setting
 from assist.team.state import NOBODY, TeamAction, TeamState
+from assist.team.time_expansion import AWAY, HERE
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from assist.certify import certificate, computation, prices, team_bound
 from assist.certify.certificate import Certificate, horizon, returns
-from assist.certify.computation import BoundOptions
+from assist.certify.options import BoundOptions
 from assist.certify.prices import SubproblemKind, kinds_of, search
 from assist.certify.team_bound import TeamBound
 from assist.people.choices import Choices
@@ -24,9 +24,11 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.team.attention import NoAssistance
-from assist.team.attention_subproblem import AWAY, HERE, AttentionSubproblem, TimeExpansion, policy_bytes
+from assist.team.attention_subproblem import AttentionSubproblem
+from assist.team.memory_needed import policy_bytes
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
+from assist.team.time_expansion import AWAY, HERE, TimeExpansion
 from planner import LimitError, sweep
 
 SETTING = Setting(gamma=0.5, c_suggest=0.1, c_move=0.2)

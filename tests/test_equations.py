@@ -14,17 +14,9 @@ from assist.learning.likelihood import Data, heard_steps, on_grid
 from assist.people import influence_kernels
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.decision import (
-    NOTHING,
-    choice,
-    influence,
-    lapse,
-    perceived_cost,
-    perceived_cost_to_go,
-    perceived_value,
-    trust,
-)
+from assist.people.decision import NOTHING, choice, influence, lapse, perceived_cost, perceived_value, trust
 from assist.people.human import HumanModel
+from assist.people.misconception import perceived_cost_to_go
 from assist.person import belief_filter
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP

@@ -12,17 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assist.people.choices import WAIT, Choices
-from assist.people.decision import (
-    NOTHING,
-    choice,
-    influence,
-    lapse,
-    perceived_cost,
-    perceived_cost_to_go,
-    perceived_value,
-    trust,
-)
+from assist.people.decision import NOTHING, choice, influence, lapse, perceived_cost, perceived_value, trust
 from assist.people.human import Human, HumanModel, Population
+from assist.people.misconception import perceived_cost_to_go
 from assist.people.mixture import Mixture
 from assist.team.travel import Travel
 from planner import Table, load, sweep

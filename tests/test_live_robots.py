@@ -18,9 +18,9 @@ from assist.live.events import Event
 from assist.live.live_task import UnknownError
 from assist.live.session import Session
 from assist.people.human import Population
-from assist.simulation.episodes import Trace
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
+from assist.simulation.trace import Trace
 from assist.team.settings import Setting
 from assist.web.app import make_app
 from assist.web.service import Service

@@ -23,9 +23,9 @@ from assist.learning.observations import EvaluatedStates, observe
 from assist.learning.replay import replay
 from assist.people.choices import Choices
 from assist.people.human import Population
-from assist.simulation.episodes import Trace
 from assist.simulation.pool import Pool, Setting
 from assist.simulation.simulate import simulate
+from assist.simulation.trace import Trace
 from assist.team.state import TeamAction, TeamState
 from planner import Table
 

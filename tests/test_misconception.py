@@ -9,9 +9,10 @@ import pytest
 from plain import explore
 from scipy import stats
 
-from assist.people.choices import Choices, keys_of
+from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.people.misconception import Misconception, standard_normal
+from assist.people.state_keys import keys_of
 from planner import OnDemand, Table
 
 MANY = np.arange(40_000, dtype=np.uint64)

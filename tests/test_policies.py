@@ -15,9 +15,10 @@ from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
+from assist.team.by_policy import ByPolicy
 from assist.team.priority import Priority
 from assist.team.settings import Setting
-from assist.team.state import BASE, NOBODY, ByPolicy, TeamAction, TeamState
+from assist.team.state import BASE, NOBODY, TeamAction, TeamState
 from assist.team.travel import Travel
 from planner import Table, cost_to_go, load
 

@@ -17,9 +17,9 @@ from assist.people.human import Population
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
-from assist.simulation.episodes import Trace
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
+from assist.simulation.trace import Trace
 from assist.team.settings import Setting
 from planner import LimitError, OnDemand, Table
 

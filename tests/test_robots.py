@@ -15,13 +15,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from teams import state
 
-from assist.certify.computation import BoundOptions
+from assist.certify.options import BoundOptions
 from assist.certify.team_bound import upper_bound
 from assist.people.choices import Choices
 from assist.people.human import Population
-from assist.simulation.episodes import Episodes, Trace
+from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
+from assist.simulation.trace import Trace
+from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.policies import POLICIES
 from assist.team.settings import Setting
@@ -75,7 +77,7 @@ def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.n
     team = TeamState(0, nobody, nobody == 0, nobody > 0, location, nobody, None, [], travel, free=free)
     net = worth[:, None] - team.to()
     person = assigned(team, net)
-    team.check(TeamAction(person, np.zeros_like(person)))
+    check(team, TeamAction(person, np.zeros_like(person)))
     assert (person[~free] == NOBODY).all()
     taken = set(location[~free])
     options = [[NOBODY, *sorted({0, 1, 2, 3} - taken)] if one else [NOBODY] for one in free[0]]
@@ -208,10 +210,10 @@ def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:
         ([0, 3], "goes to person 3 in a team of 3"),
     ):
         with pytest.raises(PolicyError, match=complaint):
-            team.check(TeamAction(np.array([person]), np.zeros((1, 2), dtype=np.int64)))
-    team.check(TeamAction(np.array([[1, 0]]), np.zeros((1, 2), dtype=np.int64)))
+            check(team, TeamAction(np.array([person]), np.zeros((1, 2), dtype=np.int64)))
+    check(team, TeamAction(np.array([[1, 0]]), np.zeros((1, 2), dtype=np.int64)))
     with pytest.raises(PolicyError, match=r"shape \(1, 2\), an entry for each robot"):
-        team.check(TeamAction(np.array([0]), np.array([0])))
+        check(team, TeamAction(np.array([0]), np.array([0])))
     under_way = replace(team, free=np.array([[True, False]]))
     with pytest.raises(PolicyError, match="sends a robot that is under way"):
         under_way.check(TeamAction(np.array([[NOBODY, 2]]), np.zeros((1, 2), dtype=np.int64)))

@@ -20,11 +20,12 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.simulation.common_random_numbers import BLOCK
 from assist.simulation.dynamics import Minds, PeopleArrays, act
-from assist.simulation.episodes import Episodes, Trace
+from assist.simulation.episodes import Episodes
 from assist.simulation.illustration import typical
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
+from assist.simulation.trace import Trace
 from assist.team.attention import AttentionSwitching, NoAssistance
 from assist.team.policies import POLICIES
 from assist.team.settings import Setting

@@ -12,12 +12,14 @@ from test_qmdp import GRID, make
 
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, perceived_value, trust
+from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import Human, HumanModel, Population
+from assist.people.misconception import perceived_cost_to_go
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
-from assist.person.solver import Solution, SolverOptions, _Search, relative_gap, solve
+from assist.person.search import Search, SolverOptions, relative_gap
+from assist.person.solver import Solution, solve
 from planner import LimitError, Table
 
 
@@ -327,7 +329,7 @@ def test_people_who_err_for_long_do_not_keep_the_search() -> None:
 def test_backing_everything_up_again_tightens_both_bounds() -> None:
     pomdp = problem("paper-fixed", 0.95, 0.5, 0.5)
     better, best = solve(pomdp, gap=4e-3), qmdp(pomdp)
-    work = _Search(pomdp, best, SolverOptions())
+    work = Search(pomdp, best, SolverOptions())
     work.begin(np.zeros(len(pomdp.robot_actions), dtype=np.int64))
     start, prior = pomdp.model.choices.initial, pomdp.prior.reshape(-1)
     for _ in range(4):

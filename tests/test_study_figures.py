@@ -20,9 +20,9 @@ from assist.plots.episode import episode_figure
 from assist.plots.study import COMPARISONS
 from assist.plots.style import LOOKS, PolicyLook, looks, save_for_pages
 from assist.simulation.belief_trace import beliefs_of_episode
-from assist.simulation.episodes import Trace
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
+from assist.simulation.trace import Trace
 from assist.team.attention import AttentionSwitching, NoAssistance
 from assist.team.settings import Setting
 

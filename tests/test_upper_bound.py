@@ -10,7 +10,7 @@ from hypothesis import given
 from scipy.optimize import linprog
 from solved import NAMES, few, seeds, solution_of, some_beliefs
 
-from assist.person import hsvi, upper_hull
+from assist.person import convex_bound, hsvi
 from assist.person.solver import Solution
 
 
@@ -81,9 +81,9 @@ def test_upper_bound_holds_wherever_the_pivots_end(seed: int) -> None:
     belief[0] = point[0]
     x, first, before = np.zeros(people, dtype=np.int64), np.array([0, count]), np.full(people, np.inf)
     least = np.array([hull_and_sawtooth(corner[0], point, drop, b)[0] for b in belief])
-    for pivots in (0, 1, 2, 5, 20, upper_hull.PIVOTS):
+    for pivots in (0, 1, 2, 5, 20, convex_bound.PIVOTS):
         value = np.empty(people)
-        upper_hull.uppers(value, x, belief, corner, point, drop, first, pivots)
+        convex_bound.uppers(value, x, belief, corner, point, drop, first, pivots)
         assert (value >= least - 1e-7).all()
         assert (value <= before + 1e-9).all()
         before = value

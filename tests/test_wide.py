@@ -9,19 +9,20 @@ import numpy as np
 import pytest
 from conftest import KITTING, table_of
 
-from assist.certify.computation import BoundOptions
 from assist.certify.information_relaxation.belief_nodes import BeliefNodes
 from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
+from assist.certify.options import BoundOptions
 from assist.certify.prices import kinds_of
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.large_tasks import truncated_bound
 from assist.large_tasks.truncated_task import never_erring
 from assist.people.human import Population
 from assist.person.solver import solve
-from assist.simulation.episodes import Episodes, Trace
+from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
+from assist.simulation.trace import Trace
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
 from planner import CostToGo, Instance, OnDemand, Table

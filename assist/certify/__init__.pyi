@@ -1,6 +1,6 @@
 from .certificate import Certificate as Certificate
-from .computation import BoundOptions as BoundOptions
+from .comparison import certify as certify
 from .information_relaxation.options import RelaxationOptions as RelaxationOptions
+from .options import BoundOptions as BoundOptions
 from .team_bound import TeamBound as TeamBound
-from .team_bound import certify as certify
 from .team_bound import upper_bound as upper_bound

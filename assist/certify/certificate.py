@@ -7,15 +7,13 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.arrays import outline
 
 from ..people.decision import Floats
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
-from ..team.attention_subproblem import AWAY, HERE
-from ..team.state import TeamAction, TeamPolicy, TeamState
+from ..team.state import TeamPolicy
 from ..team.travel import Travel
 
 
@@ -124,30 +122,3 @@ def returns(
         remaining = (~run.finished).sum(axis=1) * largest_cost * gamma**end / (1 - gamma)
         parts.append(run.discounted_return - remaining)
     return np.concatenate(parts)
-
-
-class BeliefRecorder:
-    """A team policy that acts like another one and records the states and beliefs of people at each place.
-
-    Attributes
-    ----------
-    visited : list of lists of (int, int array, int array, float array)
-        For each place: a step, and for all teams with an active person there the task state, the robot's position
-        (`team.attention_subproblem`), and the belief, shape (n, B, T).
-    """
-
-    uses_belief = True
-
-    def __init__(self, policy: TeamPolicy, places: int, steps: int) -> None:
-        self.policy, self.steps = policy, steps
-        self.visited: list[list[tuple[int, NDArray[np.int64], NDArray[np.int64], Floats]]] = [[] for _ in range(places)]
-
-    def __call__(self, team: TeamState, /) -> TeamAction:
-        """Record the states and beliefs of the teams, and return the other policy's action."""
-        if team.step < self.steps:
-            assert team.belief is not None
-            for k, visited in enumerate(self.visited):
-                at = np.flatnonzero(team.active[:, k])
-                here = np.where(team.location[at] == k, HERE, AWAY)
-                visited.append((team.step, team.x[at, k], here, team.belief[at, k]))
-        return self.policy(team)

@@ -15,20 +15,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import LimitError
 from planner.system.progress import Progress
 
 from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, likely
-from ..people.arguments import positive
 from ..people.decision import Floats
 from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
 from ..person.solver import first_bounds_bytes
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
-from ..team.attention_subproblem import HERE, AttentionSubproblem, TimeExpansion, backwards, policy_bytes
+from ..team.attention_subproblem import AttentionSubproblem, backwards
 from ..team.state import TeamAction, TeamState
+from ..team.time_expansion import HERE
 from ..team.travel import Travel
+from .memory_needed import refuse_above, require_room
 
 Ints = NDArray[np.int64]
 
@@ -147,9 +147,14 @@ def kinds_of(
         tell("setting up people's problems", done, len(members))
         share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
         room = memory_limit_mb / len(members)
-        # The outer relaxations of all kinds are kept in memory, if they are included.
-        problems.append(_alone(pool, model, entry, with_outer, share, room if with_outer else memory_limit_mb, room))
-    _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
+        # The outer relaxations of all kinds are kept in memory, if they are included. An upper bound on a truncated
+        # problem is one on that of the whole task (`large_tasks.truncated_bound`).
+        beyond: TruncatedProblem | None = pool.policies[model].bounded(
+            entry, with_outer=with_outer, until=share, memory_limit_mb=room if with_outer else memory_limit_mb,
+            kept_mb=room,
+        )  # fmt: skip
+        problems.append(beyond or TruncatedProblem(pool.policies[model].pomdp))
+    require_room(problems, [steps for _, _, steps in members], window, memory_limit_mb)
     kinds = []
     for one, ((_, entry, entry_steps), places) in zip(problems, members.items(), strict=True):
         free = AttentionSubproblem.of(one.problem, entry, entry_steps)
@@ -158,48 +163,9 @@ def kinds_of(
         visits = (
             free if one.outer is not None else AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window))
         )
-        _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
+        refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
         kinds.append(SubproblemKind(pool, visits, tail, tuple(places), one.outer, one.between, one.pairs))
     return kinds
-
-
-def _alone(
-    pool: Pool, model: int, entry: float, with_outer: bool, until: float, memory_limit_mb: float, kept_mb: float
-) -> TruncatedProblem:  # fmt: skip
-    """Return the problem of a model with a robot that is always present, on a truncated task if the task is too large.
-
-    An upper bound on this problem is an upper bound on that of the whole task (`large_tasks.truncated_bound`).
-    """
-    policy = pool.policies[model]
-    beyond: TruncatedProblem | None = policy.bounded(
-        entry, with_outer=with_outer, until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb
-    )
-    return beyond or TruncatedProblem(policy.pomdp)
-
-
-def _allow(problems: list[TruncatedProblem], entry_steps: list[int], window: int, limit_mb: float) -> None:
-    """Raise a `LimitError` if the subproblems would exceed the memory limit."""
-    needed, states = 0.0, 0
-    for one, steps in zip(problems, entry_steps, strict=True):
-        alone = one.problem
-        timed = window and one.outer is None
-        if timed:  # each step has at least one state; enumerating them would take long
-            _refuse_above(limit_mb, policy_bytes(window), len(problems), window, window)
-        states = len(TimeExpansion.of(alone, 2 + steps, window if timed else 0))
-        slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
-        needed += policy_bytes(states, slots=slots, robots=robots)
-    needed *= 1 + 1 / len(problems)  # in each round, one subproblem is built again
-    needed += sum(one.outer.nbytes for one in problems if one.outer is not None)
-    _refuse_above(limit_mb, needed, len(problems), states, window)
-
-
-def _refuse_above(limit_mb: float, needed: float, kinds: int, states: int, window: int) -> None:
-    if needed > positive("memory_limit_mb", limit_mb) * 1e6:
-        raise LimitError(
-            f"{kinds:,} {'problem' if kinds == 1 else 'problems'} of people, each of up to {states:,} states with "
-            f"{window} steps of prices, take about {needed / 1e6:,.0f} MB of memory, and {limit_mb:,.0f} MB are "
-            "allowed; expected one model for all (knowledge 'exact'), prices on fewer steps (window), or a higher limit"
-        )
 
 
 def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5, plans: int = 6) -> int:

@@ -39,9 +39,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -51,14 +50,18 @@ from planner.system.progress import Wanted, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
-from ..simulation.pool import MEMORY_LIMIT_MB, Pool
+from ..simulation.memory_needed import MEMORY_LIMIT_MB
+from ..simulation.pool import Pool
 from ..team.priority import Priority
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
+from . import sample_paths
 from .certificate import Certificate, horizon, returns
-from .computation import BoundOptions, Computation
+from .computation import Computation
 from .information_relaxation.confidence import SampledBound
+from .options import BoundOptions
 from .prices import kinds_of
+from .truncated_prices import truncated_prices
 
 
 @dataclass(frozen=True)
@@ -240,12 +243,12 @@ def upper_bound(
         paths=whole("paths", paths, 0), workers=whole("jobs", jobs or processors(), 1), seed=entropy(seed),
         options=options or BoundOptions(), tell=progress,
     )  # fmt: skip
-    together, kinds, price = run.prices(window)
-    recorder = run.recorder(kinds, price, together) if run.paths and not run.needs_outer else None
+    together, kinds, price = truncated_prices(run, window) if run.needs_outer else run.prices(window)
+    recorder = sample_paths.recorder(run, kinds, price, together) if run.paths and not run.needs_outer else None
     relaxed, sampled = run.relaxed(kinds, price, start + run.for_people, recorder), None
     if run.paths and len(members) > 1:
-        relaxed = run.without_prices(relaxed, recorder)
-        sampled = run.sampled(relaxed, together)
+        relaxed = sample_paths.without_prices(run, relaxed, recorder)
+        sampled = sample_paths.sampled(run, relaxed, together)
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper
     return TeamBound(
         pool, members, travel, upper, relaxed.slack, relaxed.upper_seen, relaxed.price,
@@ -260,46 +263,3 @@ def _members(pool: Pool, team: Sequence[int] | None) -> tuple[int, ...]:
     if not members or max(members) >= people:
         raise ValueError(f"team {members}: expected one or more numbers of the pool, from 0 to {people - 1}")
     return members
-
-
-@shows_progress
-def certify(
-    pool: Pool,
-    policies: Mapping[str, TeamPolicy | str],
-    *,
-    episodes: int = 20_000,
-    seed: Seed = 0,
-    time_limit: float | None = None,
-    progress: Wanted = None,
-    **options: Any,
-) -> tuple[TeamBound, list[Certificate]]:
-    """Bound the value of all policies for a team, and compare some policies with the bound.
-
-    Parameters
-    ----------
-    pool : Pool
-    policies : mapping
-        Policies by their names in the certificates.
-    episodes : int
-        Number of episodes of each policy.
-    seed : int or Generator
-    time_limit : float, optional
-        Seconds in total: 80 % for the bound, and equal shares of the rest for the policies.
-    progress : callable or bool, optional
-        As in `upper_bound`.
-    **options
-        As in `upper_bound`.
-    """
-    assert callable(progress)
-    start, seed_number = time.perf_counter(), entropy(seed)
-    episodes = whole("episodes", episodes, 2)
-    limit = None if time_limit is None else 0.8 * positive("time_limit", time_limit)
-    bound = upper_bound(pool, time_limit=limit, seed=seed_number, progress=progress, **options)
-    found: list[Certificate] = []
-    for name, policy in policies.items():
-        progress("simulating policies", len(found), len(policies))
-        left = None
-        if time_limit is not None:
-            left = max(0.0, start + time_limit - time.perf_counter()) / (len(policies) - len(found))
-        found.append(bound.certify(policy, name, episodes=episodes, seed=seed_number, time_limit=left))
-    return bound, found

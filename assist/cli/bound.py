@@ -42,8 +42,8 @@ def bound(
     as_json: bool, **team: Any,
 ) -> None:  # fmt: skip
     """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
+    from ..certify.comparison import certify
     from ..certify.information_relaxation.confidence import CONFIDENCE
-    from ..certify.team_bound import certify
     from .output.person_bounds import show_samples
 
     start = time.perf_counter()

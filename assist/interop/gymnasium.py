@@ -23,8 +23,8 @@ from ..people.decision import Floats
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import CommonRandomNumbers
+from ..simulation.model_group import World
 from ..simulation.pool import Pool
-from ..simulation.task_view import World
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 from .rendering import EnvironmentPicture

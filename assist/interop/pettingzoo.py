@@ -12,8 +12,8 @@ from planner.system.errors import MissingExtraError
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import CommonRandomNumbers
+from ..simulation.model_group import World
 from ..simulation.pool import Pool
-from ..simulation.task_view import World
 from ..team.settings import Setting
 from .teams import Sight, Teams, pool_of
 

@@ -21,8 +21,8 @@ from ..people.human import Population
 from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import from_the_prior
 from ..simulation.dynamics import PeopleArrays
+from ..simulation.model_group import ModelGroup, World
 from ..simulation.pool import MAX_ENUMERATED, Pool
-from ..simulation.task_view import ModelGroup, World
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
 

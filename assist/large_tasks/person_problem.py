@@ -13,9 +13,10 @@ from planner import CostToGo, Table
 from planner.system.arrays import outline
 
 from ..people.arguments import whole
-from ..people.decision import perceived_cost, perceived_cost_to_go
+from ..people.decision import perceived_cost
 from ..people.human import HumanModel, Population
 from ..people.memory import choices_of
+from ..people.misconception import perceived_cost_to_go
 from ..people.mixture import Mixture
 from ..people.trust_rules import TrustRule, trust_rule
 from ..person.pomdp import AssistPOMDP, Suggestions

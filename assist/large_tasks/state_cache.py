@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from planner import CostToGo, Transitions, optimal_choices
 
-from ..people.choices import WAIT, Choices, keys_of
+from ..people.choices import WAIT, Choices
+from ..people.state_keys import keys_of
 from .truncated_task import TruncatedTask
 
 Ints = NDArray[np.int64]

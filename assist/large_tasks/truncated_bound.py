@@ -71,10 +71,12 @@ from ..people.human import Human, Population
 from ..people.mixture import Mixture
 from ..person.leaf_bounds import LeafBounds
 from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import bellman_backup, initial_upper_bounds, value_iteration
+from ..person.qmdp import initial_upper_bounds, value_iteration
 from ..person.solver import first_bounds_bytes
-from ..team.attention_subproblem import AWAY, HERE, AttentionSubproblem
+from ..team.attention_subproblem import AttentionSubproblem
 from ..team.settings import Setting
+from ..team.time_expansion import AWAY, HERE
+from .backups import bellman_backup
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
 from .state_cache import StateCache
 from .truncated_task import TruncatedTask

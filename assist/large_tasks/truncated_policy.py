@@ -27,9 +27,10 @@ from ..people.belief import Grid
 from ..people.decision import NOTHING, Floats
 from ..people.human import Human, Population
 from ..people.mixture import Mixture
-from ..person.policy import Policy, VisitingRobot
+from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, SOLVING, look_ahead
+from ..person.visiting_robot import VisitingRobot
 from ..team.attention_subproblem import AttentionSubproblem
 from ..team.priority import SolvedSubproblem
 from ..team.settings import Setting

@@ -27,10 +27,11 @@ from planner import CostToGo, Table, Transitions, optimal_choices
 from planner.system.arrays import outline
 
 from ..people.belief import Grid
-from ..people.choices import Choices, keys_of
+from ..people.choices import Choices
 from ..people.decision import Floats, choice
 from ..people.human import Human, HumanModel, Population
 from ..people.mixture import Mixture
+from ..people.state_keys import keys_of
 from ..people.trust_rules import EquationSeven, TrustRule, constant
 from ..person.leaf_bounds import LeafBounds
 from ..person.pomdp import AssistPOMDP, Suggestions, check_costs

@@ -38,6 +38,7 @@ from ..people.mixture import Mixture, advice_takers
 from ..people.spread import Spread
 from ..person.belief_filter import update
 from ..person.policy import Policy
+from ..team.action_check import check
 from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
@@ -425,7 +426,7 @@ class Assistant:
             return tuple(advice)
         team = self._as_policies_see_it(active)
         action = self._policy()(team)
-        team.check(action)
+        check(team, action)
         chosen = zip(action.person.reshape(-1).tolist(), action.robot.reshape(-1).tolist(), strict=True)
         for number, (k, robot) in enumerate(chosen):
             if k != NOBODY:

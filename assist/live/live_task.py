@@ -24,7 +24,8 @@ from ..drawing.picture import Artist
 from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.action_names import Matcher, UnmatchedError, words_of
-from ..people.choices import Choices, require_goal
+from ..people.arguments import require_goal
+from ..people.choices import Choices
 from ..people.goals import Goals
 from ..people.human import Population
 from ..people.memory import choices_of

@@ -10,8 +10,9 @@ import numpy as np
 from planner import CostToGo, Table, optimal_choices
 
 from ..people.choices import Choices
-from ..people.decision import NOTHING, Floats, choice, influence, perceived_cost_to_go
+from ..people.decision import NOTHING, Floats, choice, influence
 from ..people.human import Human, Population
+from ..people.misconception import perceived_cost_to_go
 from ..people.mixture import Mixture
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule

@@ -6,13 +6,11 @@ from .choice_model import Weighted as Weighted
 from .choice_model import boltzmann as boltzmann
 from .choices import WAIT as WAIT
 from .choices import Choices as Choices
-from .choices import keys_of as keys_of
 from .decision import NOTHING as NOTHING
 from .decision import choice as choice
 from .decision import influence as influence
 from .decision import lapse as lapse
 from .decision import perceived_cost as perceived_cost
-from .decision import perceived_cost_to_go as perceived_cost_to_go
 from .decision import perceived_value as perceived_value
 from .decision import trust as trust
 from .goals import Goals as Goals
@@ -21,6 +19,7 @@ from .human import HumanModel as HumanModel
 from .human import Population as Population
 from .memory import remembered as remembered
 from .misconception import Misconception as Misconception
+from .misconception import perceived_cost_to_go as perceived_cost_to_go
 from .mixture import Mixture as Mixture
 from .mixture import advice_takers as advice_takers
 from .signals import ActionRecovery as ActionRecovery
@@ -28,6 +27,7 @@ from .signals import FactChange as FactChange
 from .signals import Recovery as Recovery
 from .signals import UnknownFactError as UnknownFactError
 from .spread import Spread as Spread
+from .state_keys import keys_of as keys_of
 from .terms import NOTHING_YET as NOTHING_YET
 from .terms import TERMS as TERMS
 from .terms import Situation as Situation

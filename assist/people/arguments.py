@@ -68,3 +68,15 @@ def positive(name: str, value: object) -> float:
 def entropy(seed: Seed) -> int:
     """Return a seed as an integer; a generator provides one by drawing a number."""
     return int(seed.integers(2**63)) if isinstance(seed, np.random.Generator) else whole("seed", seed)
+
+
+def require_goal(cost: float) -> None:
+    """Check that the cost-to-go of the initial state is finite.
+
+    Raises
+    ------
+    ValueError
+        The goal cannot be reached.
+    """
+    if not np.isfinite(cost):
+        raise ValueError("the goal cannot be reached from the initial state, so there is nobody to assist")

@@ -11,32 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .choices import Choices
-from .misconception import Misconception, Noise
 
 Floats = NDArray[np.float64]
 
 NOTHING = -1
 """Slot number that means no suggestion."""
-
-
-def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generator, noise: Noise = "state") -> Floats:
-    """Return a person's perceived cost-to-go of every state, shape (n,), or after every choice, shape (n, A).
-
-    h(x) = h*(x) + sigma * eps(x) with eps standard normal is a lasting misconception. It is drawn once per person and
-    task state, whatever they did before. With `noise="action"` it is drawn once per person and choice, h(x, a) =
-    h*(succ(x, a)) + sigma * eps(x, a), so that a state looks different from different predecessors. The goal is
-    recognised (h = 0), and dead ends stay infinite.
-
-    Parameters
-    ----------
-    choices : Choices
-    sigma : float
-        Standard deviation, in cost units.
-    rng : numpy.random.Generator
-        One number is drawn from it, whatever the size of the task: the person's seed (`Misconception`).
-    noise : "state" or "action"
-    """
-    return Misconception.drawn(sigma, rng, noise).of(choices)
 
 
 def perceived_cost(choices: Choices, h: Floats) -> Floats:

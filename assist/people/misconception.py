@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .choices import Choices, mix
+from .choices import Choices
+from .state_keys import mix
 
 Noise = Literal["state", "action"]
 
@@ -80,3 +81,25 @@ class Misconception:
             eps = standard_normal(self.seed, mix(keys)[:, None] ^ (choices.actions + 1).astype(np.uint64))
             return np.where(choices.goal[choices.targets], 0.0, after + self.sigma * eps)
         return np.where(choices.goal, 0.0, choices.h + self.sigma * standard_normal(self.seed, keys))
+
+
+def perceived_cost_to_go(
+    choices: Choices, sigma: float, rng: np.random.Generator, noise: Noise = "state"
+) -> NDArray[np.float64]:
+    """Return a person's perceived cost-to-go of every state, shape (n,), or after every choice, shape (n, A).
+
+    h(x) = h*(x) + sigma * eps(x) with eps standard normal is a lasting misconception. It is drawn once per person and
+    task state, whatever they did before. With `noise="action"` it is drawn once per person and choice, h(x, a) =
+    h*(succ(x, a)) + sigma * eps(x, a), so that a state looks different from different predecessors. The goal is
+    recognised (h = 0), and dead ends stay infinite.
+
+    Parameters
+    ----------
+    choices : Choices
+    sigma : float
+        Standard deviation, in cost units.
+    rng : numpy.random.Generator
+        One number is drawn from it, whatever the size of the task: the person's seed (`Misconception`).
+    noise : "state" or "action"
+    """
+    return Misconception.drawn(sigma, rng, noise).of(choices)

@@ -27,8 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 from planner import CostToGo
 from planner.system.arrays import read_only
 
-from .choices import BLOCK
 from .decision import Floats
+from .state_keys import BLOCK
 
 Ints = NDArray[np.int64]
 

@@ -6,8 +6,8 @@ from .pomdp import AssistPOMDP as AssistPOMDP
 from .qmdp import QMDP as QMDP
 from .qmdp import evaluate as evaluate
 from .qmdp import qmdp as qmdp
+from .search import SolverOptions as SolverOptions
 from .solver import Solution as Solution
-from .solver import SolverOptions as SolverOptions
 from .solver import solve as solve
 from .suggestion_threshold import SuggestionThreshold as SuggestionThreshold
 from .suggestion_threshold import threshold_of as threshold_of

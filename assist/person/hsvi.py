@@ -147,7 +147,7 @@ def new_trial(depth: int, size: int, robots: int, slots: int) -> Trial:
 def new_room(size):
     """Return the work arrays of `upper` for beliefs with `size` entries.
 
-    It considers at most 256 beliefs of a state, the most recent ones. `upper_hull.uppers` considers all in the end.
+    It considers at most 256 beliefs of a state, the most recent ones. `convex_bound` considers all in the end.
     """
     return new_program(size, 256)
 
@@ -378,7 +378,7 @@ def _bound_above(d, r, work, room, trial, hull, m):
 
 
 @njit()
-def _most_promising(d, work, room, trial, hull, m):
+def most_promising(d, work, room, trial, hull, m):
     """Return the robot action with the largest upper bound, and evaluate the children of as few as possible."""
     robots = m.robot_actions[trial.state[d]]
     while True:
@@ -493,7 +493,7 @@ def _backup_lower(d, step, work, trial, backup, vectors, m):
 
 
 @njit()
-def _start_node(d, belief, mass, q, trial, m):
+def start_node(d, belief, mass, q, trial, m):
     """Put belief / mass on the trial, with upper bounds on the Q-values that do not need the children."""
     x, own = trial.state[d], trial.belief[d]
     for h in range(len(belief)):
@@ -531,7 +531,7 @@ def trials(x0, prior, enough, backups, fineness, rng, trial, vectors, hull, q, m
         if gap <= enough or short:
             break
         trial.state[0] = x0
-        _start_node(ZERO, prior, 1.0, q, trial, m)
+        start_node(ZERO, prior, 1.0, q, trial, m)
         depth, target, cut = _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m)
         if not _ascend(depth, target, fineness, work, room, backup, trial, vectors, hull, m):
             if cut:
@@ -551,7 +551,7 @@ def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
     depth, target, reach, cut = ZERO, 0.2 * gap, 1.0, False
     while True:
         x = trial.state[depth]
-        r = _most_promising(depth, work, room, trial, hull, m)
+        r = most_promising(depth, work, room, trial, hull, m)
         trial.robot[depth] = r
         acting = m.afterstate[x, r]
         if m.goal[acting] or depth + 1 == len(trial.state):
@@ -580,7 +580,7 @@ def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
         depth += 1
         trial.state[depth] = m.targets[acting, chosen]
         trial.bound[depth] = trial.child[depth - 1, r, chosen] / chance
-        _start_node(depth, trial.after[depth - 1, r, chosen], chance, q, trial, m)
+        start_node(depth, trial.after[depth - 1, r, chosen], chance, q, trial, m)
     return depth, target, cut
 
 
@@ -591,7 +591,7 @@ def _ascend(depth, target, fineness, work, room, backup, trial, vectors, hull, m
     for d in range(depth, -1, -1):
         x, belief = trial.state[d], trial.belief[d]
         trial.q[d, trial.robot[d]] -= m.gamma * trial.chance[d] * lowered if d < depth else 0.0
-        value = trial.q[d, _most_promising(d, work, room, trial, hull, m)]
+        value = trial.q[d, most_promising(d, work, room, trial, hull, m)]
         value += ROUNDING * abs(value)
         step = fineness[0] * target
         target *= m.gamma
@@ -628,8 +628,8 @@ def renew(start, order, step, backups, trial, vectors, hull, q, m):
         i = hull.head[x]
         while i >= 0:
             belief = hull.belief[i]
-            _start_node(ZERO, belief, 1.0, q, trial, m)
-            value = trial.q[0, _most_promising(ZERO, work, room, trial, hull, m)]
+            start_node(ZERO, belief, 1.0, q, trial, m)
+            value = trial.q[0, most_promising(ZERO, work, room, trial, hull, m)]
             value += 2 * ROUNDING * abs(value)
             hull.drop[i] = min(hull.drop[i], value - dot(hull.corner[x], belief))
             i = hull.after[i]
@@ -640,29 +640,7 @@ def renew(start, order, step, backups, trial, vectors, hull, q, m):
         for i in used:
             if vectors.state[i] != x:  # an earlier backup in this loop has removed the vector
                 continue
-            _start_node(ZERO, vectors.witness[i], 1.0, q, trial, m)
+            start_node(ZERO, vectors.witness[i], 1.0, q, trial, m)
             _backup_lower(ZERO, step, work, trial, backup, vectors, m)
             done += 1
     return len(order), done
-
-
-@njit(nogil=True)
-def lower_at(start, states, beliefs, step, trial, hull, q, m):
-    """Back up the upper bound at beliefs, shape (N, H), of the given states, from index `start` on.
-
-    Improvements up to `step` are not stored. Return where to continue if memory is short, and the number of improved
-    bounds.
-    """
-    work, room, gained = np.empty((4, beliefs.shape[1])), new_room(beliefs.shape[1]), 0
-    for i in range(start, len(states)):
-        if len(hull.drop) == hull.space[0]:
-            return i, gained
-        x, belief = states[i], beliefs[i]
-        trial.state[0] = x
-        _start_node(ZERO, belief, 1.0, q, trial, m)
-        value = trial.q[0, _most_promising(ZERO, work, room, trial, hull, m)]
-        value += 2 * ROUNDING * abs(value)
-        if value < upper(x, belief, hull, room) - step - 4 * ROUNDING * abs(value):
-            add_point(x, belief, value, hull)
-            gained += 1
-    return len(states), gained

@@ -8,9 +8,7 @@ of these states there.
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,36 +18,9 @@ from planner import CostToGo
 from ..people.choices import Choices
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
+from .visiting_robot import VisitingRobot
 
 Ints = NDArray[np.int64]
-
-
-class VisitingRobot(Protocol):
-    """The robot of a team from one person's view: it comes to the person and leaves. Team policies provide it.
-
-    Attributes
-    ----------
-    entry : float
-        Cost of coming, in cost units.
-    entry_steps, longest : int
-        Mean and largest number of steps of coming.
-    """
-
-    @property
-    def entry(self) -> float: ...  # noqa: D102
-    @property
-    def entry_steps(self) -> int: ...  # noqa: D102
-    @property
-    def longest(self) -> int: ...  # noqa: D102
-
-    @property
-    def price(self) -> Floats:
-        """The price of each step of attention, in cost units; the last applies to all later steps."""
-        ...
-
-    def solved(self, policy: Policy, /) -> Any:
-        """Return the solved problem of a person with this robot, given the person's policy on an enumerated task."""
-        ...
 
 
 class Policy:
@@ -156,54 +127,3 @@ class Policy:
         The arguments are those of `large_tasks.truncated_bound.bounded`.
         """
         del entry, limits
-
-
-class LazyPolicy(Policy):
-    """A policy that is solved on first use.
-
-    The problem is available without solving. Any attribute that a `Policy` does not have is that of the solved policy.
-    All methods are thread-safe.
-
-    Parameters
-    ----------
-    pomdp : AssistPOMDP
-    solver : callable
-        Returns the policy for a problem.
-    """
-
-    def __init__(self, pomdp: AssistPOMDP, solver: Callable[[AssistPOMDP], Policy]) -> None:
-        self.pomdp, self.solver = pomdp, solver  # type: ignore[misc]
-        self._lock, self._solved = threading.Lock(), list[Policy]()
-
-    def __repr__(self) -> str:
-        return f"LazyPolicy({self._solved[0] if self._solved else self.pomdp!r})"
-
-    def prepare(self) -> Policy:
-        """Return the solved policy; the solver is called once."""
-        with self._lock:
-            if not self._solved:
-                self._solved.append(self.solver(self.pomdp))
-            return self._solved[0]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_lock"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state, _lock=threading.Lock())
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self.prepare(), name)
-
-    def q_values(self, x: Ints, belief: Floats) -> Floats:
-        """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
-        return self.prepare().q_values(x, belief)
-
-    def value(self, x: Ints, belief: Floats) -> Floats:
-        """Return the value of each person's problem, shape (N,)."""
-        return self.prepare().value(x, belief)
-
-    def choose(self, x: Ints, belief: Floats) -> Ints:
-        """Return the best robot action for each person, shape (N,)."""
-        return self.prepare().choose(x, belief)

@@ -153,7 +153,6 @@ def load_compiled(pomdp: AssistPOMDP) -> None:
     value = np.zeros((0, 0, 0))
     _sweep(value, nothing, nothing, 0, arrays)
     _q_values(value[None], value, nothing, arrays)
-    _bellman_backup(value, value, nothing, 0, arrays)
 
 
 def initial_upper_bounds(pomdp: AssistPOMDP) -> Floats:
@@ -214,17 +213,6 @@ def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | No
         q[ends, 1:] = np.where(useless, -pomdp.robot_costs[ends, 1:], -np.inf)[:, :, None, None]
     _q_values(q, value, read_only(order), ProblemArrays.of(pomdp))
     return QMDP(pomdp, value, q)
-
-
-def bellman_backup(pomdp: AssistPOMDP, value: Floats) -> Floats:
-    """Return the Bellman backup of values, shape (n, B, T), for a problem with one more step.
-
-    The values of final states do not change.
-    """
-    arrays, order, found = ProblemArrays.of(pomdp), read_only(sweep_order(pomdp)), value.copy()
-    with ThreadPoolExecutor(processors()) as pool:
-        list(pool.map(lambda b: _bellman_backup(found, value, order, b, arrays), range(value.shape[1])))
-    return found
 
 
 def evaluate(
@@ -371,7 +359,7 @@ def _without_suggestion(expected: Floats, mean: Floats, value: Floats, x: int, b
 
 # One function, since value iteration took 1.5 to 2 times as long with its inner loops in a function of their own.
 @njit()
-def _action_values(
+def action_values(
     q: Floats,
     expected: Floats,
     mean: Floats,
@@ -450,7 +438,7 @@ def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b:
     expected, mean, declined = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     residual = 0.0
     for x in order:
-        _action_values(q, expected, mean, declined, value, x, b, robot[x], m)
+        action_values(q, expected, mean, declined, value, x, b, robot[x], m)
         first, end = (robot[x], robot[x] + 1) if robot[x] >= 0 else (0, m.robot_actions[x])
         for t in range(thetas):
             best = q[first, t]
@@ -459,20 +447,6 @@ def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b:
             residual = max(residual, abs(best - value[x, b, t]))
             value[x, b, t] = best
     return residual
-
-
-@njit(nogil=True)
-def _bellman_backup(found: Floats, value: Floats, order: NDArray[np.int64], b: int, m: ProblemArrays) -> None:
-    """Fill `found` with the Bellman backups of `value`, for one beta."""
-    thetas = len(m.theta)
-    q = np.empty((m.suggested.shape[1], thetas))
-    expected, mean, declined = np.empty(thetas), np.empty(thetas), np.empty(thetas)
-    for x in order:
-        _action_values(q, expected, mean, declined, value, x, b, BEST, m)
-        for t in range(thetas):
-            found[x, b, t] = q[0, t]
-            for r in range(1, m.robot_actions[x]):
-                found[x, b, t] = max(found[x, b, t], q[r, t])
 
 
 @njit(nogil=True, fastmath={"reassoc", "contract"})
@@ -495,7 +469,7 @@ def _q_values(q: Floats, value: Floats, order: NDArray[np.int64], m: ProblemArra
     row, expected, mean, declined = np.empty((robots, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas)
     for x in order:
         for b in range(value.shape[1]):
-            _action_values(row, expected, mean, declined, value, x, b, BEST, m)
+            action_values(row, expected, mean, declined, value, x, b, BEST, m)
             for r in range(robots):
                 for t in range(thetas):
                     q[x, r, b, t] = row[r, t] if r < m.robot_actions[x] else -np.inf

@@ -5,7 +5,8 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from ..simulation.episodes import Episode, Trace, robot_is_at
+from ..simulation.episodes import Episode
+from ..simulation.trace import Trace, robot_is_at
 from .style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, require
 
 if TYPE_CHECKING:

@@ -13,11 +13,12 @@ from ..people.decision import Floats
 from ..people.spread import Spread
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
-from .episodes import Episode, Trace, robot_is_at
+from .episodes import Episode
+from .model_group import World
 from .pool import Pool
 from .schedule import Schedule
 from .simulate import simulate
-from .task_view import World
+from .trace import Trace, robot_is_at
 
 
 @dataclass(frozen=True)

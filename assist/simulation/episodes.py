@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -166,23 +166,10 @@ class Episodes:
         return len(self.episode)
 
     def __getitem__(self, row: int) -> Episode:
-        return Episode(
-            policy=self.policy,
-            episode=int(self.episode[row]),
-            people=tuple(f"human-{number + 1}" for number in self.people[row]),
-            beta=tuple(self.beta[row].tolist()),
-            theta=tuple(self.theta[row].tolist()),
-            sigma=tuple(self.sigma[row].tolist()),
-            actions=tuple(self.actions[row].tolist()),
-            costs=tuple(self.costs[row].tolist()),
-            finished=tuple(self.finished[row].tolist()),
-            helped=tuple(self.helped[row].tolist()),
-            executed=tuple(self.executed[row].tolist()),
-            interventions=int(self.interventions[row]),
-            moves=int(self.moves[row]),
-            steps=int(self.steps[row]),
-            discounted_return=float(self.discounted_return[row]),
-        )
+        names = [field.name for field in fields(Episode) if field.name not in ("policy", "people")]
+        own: dict[str, Any] = {name: getattr(self, name)[row].tolist() for name in names}
+        own = {name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
+        return Episode(self.policy, people=tuple(f"human-{number + 1}" for number in self.people[row]), **own)
 
     def __iter__(self) -> Iterator[Episode]:
         return (self[row] for row in range(len(self)))
@@ -195,14 +182,6 @@ SHOWN = {
     "discounted_return": "return",
 }
 """Summarised fields, with their names in records."""
-
-Trace = list[dict[str, Any]]
-"""A list with one dictionary for each action of each person."""
-
-
-def robot_is_at(row: Mapping[str, Any], place: int) -> bool:
-    """Whether a row of a trace says that a robot was at a person's place: its only robot, or one of several."""
-    return place in row.get("robot_places", [row.get("robot_place")])
 
 
 @dataclass(frozen=True)

@@ -8,34 +8,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, LimitError, Table
+from planner import CostToGo, Table
 from planner.system.arrays import frozen, outline
 from planner.system.progress import Progress, Wanted, adding, shows_progress
 
 from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
-from ..people.arguments import Seed, entropy, positive, whole
-from ..people.choices import Choices, require_goal
+from ..people.arguments import Seed, entropy, require_goal, whole
+from ..people.choices import Choices
 from ..people.goals import Goals
 from ..people.human import Human, Population
 from ..people.memory import choices_of
 from ..people.mixture import Mixture
-from ..person.policy import LazyPolicy, Policy
+from ..person.lazy_policy import LazyPolicy
+from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
-from ..team.attention_subproblem import policy_bytes
+from ..team.memory_needed import policy_bytes
 from ..team.policies import named
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
+from .memory_needed import MEMORY_LIMIT_MB, require_room, require_room_for_people
 
 MAX_ENUMERATED = 200_000
 """Largest number of states of a task that is enumerated because a requested option requires it."""
-
-MEMORY_LIMIT_MB = 4000.0
-"""Default limit of the memory of all people's policies, and of all records of a simulation, in MB."""
-
-ONE_FOR_ALL = "a smaller pool, one policy for all (knowledge 'exact'), or "
 
 
 @dataclass(frozen=True)
@@ -158,7 +155,9 @@ class Pool:
         if isinstance(table, Goals):
             if population.weights or prior.weights:
                 raise ValueError("people with weights of terms: expected one goal")
-            _allow(policy_bytes(len(table)), len(table), size if setting.knowledge == "own" else 1, memory_limit_mb)
+            require_room(
+                policy_bytes(len(table)), len(table), size if setting.knowledge == "own" else 1, memory_limit_mb
+            )
             table = table.choices()
         needed = {"weights": population.weights or prior.weights, "execute": setting.execute, "solver": solver != qmdp}
         people: Sequence[Human]
@@ -171,7 +170,7 @@ class Pool:
                 if given:
                     raise ValueError(f"{name}: expected an enumerated task, of at most {MAX_ENUMERATED:,} states")
             require_goal(float(table.lookup([table.initial])[0]))
-            _allow_people(size, 0, memory_limit_mb)
+            require_room_for_people(size, 0, memory_limit_mb)
             people = population.sample(None, size, rng)
             policies = _truncated(SharedTask(table, prior, region), people, setting)
         number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
@@ -245,14 +244,14 @@ def _choices(
 ) -> Choices:  # fmt: skip
     """Return the choices in an enumerated task, unless policies and people would exceed the memory limit."""
     models = size if setting.knowledge == "own" else 1
-    _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # checked before the choices are built
+    require_room(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # checked before the choices are built
     choices = choices_of(table, (*population.weights, *prior.weights))
     require_goal(choices.h[choices.initial])
     offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
     robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.execute)
     one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
-    _allow(one, len(choices), models, memory_limit_mb)
-    _allow_people(size, choices.h.nbytes, memory_limit_mb)
+    require_room(one, len(choices), models, memory_limit_mb)
+    require_room_for_people(size, choices.h.nbytes, memory_limit_mb)
     return choices
 
 
@@ -276,24 +275,3 @@ def _truncated(shared: SharedTask, people: Sequence[Human], setting: Setting) ->
     if setting.knowledge == "exact":
         return [of_task]
     return [TruncatedPolicy(shared, setting, human, of_task) for human in people]
-
-
-def _allow(one: int, states: int, models: int, limit_mb: float) -> None:
-    """Raise a `LimitError` if the policies of `one` bytes each would exceed the memory limit."""
-    needed = (models + 1) * one / 1e6  # a sorted copy of one policy's values exists temporarily
-    if needed > positive("memory_limit_mb", limit_mb):
-        who, less = ("one person", "") if models == 1 else (f"{models:,} people", ONE_FOR_ALL)
-        raise LimitError(
-            f"policies for {who} on a task of {states:,} states take about {needed:,.0f} MB of memory, and "
-            f"{limit_mb:,.0f} MB are allowed; expected {less}a higher memory limit"
-        )
-
-
-def _allow_people(size: int, one: int, limit_mb: float) -> None:
-    """Raise a `LimitError` if people with `one` bytes of perceived cost-to-go each would exceed the memory limit."""
-    needed = size * (2000 + one) / 1e6  # a person and their policy take about 2,000 bytes
-    if needed > positive("memory_limit_mb", limit_mb):
-        raise LimitError(
-            f"{size:,} people take about {needed:,.0f} MB of memory, and {limit_mb:,.0f} MB are allowed; expected a "
-            "smaller pool, or a higher memory limit"
-        )

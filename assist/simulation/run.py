@@ -3,22 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.files import finite
-
 from ..people.decision import NOTHING, Floats
 from ..people.goals import given_likeliest
+from ..team.action_check import check
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
 from .dynamics import PeopleArrays
-from .episodes import Episodes, Trace
+from .episodes import Episodes
+from .model_group import World
 from .pool import Pool
 from .schedule import Schedule
-from .task_view import GoalKnowledge, StepView, TaskParts, TaskView, World
+from .task_parts import TaskParts
+from .task_view import GoalKnowledge, StepView, TaskView
+
+
+class StepTaken(NamedTuple):
+    """A step: the people who acted, as flat indices, what each did, and their states, theta and rewards.
+
+    `before` and `theta` are those before the step. The other arrays are those of `Run`.
+    """
+
+    step: int
+    flat: NDArray[np.int64]
+    view: StepView
+    before: NDArray[np.int64]
+    robot: NDArray[np.int64]
+    slot: NDArray[np.int64]
+    theta: Floats
+    reward: Floats
 
 
 class Run:
@@ -36,13 +54,12 @@ class Run:
         travel: Travel,
         presence: Schedule,
         world: World,
-        trace: Trace | None,
         progress: Callable[[int], None],
         parts: TaskParts,
         goals: GoalKnowledge,
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
-        self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
+        self.travel, self.presence, self.progress = travel, presence, progress
         shape = (len(numbers), len(travel))
         self.random_numbers, self.on_grid = CommonRandomNumbers(seed, numbers, len(travel)), world == "model"
         # The array is in C order, and all arrays derived from it are, too. They are changed in place through flat
@@ -118,8 +135,7 @@ class Run:
         view = self.task_view.view(self.x, flat, deep=self.belief is not None)
         robot, charged = self._robot(step, running, active, view)
         view = self.task_view.after_suggestions(view, robot)
-        before = view.x.copy() if self.trace is not None else view.x
-        theta_before = self.theta.copy() if self.trace is not None else self.theta
+        before, theta_before = view.x.copy(), self.theta.copy()
         uniform = np.empty((*self.x.shape, 2))
         for kind in (1, 2) if self.on_grid else (1,):
             uniform[running, :, kind - 1] = self.random_numbers.draw(kind, running)
@@ -136,8 +152,10 @@ class Run:
         self.actions += slot.reshape(self.x.shape) >= 0
         self.costs += cost
         self.steps[running] += 1
-        if self.trace is not None:
-            self._record(self.trace, step, flat, view, before, robot, slot, theta_before, reward)
+        self.watch(StepTaken(step, flat, view, before, robot, slot, theta_before, reward))
+
+    def watch(self, taken: StepTaken) -> None:
+        """See each step that has been taken; a `TracedRun` writes it down."""
 
     def _robot(
         self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: StepView
@@ -162,7 +180,7 @@ class Run:
         )  # fmt: skip
         action = self.policy(team)
         try:
-            team.check(action)
+            check(team, action)
         except PolicyError as error:
             raise PolicyError(f"{getattr(self.policy, 'place', self.name)}: {error}") from None
         person, does = (array.reshape(len(free), self.robots) for array in (action.person, action.robot))
@@ -181,47 +199,6 @@ class Run:
             self.executed[at] += arrays.suggested[view.x[at], does[rows]] == NOTHING
         self.helped[teams, to] += does > 0
         return robot, charged
-
-    def _record(
-        self,
-        trace: Trace,
-        step: int,
-        flat: NDArray[np.int64],
-        view: StepView,
-        before: NDArray[np.int64],
-        robot: NDArray[np.int64],
-        slot: NDArray[np.int64],
-        theta_before: Floats,
-        reward: Floats,
-    ) -> None:
-        for i in flat:
-            e, k = divmod(int(i), self.x.shape[1])
-            pomdp = view.policies[view.model[e, k]].pomdp
-            choices, x, r = pomdp.model.choices, int(before[e, k]), int(robot[e, k])
-            suggested = int(pomdp.suggested[x, r])
-            place = int(pomdp.afterstate[x, r])
-            there = [
-                place if place != BASE and until <= step else None
-                for place, until in zip(self.location[e].tolist(), self.busy_until[e].tolist(), strict=True)
-            ]
-            row = {
-                "person": f"human-{self.people[e, k] + 1}",
-                "episode": f"{self.name}-{self.numbers[e]}",
-                "step": step,
-                "action": choices.name(place, int(slot[i])) if slot[i] >= 0 else None,
-                "suggestion": choices.name(x, suggested) if suggested != NOTHING else None,
-                **({"executed": pomdp.executes(x, r)} if self.pool.setting.execute else {}),
-                "policy": self.name,
-                "place": k,
-                **({"robot_place": there[0]} if self.robots == 1 else {"robot_places": there}),
-                "cost": float(choices.costs[place, slot[i]]) if slot[i] >= 0 else 0.0,
-                "cost_to_go": finite(choices.h[x]),
-                "cost_to_go_after": finite(choices.h[view.x[e, k]]),
-                "theta": float(theta_before[e, k]),
-                "reward": float(reward[e, k]),
-                **({"goal": list(choices.goals or ())[self.goal[e, k]]} if self.pool.goals > 1 else {}),
-            }
-            trace.append(row)
 
 
 def _drawn(pool: Pool, model: NDArray[np.int64], uniform: Floats) -> NDArray[np.int64]:

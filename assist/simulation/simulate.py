@@ -9,30 +9,33 @@ depend on how episodes are divided among processes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import LimitError
-from planner.system.progress import Progress, Wanted, adding, shows_progress
+from planner.system.progress import Wanted, adding, shows_progress
 
-from ..people.arguments import Seed, entropy, positive, whole, wholes
-from ..person.suggestion_threshold import SEARCHED_STATES, search_threshold
-from ..team.attention import NoAssistance
+from ..people.arguments import Seed, entropy, whole, wholes
 from ..team.policies import prepare
-from ..team.state import TeamAction, TeamPolicy, TeamState
+from ..team.state import TeamPolicy
 from ..team.travel import Travel
-from .common_random_numbers import BLOCK, CommonRandomNumbers
-from .episodes import Episodes, Trace
-from .pool import MEMORY_LIMIT_MB, Pool
+from .common_random_numbers import BLOCK
+from .episodes import Episodes
+from .memory_needed import MEMORY_LIMIT_MB, require_room_for_episodes
+from .model_group import World
+from .pool import Pool
+from .requested import number_of, people_drawn, team_of
 from .run import Run
 from .schedule import Schedule
-from .task_view import GoalKnowledge, TaskParts, World
+from .suggestion_search import with_threshold
+from .task_parts import TaskParts
+from .task_view import GoalKnowledge
+from .trace import Trace
+from .traced_run import TracedRun
 
 SOLVING = "solving people's POMDPs"
 PEOPLE_AT_A_TIME = 16_384
@@ -117,9 +120,9 @@ def simulate(
         raise ValueError(f"world {world!r}: expected {' or '.join(map(repr, get_args(World)))}")
     if goals not in get_args(GoalKnowledge):
         raise ValueError(f"goals {goals!r}: expected {', '.join(map(repr, get_args(GoalKnowledge)))}")
-    count = _count(episodes)
-    places, given = _team(humans, len(pool.people), count)
-    _allow(count, places, memory_limit_mb)
+    count = number_of(episodes)
+    places, given = team_of(humans, len(pool.people), count)
+    require_room_for_episodes(count, places, memory_limit_mb)
     numbers = np.arange(count) if np.ndim(episodes) == 0 else wholes("episodes", episodes)
     teams = None if given is None else np.broadcast_to(given, (count, places))
     travel = travel or pool.setting.travel(places)
@@ -135,15 +138,18 @@ def simulate(
     assert callable(progress)
     chunks = [slice(start, start + together) for start in range(0, count, together)]
     if hasattr(policy, "prepare"):
-        drawn = _drawn(pool, seed_number, [numbers[chunk] for chunk in chunks], places) if teams is None else teams
+        drawn = (
+            people_drawn(pool, seed_number, [numbers[chunk] for chunk in chunks], places) if teams is None else teams
+        )
         models = np.unique(pool.model[drawn]).tolist()
         prepare(policy, [pool.policies[model] for model in models], progress=partial(progress, SOLVING))
     advance = adding(progress, f"simulating {called}", count)
 
     def run(chunk: slice) -> Episodes:
-        return Run(
+        made = Run if trace is None else partial(TracedRun, trace=trace)
+        return made(
             pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=seed_number,
-            name=called, travel=travel, presence=presence, world=world, trace=trace, progress=advance, parts=parts,
+            name=called, travel=travel, presence=presence, world=world, progress=advance, parts=parts,
             goals=goals,
         ).run()  # fmt: skip
 
@@ -152,96 +158,4 @@ def simulate(
     if not explain or found.interventions.any() or not found.actions.any():
         return found
     again = partial(simulate, seed=seed_number, travel=travel, presence=presence, world=world, goals=goals)
-    return _with_threshold(found, pool, policy, travel, again, progress)
-
-
-def _allow(count: int, places: int, memory_limit_mb: float) -> None:
-    """Raise a `LimitError` if the records of some episodes would exceed the memory limit."""
-    needed = count * (57 * places + 40) / 1e6
-    if needed > positive("memory_limit_mb", memory_limit_mb):
-        raise LimitError(
-            f"{count:,} episodes of {places} people take {needed:,.0f} MB of memory, and {memory_limit_mb:,.0f} MB are "
-            f"allowed; expected at most {int(memory_limit_mb / needed * count):,} episodes, or a higher memory limit"
-        )
-
-
-def _with_threshold(
-    found: Episodes, pool: Pool, policy: TeamPolicy, travel: Travel, again: Callable[..., Episodes], progress: Progress
-) -> Episodes:
-    """Return episodes without a suggestion, with the cost of suggestions at which the policy would make one.
-
-    `again` simulates a policy in the same setting. Policies that weigh costs have a method `with_policies`.
-    """
-    with_policies = getattr(policy, "with_policies", None)
-    if with_policies is None:
-        return found
-    few = _few(pool, found)
-
-    def suggests(c_suggest: float) -> bool:
-        progress(f"trying c_suggest {c_suggest:g}", 0, None)
-        other = pool.priced(c_suggest)
-        until_first = _UntilFirstSuggestion(with_policies(other.policies, travel))
-        again(other, until_first, humans=found.people[:few], episodes=found.episode[:few], explain=False)
-        return until_first.suggested
-
-    return replace(found, suggestion_threshold=search_threshold(pool.setting.c_suggest, suggests if few else None))
-
-
-class _UntilFirstSuggestion:
-    """A policy that makes no suggestion after its first one, and records whether it has made one."""
-
-    def __init__(self, policy: TeamPolicy) -> None:
-        self._policy, self.suggested = policy, False
-
-    def __call__(self, team: TeamState, /) -> TeamAction:
-        """Return the policy's action, or none after the first suggestion."""
-        action = NoAssistance()(team) if self.suggested else self._policy(team)
-        self.suggested = self.suggested or bool(action.robot.any())
-        return action
-
-
-def _few(pool: Pool, episodes: Episodes) -> int:
-    """Return how many episodes, from the first on, involve problems of at most `SEARCHED_STATES` states in total."""
-    count = min(len(episodes), BLOCK)
-
-    def states() -> float:
-        return sum(pool.policies[model].size for model in np.unique(pool.model[episodes.people[:count]]).tolist())
-
-    while count and states() > SEARCHED_STATES:
-        count //= 2
-    return count
-
-
-def _drawn(pool: Pool, seed_number: int, numbers: Sequence[NDArray[np.int64]], places: int) -> NDArray[np.int64]:
-    """Return the people who are in a team in any of some episodes, given in chunks."""
-    size = len(pool.people)
-    drawn = np.arange(size if places == size else 0)
-    for chunk in numbers:
-        if len(drawn) == size:
-            break
-        drawn = np.union1d(drawn, CommonRandomNumbers(seed_number, chunk, places).team(size))
-    return drawn
-
-
-def _count(episodes: ArrayLike) -> int:
-    """Return the number of requested episodes."""
-    if np.ndim(episodes) == 0:
-        return whole("episodes", episodes, 1)
-    if np.ndim(episodes) != 1 or not np.size(episodes):
-        raise ValueError(f"episodes {episodes!r}: expected how many, or the number of one or more of them")
-    return np.size(episodes)
-
-
-def _team(humans: ArrayLike, size: int, episodes: int) -> tuple[int, NDArray[np.int64] | None]:
-    """Return the number of places of a team and, if they are given, the people at each."""
-    if np.ndim(humans) == 0:
-        places = whole("humans", humans, 1)
-        if places > size:
-            raise ValueError(f"{places} people per team: expected 1 to {size}, the size of the pool")
-        return places, None
-    team = np.asarray(humans)
-    if team.dtype.kind not in "iu" or not team.size or team.min() < 0 or team.max() >= size:
-        raise ValueError(f"team {team.tolist()}: expected numbers of the pool, from 0 to {size - 1}")
-    if team.ndim > 2 or (team.ndim == 2 and len(team) != episodes):
-        raise ValueError(f"teams, shape {team.shape}: expected one row for each of {episodes} episodes")
-    return team.shape[-1], team.astype(np.int64)
+    return with_threshold(found, pool, policy, travel, again, progress)

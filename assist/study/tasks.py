@@ -8,7 +8,7 @@ from typing import TypeVar
 from planner import Cache, CostToGo, Instance, LimitError, Table, cost_to_go, load, sweep
 from planner.system.errors import InputFileError
 
-from ..people.choices import require_goal
+from ..people.arguments import require_goal
 
 Known = TypeVar("Known", bound=CostToGo)
 

@@ -12,7 +12,8 @@ from ..people.decision import Floats
 from ..person.policy import Policy
 from ..person.qmdp import evaluate
 from .assignment import assigned
-from .state import NOBODY, ByPolicy, TeamAction, TeamState
+from .by_policy import ByPolicy
+from .state import NOBODY, TeamAction, TeamState
 from .travel import Travel
 
 

@@ -21,8 +21,10 @@ from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from .assignment import assigned
-from .attention_subproblem import HERE, AttentionSubproblem, backwards
-from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
+from .attention_subproblem import AttentionSubproblem, backwards
+from .by_policy import ByPolicy
+from .state import BASE, NOBODY, Ask, TeamAction, TeamState
+from .time_expansion import HERE
 from .travel import Travel
 
 

@@ -7,10 +7,9 @@ same form can be used.
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,6 @@ from planner.system.arrays import outline
 from ..people.decision import Floats
 from ..person.policy import Policy
 from .travel import Travel
-
-T = TypeVar("T")
 
 BASE = -1
 """The robot's place before it has gone to a person; also the index of the base in a distance matrix."""
@@ -35,33 +32,6 @@ Ask = Callable[[Policy, NDArray[np.int64], Floats], Floats]
 
 class PolicyError(ValueError):
     """A team policy fails, or chooses an impossible action."""
-
-
-class ByPolicy(Generic[T]):
-    """Data for each of some policies for single people, computed on first use. Access is thread-safe.
-
-    Parameters
-    ----------
-    policies : iterable of Policy
-    work_out : callable
-        Returns the data for a policy.
-    """
-
-    def __init__(self, policies: Iterable[Policy], work_out: Callable[[Policy], T]) -> None:
-        # Policies are distinguished by identity. Keeping the object guarantees that its id is not reused.
-        self._policies = {id(policy): (policy, threading.Lock()) for policy in policies}
-        self._known: dict[int, T] = {}
-        self._work_out = work_out
-
-    def __getitem__(self, policy: Policy) -> T:
-        number = id(policy)
-        if number not in self._policies:
-            raise ValueError("a policy for people whom this team policy was not made for; expected one of those given")
-        if number not in self._known:
-            with self._policies[number][1]:
-                if number not in self._known:
-                    self._known[number] = self._work_out(policy)
-        return self._known[number]
 
 
 @dataclass(frozen=True)
@@ -231,52 +201,6 @@ class TeamState:
         teams = np.arange(len(self.x)).reshape(-1, *[1] * (person.ndim - 1))
         speaks = (person != NOBODY) & (self.travel.steps[self.location, person] == 0)
         return TeamAction(person, np.where(speaks, robot[teams, person], 0))
-
-    def check(self, action: TeamAction) -> None:
-        """Raise an error for an action that no policy may choose.
-
-        Raises
-        ------
-        PolicyError
-            It names the fault and the step.
-        """
-        shape, people = self.location.shape, self.x.shape[1]
-
-        def refused(fault: str) -> PolicyError:
-            return PolicyError(f"step {self.step}: the policy {fault}")
-
-        if not isinstance(action, TeamAction):
-            raise refused(f"returned {type(action).__name__}; expected a TeamAction, as TeamState.act gives it")
-        for array in (action.person, action.robot):
-            if not isinstance(array, np.ndarray) or array.dtype.kind not in "iu" or array.shape != shape:
-                found = f"an array of {array.dtype}, shape {array.shape}" if isinstance(array, np.ndarray) else array
-                each = "robot of each team" if len(shape) > 1 else "team"
-                raise refused(
-                    f"chose {found!s:.80}; expected two int arrays of shape {shape}, an entry for each {each}"
-                )
-        wrong = (action.person < NOBODY) | (action.person >= people)
-        if wrong.any():
-            raise refused(f"goes to person {action.person[wrong][0]} in a team of {people}")
-        goes = np.nonzero(action.person != NOBODY)
-        teams, to, robot = goes[0], action.person[goes], action.robot[goes]
-        if not self.active[teams, to].all():
-            raise refused("goes to a person who has finished or is not there")
-        if (robot[self.travel.steps[self.location[goes], to] > 0] != 0).any():
-            raise refused("speaks to a person before the robot has arrived")
-        if self.is_joint:
-            if self.free is not None and not self.free[goes].all():
-                raise refused("sends a robot that is under way")
-            after = np.where(action.person == NOBODY, self.location, action.person)
-            ordered = np.sort(after, axis=1)
-            for n, one in zip(*np.nonzero((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != BASE)), strict=True):
-                there = after[n] == ordered[n, one]
-                # Robots may be with one person already, if somebody else has moved them.
-                if (self.location[n, there] != ordered[n, one]).any() or (action.person[n, there] != NOBODY).sum() > 1:
-                    raise refused("lets two robots be with one person, or on their way there")
-        for number, rows in by_model(self.model[teams, to], np.flatnonzero(robot != 0), len(self.policies)):
-            count = self.policies[number].pomdp.robot_actions[self.x[teams[rows], to[rows]]]
-            if ((robot[rows] < 0) | (robot[rows] >= count)).any():
-                raise refused("makes a suggestion that the person's state does not have")
 
 
 class TeamPolicy(Protocol):

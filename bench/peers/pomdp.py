@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from assist.people.choices import Choices
-from assist.people.decision import perceived_cost_to_go
 from assist.people.human import Human, HumanModel
+from assist.people.misconception import perceived_cost_to_go
 from assist.person.pomdp import AssistPOMDP
 from planner import find_instances, load, sweep
 

@@ -51,7 +51,7 @@ def table_of(instance: Instance) -> Table:
 
 def costs_of(instance: Instance, *, max_states: int, memory_limit_mb: float | None) -> CostToGo:
     """Read a task of any size and return its cost-to-go. States of tasks above `max_states` are solved on demand."""
-    from ...people.choices import require_goal
+    from ...people.arguments import require_goal
 
     tell_of_compiling()
     task = load(instance)

@@ -1,0 +1,69 @@
+"""The bound from sample paths: an information relaxation that uses the subproblems and the beliefs that teams visit."""
+
+from __future__ import annotations
+
+import math
+import time
+from contextlib import suppress
+
+from ..people.decision import Floats
+from ..team.priority import Priority
+from .certificate import returns
+from .computation import Computation, Relaxation
+from .information_relaxation.belief_nodes import BeliefNodes
+from .information_relaxation.confidence import SampledBound
+from .information_relaxation.congestion import OutOfTimeError
+from .information_relaxation.sampled_bound import InformationRelaxation
+from .prices import SubproblemKind
+from .visited_beliefs import BeliefRecorder
+
+
+def recorder(run: Computation, kinds: list[SubproblemKind], price: Floats, together: int) -> BeliefRecorder:
+    """Simulate the priority policy at these prices, and return the recorder of visited beliefs.
+
+    A robot with one person rarely leaves them alone for long, so that the solver rarely visits beliefs that arise then.
+    In a team such beliefs are frequent. Where bounds are loose, the information relaxation divides them among known
+    types, which tells the robot too much.
+    """
+    priority = Priority.of(run.policies, run.travel, price if len(price) else None)
+    meeting = BeliefRecorder(priority, len(run.team), together + run.options.relaxation.free_steps)
+    each = math.ceil(run.options.belief_episodes / max(kind.count for kind in kinds))
+    returns(run.pool, meeting, run.team, run.travel, episodes=each, seed=run.seed)
+    return meeting
+
+
+def without_prices(run: Computation, relaxed: Relaxation, recorder: BeliefRecorder | None) -> Relaxation:
+    """Return the relaxation without prices if its bound is lower, as it may be if the time was short.
+
+    Without prices, states need no step, so that the subproblems are much smaller.
+    """
+    if relaxed.done or not len(relaxed.price):
+        return relaxed
+    kinds, begun = run.kinds(0, True), time.perf_counter()
+    until = begun + 0.3 * (run.start + run.limit - begun)
+    free = run.relaxed(kinds, relaxed.price[:0], until, recorder)
+    return min(relaxed, free, key=lambda one: one.upper)
+
+
+def sampled(run: Computation, relaxed: Relaxation, together: int) -> SampledBound | None:
+    """Return the bound from sample paths; None if there was no time for any."""
+    begun = time.perf_counter()
+
+    def left(done: int) -> float:
+        run.tell("drawing sample paths", done, run.paths)
+        return 1.0 - (time.perf_counter() - begun) / max(1e-9, run.start + run.limit - begun)
+
+    with suppress(OutOfTimeError):
+        robot = InformationRelaxation(
+            _belief_nodes(relaxed), relaxed.price, together, left, run.workers, run.options.relaxation
+        )
+        return robot.sampled(run.paths, run.seed)
+    return None
+
+
+def _belief_nodes(relaxed: Relaxation) -> list[BeliefNodes]:
+    """Return the belief nodes of each person; people of one kind share them."""
+    # The outer relaxation neglects travel time, so that it does not apply if travel takes time.
+    outers = [kind.outer if not len(relaxed.price) and not kind.visits.entry_steps else None for kind in relaxed.kinds]
+    belief_nodes = [BeliefNodes(*part, outer) for part, outer in zip(relaxed.parts, outers, strict=True)]
+    return [one for kind, one in zip(relaxed.kinds, belief_nodes, strict=True) for _ in range(kind.count)]

@@ -1,0 +1,47 @@
+"""The episodes and teams that a simulation is asked for, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..people.arguments import whole
+from .common_random_numbers import CommonRandomNumbers
+from .pool import Pool
+
+
+def people_drawn(pool: Pool, seed_number: int, numbers: Sequence[NDArray[np.int64]], places: int) -> NDArray[np.int64]:
+    """Return the people who are in a team in any of some episodes, given in chunks."""
+    size = len(pool.people)
+    drawn = np.arange(size if places == size else 0)
+    for chunk in numbers:
+        if len(drawn) == size:
+            break
+        drawn = np.union1d(drawn, CommonRandomNumbers(seed_number, chunk, places).team(size))
+    return drawn
+
+
+def number_of(episodes: ArrayLike) -> int:
+    """Return the number of requested episodes."""
+    if np.ndim(episodes) == 0:
+        return whole("episodes", episodes, 1)
+    if np.ndim(episodes) != 1 or not np.size(episodes):
+        raise ValueError(f"episodes {episodes!r}: expected how many, or the number of one or more of them")
+    return np.size(episodes)
+
+
+def team_of(humans: ArrayLike, size: int, episodes: int) -> tuple[int, NDArray[np.int64] | None]:
+    """Return the number of places of a team and, if they are given, the people at each."""
+    if np.ndim(humans) == 0:
+        places = whole("humans", humans, 1)
+        if places > size:
+            raise ValueError(f"{places} people per team: expected 1 to {size}, the size of the pool")
+        return places, None
+    team = np.asarray(humans)
+    if team.dtype.kind not in "iu" or not team.size or team.min() < 0 or team.max() >= size:
+        raise ValueError(f"team {team.tolist()}: expected numbers of the pool, from 0 to {size - 1}")
+    if team.ndim > 2 or (team.ndim == 2 and len(team) != episodes):
+        raise ValueError(f"teams, shape {team.shape}: expected one row for each of {episodes} episodes")
+    return team.shape[-1], team.astype(np.int64)

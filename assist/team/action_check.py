@@ -1,0 +1,52 @@
+"""Checks of the actions that a team policy returns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState, by_model
+
+
+def check(team: TeamState, action: TeamAction) -> None:
+    """Raise an error for an action that no policy may choose.
+
+    Raises
+    ------
+    PolicyError
+        It names the fault and the step.
+    """
+    shape, people = team.location.shape, team.x.shape[1]
+
+    def refused(fault: str) -> PolicyError:
+        return PolicyError(f"step {team.step}: the policy {fault}")
+
+    if not isinstance(action, TeamAction):
+        raise refused(f"returned {type(action).__name__}; expected a TeamAction, as TeamState.act gives it")
+    for array in (action.person, action.robot):
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in "iu" or array.shape != shape:
+            found = f"an array of {array.dtype}, shape {array.shape}" if isinstance(array, np.ndarray) else array
+            each = "robot of each team" if len(shape) > 1 else "team"
+            raise refused(f"chose {found!s:.80}; expected two int arrays of shape {shape}, an entry for each {each}")
+    wrong = (action.person < NOBODY) | (action.person >= people)
+    if wrong.any():
+        raise refused(f"goes to person {action.person[wrong][0]} in a team of {people}")
+    goes = np.nonzero(action.person != NOBODY)
+    teams, to, robot = goes[0], action.person[goes], action.robot[goes]
+    if not team.active[teams, to].all():
+        raise refused("goes to a person who has finished or is not there")
+    if (robot[team.travel.steps[team.location[goes], to] > 0] != 0).any():
+        raise refused("speaks to a person before the robot has arrived")
+    if team.is_joint:
+        if team.free is not None and not team.free[goes].all():
+            raise refused("sends a robot that is under way")
+        after = np.where(action.person == NOBODY, team.location, action.person)
+        ordered = np.sort(after, axis=1)
+        for n, one in zip(*np.nonzero((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != BASE)), strict=True):
+            there = after[n] == ordered[n, one]
+            # Robots may be with one person already, if somebody else has moved them.
+            if (team.location[n, there] != ordered[n, one]).any() or (action.person[n, there] != NOBODY).sum() > 1:
+                raise refused("lets two robots be with one person, or on their way there")
+    for number, rows in by_model(team.model[teams, to], np.flatnonzero(robot != 0), len(team.policies)):
+        count = team.policies[number].pomdp.robot_actions[team.x[teams[rows], to[rows]]]
+        if ((robot[rows] < 0) | (robot[rows] >= count)).any():
+            raise refused("makes a suggestion that the person's state does not have")
