@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from click.testing import CliRunner
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,6 +19,7 @@ from serving import served
 from test_live_pages import CHROMIUM, chromium, violations
 from userstudies import PLAN, Part, written
 
+from assist.cli import main
 from assist.reports.userstudy_summary import summarise
 from assist.userstudy.export import files
 from assist.userstudy.plan import UserStudy, read
@@ -211,12 +213,13 @@ def test_participants_see_the_questions_of_their_condition_in_an_order_of_their_
     summary = summarise(session.study, found)
     ease = next(one for one in summary["measures"] if one["measure"] == "ease")
     assert sum(cell["n"] for cell in ease["cells"]) == 3
-    assert {cell["mean"] for cell in ease["cells"]} == {4.5, 4.0}  # of clear and lost, and of hints
+    assert {cell["mean"] for cell in ease["cells"]} == {4.5}  # of clear and lost, which are asked in all conditions
     assert summary["participants"]["excluded"] == {"failed 1 or more attention checks": 1}
     asked = {(one["item"], one["condition"]): one for one in summary["answers"]}
     assert asked["hand", "all participants"]["counts"] == {"the left": 0, "the right": 0, "both": 3}
     assert asked["used", "all participants"]["counts"] == {"robots": 0, "games": 3}
     assert asked["age", "all participants"]["mean"] == 30
+    assert (asked["hints", "attention"]["mean"], asked["hints", "none"]["n"]) == (3, 0)
 
 
 def test_the_pages_learn_neither_conditions_nor_right_answers(tmp_path: Path) -> None:
@@ -306,3 +309,15 @@ def test_all_forms_can_be_answered_in_a_browser(chromium: Any, tmp_path: Path) -
         ("hints", None): 3, ("now", None): 60,
     }  # fmt: skip
     assert faults == []
+
+
+@pytest.mark.slow
+def test_simulated_participants_answer_all_forms(tmp_path: Path) -> None:
+    file = written(tmp_path / "study.toml", WITH_FORMS.replace("seed = 3", "seed = 3\nparticipants = 4"))
+    words = ("serve", "--study", file, "--rehearse", 4, "--data", tmp_path / "data", "--port", 0)
+    said = CliRunner().invoke(main, [str(word) for word in words])
+    assert said.exit_code == 0, said.output
+    report = (tmp_path / "data" / "report" / "report.md").read_text()
+    assert "| How old are you? | all participants | 4 |" in report
+    assert "| Mark often here. | none | 2 | 2 of 2 passed this attention check |" in report
+    assert "attention checks" not in report.partition("## Conditions")[0]  # nobody failed any

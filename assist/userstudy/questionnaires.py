@@ -224,10 +224,13 @@ class Questionnaire:
 
     @property
     def scale(self) -> tuple[Item, ...]:
-        """The items whose mean is the questionnaire's score: those of its own form, if this is a scale."""
+        """The items whose mean is the questionnaire's score: those of its own form, if this is a scale.
+
+        Items that are asked in some conditions only are left out, since means of different items cannot be compared.
+        """
         if self.form not in (LIKERT, GRID, SLIDER, TLX):
             return ()
-        own = tuple(item for item in self.items if item.form == self.form and item.is_scored)
+        own = tuple(item for item in self.items if item.form == self.form and item.is_scored and not item.conditions)
         return own if len({item.ends for item in own}) == 1 else ()
 
     def mean(self, scores: Mapping[str, float | None]) -> float | None:
