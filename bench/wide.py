@@ -3,7 +3,7 @@
     python bench/wide.py [--instance kitting/paper] [--people 4] [--region 20000] [--episodes 20000] [--record FILE]
 
 Each variant runs in a process of its own, so that its memory can be measured. Times are processor seconds of all
-threads; *worked out* is the time before the first episode. *Part less whole* is the mean difference of the discounted
+threads; *prepared* is the time before the first episode. *Part less whole* is the mean difference of the discounted
 returns, with its standard error.
 """
 
@@ -29,7 +29,7 @@ WHOLE = 10**9  # states
 COLUMNS = {
     "task": cell("task"), "states": cell("states", ","), "region": cell("region", ","), "policy": cell("policy"),
     "episodes": cell("episodes", ","), "whole": cell("whole", ".2f"), "part less whole": cell("ahead", ".3f", "error"),
-    "worked out, s: whole": cell("whole prepared", ".1f"), "part": cell("part prepared", ".1f"),
+    "prepared, s: whole": cell("whole prepared", ".1f"), "part": cell("part prepared", ".1f"),
     "simulated, s: whole": cell("whole simulated", ".1f"), "part ": cell("part simulated", ".1f"),
     "MB: whole": cell("whole memory", ".0f"), "part  ": cell("part memory", ".0f"),
 }  # fmt: skip

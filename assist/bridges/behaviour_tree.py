@@ -29,13 +29,13 @@ NAMESPACE = "assistance"
 
 
 class Robot(Protocol):
-    """What a robot can do. No method waits."""
+    """The functions of a robot that the leaves call. No method may wait."""
 
     def go(self, person: str) -> None:
         """Begin to go to a person."""
 
     def there(self) -> bool | None:
-        """Return True when it has arrived, False if it cannot, None while it is under way."""
+        """Return True if the robot has arrived, False if it cannot arrive, None while it is under way."""
 
     def stop(self) -> None:
         """Stop going."""
@@ -45,7 +45,7 @@ class Robot(Protocol):
 
 
 class _Leaf(Behaviour):
-    """A leaf with access to the errand."""
+    """A leaf with access to the errand: the service's instruction of whom to go to and what to suggest."""
 
     def __init__(self, name: str, namespace: str) -> None:
         super().__init__(name)
@@ -95,7 +95,7 @@ class _Request(_Leaf):
 
 
 class GetAdvice(_Request):
-    """Asks what the robot is to do; fails if it is to do nothing.
+    """Asks the service for the robot's errand; fails if there is none.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class GetAdvice(_Request):
         return self._client.robot
 
     def update(self) -> Status:
-        """Return FAILURE if there is nobody to assist."""
+        """Return FAILURE if there is no errand."""
         status = super().update()
         if status is Status.SUCCESS and self.errand["person"] is None:
             self.feedback_message = "nothing to do"
@@ -121,7 +121,7 @@ class GetAdvice(_Request):
 
 
 class GoTo(_Leaf):
-    """Goes to the person of the errand; succeeds at once if the robot is there.
+    """Sends the robot to the person of the errand; succeeds at once if the robot is there.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def goal_shares(belief: Floats, goals: int) -> Floats:
 
 
 def given_likeliest(belief: Floats, goals: int) -> Floats:
-    """Return beliefs, given that the goal is the most probable one under each; arguments as in `goal_shares`.
+    """Return each belief conditioned on its most probable goal; arguments as in `goal_shares`.
 
     Ties favour the first goal.
     """

@@ -89,7 +89,7 @@ def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Prob
 
 @njit()
 def exclude_reached(belief: Floats, x: int, m: ProblemArrays) -> None:
-    """Condition a belief, shape (G * B, T), on the goal not being reached in row `x`, since the person goes on working.
+    """Condition a belief, shape (G * B, T), on the goal not being reached in row `x`, since the person still works.
 
     A belief in which every goal is reached does not change.
     """

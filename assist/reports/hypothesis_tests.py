@@ -63,7 +63,7 @@ def paired_p(differences: ArrayLike) -> float:
 
 
 def mann_whitney(a: ArrayLike, b: ArrayLike) -> RankTest:
-    """Compare two groups by the Mann-Whitney test. Infinite values are the worst rank, shared by all of them.
+    """Compare two groups by the Mann-Whitney test. Infinite values share the highest rank, that of the worst results.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def signed_rank(differences: ArrayLike) -> RankTest:
 
 
 def sign_test(larger: int, smaller: int) -> RankTest:
-    """Compare two conditions of the same participants by the exact sign test; of truth values this is McNemar's test.
+    """Compare two conditions of the same participants by the exact sign test, which for yes or no is McNemar's test.
 
     Parameters
     ----------

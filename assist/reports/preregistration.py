@@ -1,6 +1,7 @@
 """Preregistration of a user study: a record, made before the first participant, of its file and of the analysis code.
 
-The report compares it with what was carried out. Anybody can: the digests are those of `sha256sum`.
+The report compares it with the study that was carried out. The digests are those of `sha256sum`, so that anyone can
+check them.
 """
 
 from __future__ import annotations

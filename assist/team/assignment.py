@@ -18,7 +18,7 @@ Ints = NDArray[np.int64]
 
 
 def assigned(team: TeamState, worth: Floats) -> Ints:
-    """Return the person to whom each robot of some teams goes, shape (N, M), at the largest total worth.
+    """Return the person to whom each robot goes, shape (N, M), in the assignment with the largest total worth.
 
     Robots under way, and those without a person at a positive worth, have `NOBODY`.
 
@@ -37,7 +37,7 @@ def assigned(team: TeamState, worth: Floats) -> Ints:
 
 
 def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
-    """Return the assignment where each person is worth the same to all robots that are not with them."""
+    """Return the assignment if all places are equally far from each other, so that only the people's worth matters."""
     teams, robots, people = worth.shape
     each = worth.max(axis=1)
     served = np.zeros((teams, people), dtype=bool)
@@ -76,7 +76,7 @@ def _matched(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
 
 
 def _stay_rather_than_swap(person: Ints, location: Ints, free: NDArray[np.bool_]) -> None:
-    """Let a robot without a person serve the one whom it is with, if another robot was to come to them.
+    """Assign a robot without a person to the one it is with, in place of another robot that would come.
 
     This is at least as good, since staying costs nothing. Where moves are free, a matching does not prefer it.
     """

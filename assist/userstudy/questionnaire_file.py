@@ -46,7 +46,7 @@ KEYS = {
 
 
 class _Form(Struct, forbid_unknown_fields=True, kw_only=True):
-    """What a questionnaire sets for its items, and an item for itself."""
+    """Keys that an item may have, and that a questionnaire may have as defaults for its items."""
 
     required: Truth | None = None
     points: Points | None = None

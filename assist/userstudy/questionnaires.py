@@ -46,7 +46,7 @@ class Item:
     points : int
         Number of points of a Likert scale, which begins at 1.
     labels : tuple of str
-        A label for each point of a Likert scale; empty: of the ends only.
+        A label for each point of a Likert scale; empty if only the ends have labels.
     minimum, maximum, step : float
         Valid numbers of a slider or a number.
     options : tuple of str
@@ -84,7 +84,7 @@ class Item:
 
     @property
     def is_scored(self) -> bool:
-        """Whether the answer is a number that counts in results, other than an attention check."""
+        """Whether the answer is a number that is part of the results; attention checks are not."""
         return self.form not in (CHOICE, CHOICES, TEXT) and self.correct is None
 
     def check(self, answer: Any, *, longest: int = 4000) -> Answer:
