@@ -33,6 +33,7 @@ CASES = {
     "fit_figures": ("", "--instance kitting/tiny"),
     "fit time": ("--people 8", "--people 2 --actions 6 --instance kitting/tiny"),
     "goals": ("", "--per-domain 1 --domain satellite"),
+    "kits": ("", "--goals 2 --episodes 20 --pool 2 --humans 2"),
     "fleet": ("--cells 1/3 --cells 1/5 --instances 20 --runs 200", "--cells 1/3 --instances 2 --runs 20"),
     "foreign": ("counters stacks", "--one domains/kitting/tiny.pddl"),
     "growth": ("--repeat 1", "--repeat 1 --steps 1"),

@@ -248,6 +248,21 @@ def test_with_certainty_a_policy_does_what_it_does_for_people_with_that_goal(pol
     assert equal(*found)
 
 
+@pytest.mark.parametrize("policy", ["attention", "attention-never", "priority"])
+def test_a_policy_may_assume_the_likeliest_goal_itself(policy: str) -> None:
+    """So that the live assistant can, too: as in a simulation whose robot sees that goal only."""
+    goals, setting = TASKS["tiny"], Setting(c_suggest=0.05, c_move=0.1, knowledge="exact")
+    assuming = replace(goals, assume_likeliest=True)
+    options: dict[str, Any] = {"humans": 2, "episodes": 30, "seed": 5}
+    plain, own = (Pool.sample(task, 3, seed=2, setting=setting) for task in (goals, assuming))
+    found = simulate(own, policy, **options)
+    assert equal(found, simulate(plain, policy, goals="likeliest", **options))
+    assert not equal(found, simulate(plain, policy, **options))
+    desk = Assistant(assuming, ["ann"], setting=setting, policy=policy)
+    desk.recommend()
+    assert desk.person("ann").goals == pytest.approx(PRIOR)
+
+
 def test_the_most_probable_goal_alone() -> None:
     belief = np.array([[[0.1, 0.1], [0.3, 0.0], [0.2, 0.3]], [[0.5, 0.0], [0.2, 0.3], [0.0, 0.0]]])
     found = given_likeliest(belief, 3)

@@ -221,6 +221,7 @@ def digest(task: CostToGo | Goals | Policy) -> str:
     if isinstance(task, Goals):
         for name, table in task.tables.items():
             content.update(f"{name} {task.prior[name]} {table.task.goal}".encode())
+        content.update(b"likeliest" * task.assume_likeliest)
     return content.hexdigest()[:32]
 
 

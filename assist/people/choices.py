@@ -62,6 +62,8 @@ class Choices:
     goals : mapping of str to float, or None
         Prior probability of each goal, if a row is a task state of a person who pursues one of several
         (`goals.Goals`). None if the goal is known.
+    assume_likeliest : bool
+        Whether the robot acts as if the most probable goal were certain.
     """
 
     h: NDArray[np.float64]
@@ -78,6 +80,7 @@ class Choices:
     features: NDArray[np.float64] | None = None
     key: NDArray[np.uint64] | None = None
     goals: Mapping[str, float] | None = None
+    assume_likeliest: bool = False
 
     __repr__ = outline
 

@@ -69,6 +69,11 @@ def given_likeliest(belief: Floats, goals: int) -> Floats:
     return np.where(best, parts / np.where(best, share, 1.0), 0.0).reshape(belief.shape)
 
 
+def acting_belief(choices: Choices, belief: Floats) -> Floats:
+    """Return the beliefs, shape (..., G * B, T), on which the robot acts."""
+    return given_likeliest(belief, choices.goal_count) if choices.assume_likeliest else belief
+
+
 @dataclass(frozen=True, eq=False)
 class Goals:
     """The goals of which a person pursues one, with a prior; it takes the place of a task.
@@ -79,6 +84,8 @@ class Goals:
         Cost-to-go of each goal, by the goal's name, as `planner.sweep_goals` returns them.
     prior : mapping of str to float
         Probability of each goal at the beginning of a task; by default all are equal.
+    assume_likeliest : bool
+        Whether the robot acts as if the most probable goal were certain. The default is the average over all goals.
 
     Raises
     ------
@@ -88,6 +95,7 @@ class Goals:
 
     tables: Mapping[str, Table]
     prior: Mapping[str, float] = field(default_factory=dict)
+    assume_likeliest: bool = False
 
     def __post_init__(self) -> None:
         shares = prior_over(self.tables, self.prior or None)
@@ -132,4 +140,5 @@ class Goals:
             np.concatenate([one.targets + number * m for number, one in enumerate(each)]), costs, joined("optimal"),
             first.names, first.initial, state=np.tile(np.arange(m), count),
             key=None if first.key is None else np.tile(first.key, count), goals=self.prior,
+            assume_likeliest=self.assume_likeliest,
         )  # fmt: skip

@@ -33,6 +33,7 @@ from planner.system.machine import processors
 from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
+from ..people.goals import acting_belief
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
@@ -76,7 +77,8 @@ class QMDP(Policy):
         x : int array, shape (N,)
         belief : float array, shape (N, G * B, T)
         """
-        return self.expected(self.pomdp.model.choices.of_goals(x), belief)
+        choices = self.pomdp.model.choices
+        return self.expected(choices.of_goals(x), acting_belief(choices, belief))
 
     def expected(self, rows: NDArray[np.int64], belief: Floats) -> Floats:
         """Return what `q_values` does, where `rows`, shape (G, N), are the rows of each goal."""
@@ -98,7 +100,8 @@ class QMDP(Policy):
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""
-        value = self.value_mdp[self.pomdp.model.choices.of_goals(x).T]
+        choices = self.pomdp.model.choices
+        value, belief = self.value_mdp[choices.of_goals(x).T], acting_belief(choices, belief)
         return np.einsum("nbt,nbt->n", value.reshape(belief.shape), belief)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..people.goals import acting_belief
 from ..person.policy import Policy
 from ..person.qmdp import evaluate
 from .assignment import assigned
@@ -121,5 +122,6 @@ class AttentionSwitching:
 
     def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         assert self.never is not None
-        never = self.never[policy][policy.pomdp.model.choices.of_goals(x).T]
+        choices = policy.pomdp.model.choices
+        never, belief = self.never[policy][choices.of_goals(x).T], acting_belief(choices, belief)
         return np.einsum("nbt,nbt->n", never.reshape(belief.shape), belief)[:, None]

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
+from ..people.goals import acting_belief
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
@@ -223,7 +224,8 @@ class Priority:
     def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the values of an arrival in 1, 2, ... steps, followed by the Q-values with the robot present."""
         solved: SolvedSubproblem = policy.with_robot(self)
-        states = solved.states[step][:, policy.pomdp.model.choices.of_goals(x)]
+        choices = policy.pomdp.model.choices
+        states, belief = solved.states[step][:, choices.of_goals(x)], acting_belief(choices, belief)
         if (states < 0).any():
             raise ValueError(
                 f"somebody is at step {step} where nobody can be so soon: with prices of steps all begin at step 0"

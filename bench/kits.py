@@ -1,0 +1,101 @@
+"""What it is worth to know which kit people assemble: robots that are told, that infer it, that assume the likeliest.
+
+    python bench/kits.py [--goals G]... [--episodes N] [--record FILE]
+
+A kit of `docs/examples/kits` has one item in each of two slots, so that four items make twelve kits. Each person
+assembles one of the first G of them, in a random order, with equal probability. All robots see the same people, goals
+and random numbers. Gains are differences of the discounted return from that without a robot, with standard errors of
+the paired differences. The price of an answer is the gain of a robot that is told, minus that of one that infers the
+goals, per person. A question before the work that costs less would pay, if it is answered truthfully.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from tables import ROOT, Columns, cell, record_option, write_record
+
+from assist.people import Goals
+from assist.simulation import Pool, simulate
+from assist.team import Setting
+from planner import load, sweep_goals
+
+KITS = ROOT / "docs" / "examples" / "kits"
+COLUMNS: Columns = {
+    "kits": cell("kits"),
+    "policy": cell("policy"),
+    "gain, told": cell("known", ".2f", "known_error"),
+    "gain, inferred": cell("inferred", ".2f", "inferred_error"),
+    "gain, likeliest": cell("likeliest", ".2f", "likeliest_error"),
+    "suggestions, told": cell("known_suggestions", ".2f"),
+    "suggestions, inferred": cell("inferred_suggestions", ".2f"),
+    "suggestions, likeliest": cell("likeliest_suggestions", ".2f"),
+    "price of an answer": cell("answer", ".2f", "answer_error"),
+}
+
+
+def kits(seed: int) -> list[str]:
+    """Return the goals of all kits in a random order."""
+    every = list(itertools.permutations(("hammer", "pliers", "wrench", "tape"), 2))
+    order = np.random.default_rng(seed).permutation(len(every)).tolist()
+    stored = " ".join(f"(in-storage box-{box})" for box in "abc")
+    return [f"(:goal (and (in-slot {every[n][0]} slot-1) (in-slot {every[n][1]} slot-2) {stored})))" for n in order]
+
+
+def goals_of(texts: list[str]) -> Goals:
+    """Return the goals, from a problem file for each."""
+    start = (KITS / "travel.pddl").read_text().partition("(:goal")[0]
+    with tempfile.TemporaryDirectory() as folder:
+        files = [Path(folder) / f"kit-{number}.pddl" for number in range(len(texts))]
+        for file, text in zip(files, texts, strict=True):
+            file.write_text(start + text)
+        tables = sweep_goals([load(file, KITS / "domain.pddl") for file in files])
+    return Goals(dict(zip([file.stem for file in files], tables, strict=True)))
+
+
+def compared(
+    count: int, *, c_suggest: float, episodes: int, humans: int, size: int, seed: int
+) -> Iterator[dict[str, Any]]:
+    """Yield a row for each policy with `count` possible kits."""
+    pool = Pool.sample(goals_of(kits(seed)[:count]), size, seed=seed, setting=Setting(c_suggest=c_suggest))
+    options: dict[str, Any] = {"humans": humans, "episodes": episodes, "seed": seed, "explain": False}
+    alone = simulate(pool, "none", **options).discounted_return
+    for policy in ("attention", "priority"):
+        row: dict[str, Any] = {"kits": count, "policy": policy}
+        gains = {}
+        for knows in ("known", "inferred", "likeliest"):
+            found = simulate(pool, policy, goals=knows, **options)
+            gains[knows] = found.discounted_return - alone
+            row[f"{knows}_suggestions"] = found.interventions.mean() / humans
+        for name, values in {**gains, "answer": (gains["known"] - gains["inferred"]) / humans}.items():
+            row[name], row[f"{name}_error"] = values.mean(), values.std(ddof=1) / math.sqrt(episodes)
+        yield row
+
+
+@click.command()
+@click.option("--goals", "counts", type=click.IntRange(2, 12), multiple=True, default=(2, 4, 8), show_default=True)
+@click.option("--c-suggest", type=float, default=0.2, show_default=True, help="Cost of a suggestion.")
+@click.option("--episodes", type=click.IntRange(min=2), default=1000, show_default=True)
+@click.option("--humans", type=click.IntRange(min=1), default=3, show_default=True)
+@click.option("--pool", "size", type=click.IntRange(min=1), default=6, show_default=True)
+@click.option("--seed", type=int, default=1, show_default=True)
+@record_option
+def main(counts: tuple[int, ...], record: Path | None, **options: Any) -> None:
+    """Compare robots that are told people's goals, that infer them, and that assume the likeliest."""
+    rows = []
+    for count in counts:
+        for row in compared(count, **options):
+            print(" | ".join(show(row) for show in COLUMNS.values()), flush=True)
+            rows.append(row)
+    write_record(record, COLUMNS, rows)
+
+
+if __name__ == "__main__":
+    main()
