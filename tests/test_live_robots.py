@@ -97,7 +97,7 @@ def test_each_robot_has_its_own_way(tiny: Table) -> None:
         desk.arrived("ann", robot=3)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(HAPPENS, st.integers(0, 10**6))
 def test_a_session_of_two_robots_is_restored(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, int, int]], seed: int

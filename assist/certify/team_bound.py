@@ -131,14 +131,15 @@ class TeamBound:
         """Return the priority policy at this bound's prices, one for each step, for this team from its beginning.
 
         It is better than priority at a single price where many people wait for the robot. Without prices it is that
-        policy.
+        policy, at a price of 0 if each of several people has a robot.
 
         Raises
         ------
         ValueError
             The task is truncated, and there are prices.
         """
-        return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else None)
+        without = 0.0 if 1 < len(self.team) <= self.pool.setting.robots else None
+        return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else without)
 
     def certify(
         self,
