@@ -445,6 +445,32 @@ def test_an_expired_or_impossible_task_is_over(opened: Open) -> None:
     assert ann.stage == "questionnaire nasa-tlx"
 
 
+def test_conditions_may_differ_in_any_setting_and_in_what_is_explained(opened: Open) -> None:
+    text = PLAN.replace('policy = "none"', 'policy = "attention"\nsetting = { c_suggest = 50 }\nreasons = true')
+    told = text.replace('name = "attention"', 'name = "attention"\nreasons = true', 1)
+    session = opened(told)
+    assert [one.setting.c_suggest for one in session.study.conditions] == [50, 0.02]
+    assert {one.setting.c_move for one in session.study.conditions} == {0.01}  # as in the study
+    parts = [Part(session, name) for name in ("ann", "bob")]
+    seen = {}
+    for part in parts:
+        part.come()
+        part.to("task tiny")
+        part.errs()
+        seen[session.cohort.participants[part.name].condition] = session.person(part.name)
+    assert seen["none"]["suggestion"] is None  # it costs more than it saves
+    assert seen["attention"]["suggestion"] is not None
+    assert (seen["attention"]["reason"] is not None, seen["attention"]["explained"]) == (True, True)
+    before = {part.name: session.person(part.name) for part in parts}
+    session.close()
+    again = opened(told)
+    assert {name: again.person(name) for name in before} == before
+    again.close()
+    wrong = "setting = { c_sugest = 50 }"
+    with pytest.raises(InputFileError, match=r"conditions\[1\].setting.c_sugest: unknown; did you mean 'c_suggest'"):
+        opened(text.replace("setting = { c_suggest = 50 }", wrong))
+
+
 def test_simulated_people_act_in_step_and_share_the_robot(opened: Open) -> None:
     session = opened(PLAN.replace('policy = "none"', 'policy = "reactive"'))
     ann = Part(session, "ann")

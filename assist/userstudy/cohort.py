@@ -326,13 +326,11 @@ class Cohort:
             practice = stage.kind == "practice"
             own = None if practice else self.study.orders[condition or person.condition or ""][stage.period - 1]
             count = 0 if practice else self.study.simulated
+            setting = self.study.setting if own is None else self.study.condition(own).setting
 
             def mates() -> list[SimulatedPerson]:
                 seeds = np.random.SeedSequence([self.study.seed, number]).generate_state(count, np.uint64).tolist()
-                return [
-                    SimulatedPerson(self.study.population, trust=self.study.setting.trust_rule(), seed=seed)
-                    for seed in seeds
-                ]
+                return [SimulatedPerson(self.study.population, trust=setting.trust_rule(), seed=seed) for seed in seeds]
 
             person.groups[key] = ParticipantTeam(
                 person.code, self._tasks, lambda: self._course(own), mates, again=self.study.again
@@ -459,10 +457,12 @@ class Cohort:
             seen, over = self._at_task(who).seen(), self._over(who)
             if over:
                 seen |= {"applicable": [], "suggestion": None, "reason": None}
-            if not self.study.reasons:
+            own = self.study.condition_at(stage, who.condition)
+            reasons = own is not None and self.study.condition(own).reasons
+            if not reasons:
                 seen["reason"] = None
             # Why nothing is suggested would reveal the condition.
-            seen["explained"] = self.study.reasons and seen["suggestion"] is not None
+            seen["explained"] = reasons and seen["suggestion"] is not None
         kind = stage.kind if who.status in (HERE, DONE) else who.status
         study = {
             "kind": kind, "stage": stage.name, "what": stage.what, "number": who.at + 1, "of": len(self.stages),

@@ -61,6 +61,8 @@ class ConditionTable(Struct, forbid_unknown_fields=True):
 
     name: Text
     policy: Text
+    setting: AnyTable = {}
+    reasons: Truth | None = None
 
 
 class PopulationTable(Struct, forbid_unknown_fields=True, frozen=True):
@@ -113,10 +115,16 @@ class Condition:
     name : str
     policy : str
         Name of a team policy, or FILE.py:FUNCTION.
+    setting : Setting
+        The study's setting, with what differs in this condition.
+    reasons : bool
+        Whether participants see the reasons of suggestions.
     """
 
     name: str
     policy: str
+    setting: Setting
+    reasons: bool
 
 
 @dataclass(frozen=True)
@@ -167,8 +175,6 @@ class UserStudy:
         Number of simulated people in each participant's team.
     again : bool
         Whether simulated people begin again when they have finished, so that the robot stays in demand.
-    reasons : bool
-        Whether participants see the reasons of suggestions.
     replace : bool
         Whether participants who leave after their task began are replaced.
     away : float
@@ -205,7 +211,6 @@ class UserStudy:
     participants: int | None
     simulated: int
     again: bool
-    reasons: bool
     replace: bool
     away: float
     minutes: float | None
@@ -283,6 +288,10 @@ class UserStudy:
             number += 1
         return number
 
+    def condition(self, name: str) -> Condition:
+        """Return the condition of this name."""
+        return next(one for one in self.conditions if one.name == name)
+
     def is_by_condition(self, questionnaire: Questionnaire) -> bool:
         """Whether the answers belong to one condition."""
         return questionnaire.when != BEFORE and not (questionnaire.when == END and self.is_within)
@@ -343,17 +352,26 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     if len(set(stems)) < len(stems):
         raise fault(file, "tasks", "two tasks have the same file name; expected different names")
     questionnaires = questionnaires_of(file, table.questionnaires, names, within=table.design == WITHIN)
+    setting = _setting(file, table.setting)
+    conditions = tuple(
+        Condition(
+            own.name, own.policy,
+            _setting(file, table.setting | own.setting, f"conditions[{number}].setting") if own.setting else setting,
+            table.reasons if own.reasons is None else own.reasons,
+        )
+        for number, own in enumerate(table.conditions, start=1)
+    )  # fmt: skip
     if not 0 < table.tick <= 86_400:
         raise fault(file, "tick", f"{table.tick:g}; expected a number of seconds above 0")
     return UserStudy(
         file, hashlib.sha256(file.read_bytes()).hexdigest()[:32], table.title or file.stem, table.seed,
         tuple(zip(stems, tasks, strict=True)),
         None if table.practice is None else found("practice", table.practice),
-        tuple(Condition(own.name, own.policy) for own in table.conditions), table.design, reference,
+conditions, table.design, reference,
         table.participants,
-        table.simulated, table.again, table.reasons, table.replace, table.away, table.minutes, table.tick, table.code,
+        table.simulated, table.again, table.replace, table.away, table.minutes, table.tick, table.code,
         table.withdraw_until, table.exclude_failed_checks, _confirmatory(file, table, questionnaires),
-        _setting(file, table.setting), _population(file, table.population),
+        setting, _population(file, table.population),
         {"consent": table.consent, "instructions": table.instructions, "thanks": table.thanks}, questionnaires,
     )  # fmt: skip
 
@@ -401,18 +419,18 @@ def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instan
     return found[0]
 
 
-def _setting(file: Path, content: dict[str, Any]) -> Setting:
+def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Setting:
     try:
-        setting = replace(Setting(), **given(convert(content, SettingTable, file, "setting"))).for_real_people()
+        setting = replace(Setting(), **given(convert(content, SettingTable, file, place))).for_real_people()
     except ValueError as error:
         if isinstance(error, InputFileError):
             raise
-        raise fault(file, "setting", str(error)) from None
+        raise fault(file, place, str(error)) from None
     if setting.travel_time:
         message = f"{setting.travel_time:g}; expected 0, since the robot of a user study does not move"
-        raise fault(file, "setting.travel_time", message)
+        raise fault(file, f"{place}.travel_time", message)
     if setting.execute:
-        raise fault(file, "setting.execute", "true; expected a robot that suggests")
+        raise fault(file, f"{place}.execute", "true; expected a robot that suggests")
     if setting.robots > 1:
         raise fault(file, "setting.robots", f"{setting.robots}; expected 1")
     return setting

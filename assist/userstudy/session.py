@@ -21,6 +21,7 @@ from ..live.session import Session
 from ..people.user_code import parse
 from ..person.policy import Policy
 from ..team.policies import UserPolicy
+from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .cohort import Cohort
 from .plan import UserStudy
@@ -52,8 +53,11 @@ class StudySession(Session):
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], folder: str | Path) -> None:
         self.study = study
         self._policies = {one.name: _policy(study, one.policy) for one in study.conditions}
-        # Solved once, for all teams.
-        self._worked_out: dict[str, Any] = {name: self._once(task) for name, task in tasks.items()}
+        # Solved once for all teams with the same setting.
+        self._solved: list[tuple[Setting, dict[str, Any]]] = []
+        for setting in (study.setting, *(one.setting for one in study.conditions)):
+            if all(setting != other for other, _ in self._solved):
+                self._solved.append((setting, {name: self._once(task, setting) for name, task in tasks.items()}))
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self._plan = folder, folder / PLAN
@@ -62,8 +66,8 @@ class StudySession(Session):
             with atomic(self._plan) as path:
                 shutil.copyfile(study.file, path)
 
-    def _once(self, task: CostToGo) -> Policy:
-        return LiveTask(task, self.study.setting, self.study.population).policy
+    def _once(self, task: CostToGo, setting: Setting) -> Policy:
+        return LiveTask(task, setting, self.study.population).policy
 
     def _header(self) -> dict[str, Any]:
         return {
@@ -84,7 +88,9 @@ class StudySession(Session):
 
     def _course_of(self, condition: str | None) -> Course:
         policy: str | TeamPolicy = "none" if condition is None else self._policies[condition]
-        return Course(self._worked_out, policy=policy, setting=self.study.setting, population=self.study.population)
+        setting = self.study.setting if condition is None else self.study.condition(condition).setting
+        solved = next(tasks for other, tasks in self._solved if other == setting)
+        return Course(solved, policy=policy, setting=setting, population=self.study.population)
 
     @property
     def cohort(self) -> Cohort:
