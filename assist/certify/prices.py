@@ -171,9 +171,9 @@ def kinds_of(
 def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5, plans: int = 6) -> int:
     """Return the number of steps with prices; any number gives a valid bound.
 
-    It is twice the number of actions of the longest optimal plan, or more for a large team: as many steps as more than
-    `at_work` people per robot would still be at work without any, but at most `plans` times that number of actions. The
-    number of actions is estimated as the cost of the plan divided by the smallest positive cost.
+    It is twice the number of actions of the longest optimal plan. For a large team it may be more: the number of steps
+    in which more than `at_work` people per robot are at work if none is helped, but at most `plans` times that number
+    of actions. The number of actions is estimated as the cost of the plan divided by the smallest positive cost.
     """
     shortest = max(float(c.h[c.initial]) / c.unit for c in map(pool.choices, team))
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions

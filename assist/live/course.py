@@ -38,7 +38,7 @@ NOTHING = Advice(None, None, None, arrived=True)
 
 
 class Explains(Protocol):
-    """State of a session that explains its suggestions."""
+    """The state of a session (`EventSourced`) that can also explain its suggestions."""
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
         """Return a function that explains a person's suggestion, or why there is none."""
@@ -47,7 +47,7 @@ class Explains(Protocol):
 
 @dataclass
 class _Note:
-    """What a session stores about a person in addition to the team's record.
+    """The data about a person that only the views need; the rest is in the team's `Roster`.
 
     For all their tasks: the names, and the time of each action. For the current task also the reason of the suggestion
     that was open at each action, and the cost-to-go after each event.
@@ -267,7 +267,7 @@ class Course:
         note.history.clear()
 
     def _note(self, record: Mapping[str, Any], advices: tuple[Advice, ...]) -> None:
-        """Update the data of the views after an event."""
+        """Update what the views show of people, and the list of recent events, after an event."""
         self.count, self.advices = record["n"], advices
         for name in self.touched(record):
             self._notes[name].seq = self.count
@@ -366,7 +366,7 @@ class Course:
         return self.desk.people
 
     def place(self, person: str) -> tuple[CostToGo, int]:
-        """Return a person's task, and its state."""
+        """Return a person's task, and the number of its present state."""
         return self.tasks[self._notes[person].task], self._state(person).state
 
     def person(self, person: str) -> dict[str, Any]:
@@ -397,7 +397,7 @@ class Course:
         }
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
-        """Return a function that explains a person's suggestion, or why there is none, as things are now.
+        """Return a function that explains a person's suggestion, or why there is none, by the present beliefs.
 
         The function may be called from another thread, and then raises the errors of `Assistant.explain`.
         """
@@ -439,7 +439,7 @@ class Course:
             raise AbsentError(f"robot {number}: expected a number from 1 to {self.robots}")
 
     def robot(self, number: int = 1) -> dict[str, Any]:
-        """Return where a robot is to be and what it suggests there, as JSON; its number is from 1.
+        """Return where a robot should be and what it suggests there, as JSON; robots are numbered from 1.
 
         A suggestion remains until it is answered or replaced by another one.
         """

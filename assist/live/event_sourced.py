@@ -77,11 +77,11 @@ class EventSourced(Protocol):
         ...
 
     def place(self, person: str) -> tuple[CostToGo, int]:
-        """Return a person's task, and its state."""
+        """Return a person's task, and the number of its present state."""
         ...
 
     def robot(self, number: int = 1) -> dict[str, Any]:
-        """Return where a robot is to be; its number is from 1."""
+        """Return where a robot should be, and its suggestion there; robots are numbered from 1."""
         ...
 
     def beliefs(self) -> dict[str, bytes]:

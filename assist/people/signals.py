@@ -119,7 +119,7 @@ class ActionRecovery:
         Largest number of actions in an explanation. The time grows with this power of the number of applicable actions.
     unreported : int
         Largest number of visible changes that may have been lost. An action without any visible change counts as one.
-        More make sensors that lose reports usable, and more changes ambiguous.
+        With a larger number, sensors may lose more reports, but more changes are ambiguous.
     stored : int
         Number of states whose transitions are kept; the default takes some hundred megabytes.
     """
@@ -172,7 +172,7 @@ class ActionRecovery:
         return Recovery("ambiguous" if found else "impossible", explanations, None)
 
     def _named(self, change: FactChange | str) -> tuple[str, bool]:
-        """Return a change with the fact in the task's words."""
+        """Return a change as the task's spelling of the fact, and whether the fact holds."""
         fact, holds = FactChange.of(change) if isinstance(change, str) else change
         try:
             named = f"({' '.join(words_of(fact))})"

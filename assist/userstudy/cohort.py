@@ -58,9 +58,9 @@ class StudyEvent(Event):
     simulated : bool
         Whether a new participant is simulated.
     reason : str or None
-        Why the researchers exclude the participant from the analysis; None: no longer.
+        Why the researchers exclude the participant from the analysis; None includes the participant again.
     late : bool
-        Whether data can be withdrawn after the study's date, because the researchers do it.
+        Whether the researchers withdraw the data, which they may do after the study's last day for withdrawals.
     """
 
     stage: str | None = None
@@ -72,7 +72,7 @@ class StudyEvent(Event):
 
 @dataclass
 class Participant:
-    """A present or former participant.
+    """A participant, also one who has left.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ class Cohort:
         return {"reason": reason}
 
     def _in_time(self, person: Participant, event: Event) -> None:
-        """Refuse that data are withdrawn after the study's date."""
+        """Refuse a withdrawal after the study's last day for it."""
         last, late = self.study.withdraw_until, isinstance(event, StudyEvent) and event.late
         if person.status == DONE and last is not None and datetime.now(UTC).date() > last and not late:
             raise InapplicableError(f"data could be withdrawn until {last.isoformat()}")
@@ -295,7 +295,7 @@ class Cohort:
         return facts
 
     def _note(self, record: Mapping[str, Any]) -> None:
-        """Update the participants by a record."""
+        """Update the participants after an event, from its record."""
         self.count, time = record["n"], record["time"]
         if record["event"] == ERASED and "person" not in record:
             return
@@ -345,7 +345,7 @@ class Cohort:
     # Erasing.
 
     def farewell(self, person: str) -> Event | None:
-        """Return the event by which a participant withdraws; None if they have.
+        """Return the event by which a participant withdraws; None if the participant has withdrawn already.
 
         Raises
         ------
@@ -391,7 +391,7 @@ class Cohort:
         return self.participants[person]
 
     def counts(self) -> dict[str, int]:
-        """Return the number of participants that count in each condition or order."""
+        """Return, for each condition or order, the number of its participants who take a place."""
         counts = dict.fromkeys(self.study.orders, 0)
         for person in self.participants.values():
             if person.condition is not None:
@@ -399,7 +399,7 @@ class Cohort:
         return counts
 
     def _counts(self, person: Participant) -> bool:
-        """Whether a participant takes a place."""
+        """Whether a participant takes one of the study's places, as the module describes."""
         if person.status in (HERE, DONE):
             return True
         return person.condition is not None and not self.study.replace
@@ -441,7 +441,7 @@ class Cohort:
         return tuple(code for code, person in self.participants.items() if not person.erased)
 
     def place(self, person: str) -> tuple[CostToGo, int]:
-        """Return a participant's task and its present state."""
+        """Return a participant's task, and the number of its present state."""
         return self._at_task(self.known(person)).place()
 
     def person(self, person: str) -> dict[str, Any]:
@@ -494,7 +494,7 @@ class Cohort:
 
     @property
     def advices(self) -> tuple[Advice, ...]:
-        """No advice: each team has a robot of its own."""
+        """Empty, since each participant's team has a robot of its own."""
         return (NOTHING,)
 
     def robot(self, number: int = 1) -> dict[str, Any]:  # noqa: ARG002 all say the same

@@ -77,7 +77,7 @@ class ParticipantTeam:
         return {"team": subs, "seen": seen}
 
     def elapse(self, n: int, time: float) -> list[Sub]:
-        """Let the robot decide again; return the records, which may be empty."""
+        """Let the robot decide again as time has passed; return the records, none if it does nothing new."""
         return self._all([Event("elapsed")], n, time)
 
     def _all(self, events: Sequence[Event], n: int, time: float, *, mates: bool = False) -> list[Sub]:
@@ -136,5 +136,5 @@ class ParticipantTeam:
         return self.course.person(self.name)
 
     def place(self) -> tuple[CostToGo, int]:
-        """Return the participant's task and its present state."""
+        """Return the participant's task, and the number of its present state."""
         return self._tasks[self.task], self.course.place(self.name)[1]

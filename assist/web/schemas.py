@@ -57,7 +57,7 @@ class Arrived(Once):
 
 
 class Erased(BaseModel):
-    """What remains of a person whose records were erased: a label in their place, the time (UTC), and the reason."""
+    """What remains of a person whose records were erased: a label, the time (UTC), and the reason."""
 
     label: str
     at: str
