@@ -37,7 +37,7 @@ ROOMS = {
         mixture
         spread belief influence_kernels trust_rules user_code action_names signals""",
     "assist.person": """leaf_bounds pomdp visiting_robot policy lazy_policy archive problem_arrays belief_filter qmdp
-        solution_cache alpha_vectors upper_hull convex_bound hsvi search further_beliefs solver
+        solution_cache alpha_vectors upper_hull convex_bound hsvi search memory_needed further_beliefs solver
         suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
@@ -159,6 +159,25 @@ def test_nothing_is_beside_the_rooms() -> None:
         files = {f"{file}.py" for file in ROOMS.get(folder, "").split()}
         beside = {file.name for file in (ROOT / folder).iterdir()} - {"__pycache__"}
         assert beside == {*rooms, *files, "__init__.py", "__init__.pyi", "py.typed"}
+
+
+def floors(folder: str) -> int:
+    """Return the length of the longest chain of rooms of which each imports from the next."""
+    below: dict[str, set[str]] = {}
+    for module, file in modules().items():
+        room = ".".join(module.split(".")[:2])
+        names = {".".join(name.split(".")[:2]) for name, _ in imports(module, file.read_text()) if name in ORDER}
+        below.setdefault(room, set()).update(name for name in names - {room} if within(name, folder))
+
+    def floor(room: str) -> int:
+        return 1 + max(map(floor, below[room]), default=0)
+
+    return max(floor(room) for room in below if within(room, folder))
+
+
+def test_rooms_stand_on_few_floors() -> None:
+    assert floors("planner") <= 7
+    assert floors("assist") <= 9
 
 
 def handed_on(package: str) -> list[tuple[str, str]]:

@@ -12,6 +12,7 @@ from solved import NAMES, few, seeds, solution_of, some_beliefs
 
 from assist.person import convex_bound, hsvi
 from assist.person.solver import Solution
+from assist.person.upper_hull import new_program
 
 
 def hull_and_sawtooth(corner: np.ndarray, point: np.ndarray, drop: np.ndarray, b: np.ndarray) -> tuple[float, float]:
@@ -112,7 +113,7 @@ def test_search_works_with_a_bound_between_the_convex_hull_and_the_sawtooth(name
     x, belief = some_beliefs(solution, seed, 10)
     for y, b in zip(x, belief.reshape(len(x), -1), strict=True):
         least, most = hull_and_sawtooth(*of_state(solution, y), b)
-        upper = hsvi.upper(int(y), b, hull, hsvi.new_room(b.size))
+        upper = hsvi.upper(int(y), b, hull, new_program(b.size))
         assert least - 1e-7 * abs(least) <= upper <= most + 1e-9 * abs(most)
 
 
@@ -125,4 +126,4 @@ def test_weights_of_the_search_are_checked() -> None:
         hsvi.add_point(0, b, float(corner @ b + d), hull)
     least, most = hull_and_sawtooth(corner, point, drop, belief)
     assert least == pytest.approx(-5 - 0.2 - 0.48 / 0.9)  # the second point cannot have more than 0.2
-    assert least - 1e-9 <= hsvi.upper(0, belief, hull, hsvi.new_room(3)) <= most + 1e-9
+    assert least - 1e-9 <= hsvi.upper(0, belief, hull, new_program(3)) <= most + 1e-9

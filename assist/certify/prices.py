@@ -19,8 +19,8 @@ from planner.system.progress import Progress
 
 from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, likely
 from ..people.decision import Floats
+from ..person.memory_needed import first_bounds_bytes
 from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
-from ..person.solver import first_bounds_bytes
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance

@@ -70,9 +70,9 @@ from ..people.decision import Floats
 from ..people.human import Human, Population
 from ..people.mixture import Mixture
 from ..person.leaf_bounds import LeafBounds
+from ..person.memory_needed import first_bounds_bytes
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import initial_upper_bounds, value_iteration
-from ..person.solver import first_bounds_bytes
 from ..team.attention_subproblem import AttentionSubproblem
 from ..team.settings import Setting
 from ..team.time_expansion import AWAY, HERE

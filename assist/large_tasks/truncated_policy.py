@@ -14,6 +14,7 @@ problem.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -92,6 +93,14 @@ class TruncatedPolicy(Policy):
     like: TruncatedPolicy | None = None
     solved: dict[tuple[float, ...], LeafEstimates] = field(default_factory=dict, repr=False)
     bounds: dict[tuple[float, bool], TruncatedProblem] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of_people(cls, ground: SharedTask, people: Sequence[Human], setting: Setting) -> list[Policy]:
+        """Return a policy for each model of people: for each person, or one if the robot knows the task only."""
+        of_task = cls(ground, setting)
+        if setting.knowledge == "exact":
+            return [of_task]
+        return [cls(ground, setting, human, of_task) for human in people]
 
     @property
     def task(self) -> CostToGo:

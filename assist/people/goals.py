@@ -7,10 +7,11 @@ their goal, so that a problem on these rows is one problem for each goal, side b
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner import CostToGo, Table
 
@@ -142,3 +143,11 @@ class Goals:
             key=None if first.key is None else np.tile(first.key, count), goals=self.prior,
             assume_likeliest=self.assume_likeliest,
         )  # fmt: skip
+
+
+def drawn_goals(every: Sequence[Choices], model: NDArray[np.int64], uniform: Floats) -> NDArray[np.int64]:
+    """Return the number of each person's goal, drawn from their model's prior by uniform numbers."""
+    priors = [list((choices.goals or {}).values()) for choices in every]
+    below = np.cumsum(priors, axis=1)[model]
+    last = np.array([np.flatnonzero(shares)[-1] for shares in priors])[model]  # rounding must not select beyond it
+    return np.minimum((uniform[..., None] >= below).sum(axis=-1), last)

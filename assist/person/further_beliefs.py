@@ -13,6 +13,7 @@ from ..people.decision import Floats
 from . import hsvi
 from .qmdp import ROUNDING
 from .search import Search, relative_gap
+from .upper_hull import new_program
 
 
 def widen(
@@ -66,7 +67,7 @@ def _upper_backups(start, states, beliefs, step, trial, hull, q, m):
 
     Improvements up to `step` are not stored. Return where to continue if memory is short.
     """
-    work, room = np.empty((4, beliefs.shape[1])), hsvi.new_room(beliefs.shape[1])
+    work, room = np.empty((4, beliefs.shape[1])), new_program(beliefs.shape[1])
     for i in range(start, len(states)):
         if len(hull.drop) == hull.space[0]:
             return i

@@ -143,15 +143,6 @@ def new_trial(depth: int, size: int, robots: int, slots: int) -> Trial:
     )
 
 
-@njit()
-def new_room(size):
-    """Return the work arrays of `upper` for beliefs with `size` entries.
-
-    It considers at most 256 beliefs of a state, the most recent ones. `convex_bound` considers all in the end.
-    """
-    return new_program(size, 256)
-
-
 # Reassociation lets the compiler vectorise the sums. The margin of each backup covers its effect on rounding.
 @njit(fastmath=FAST)
 def dot(a, b):
@@ -465,15 +456,6 @@ def _entry_after_suggestion(followed, declined, complied, mean, x, r, b, t, m):
 
 
 @njit()
-def new_backup(size, slots):
-    """Return work arrays of a lower backup.
-
-    They hold the vectors picked after each slot, those picked for the best robot action, and the new vector.
-    """
-    return np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(size)
-
-
-@njit()
 def _backup_lower(d, step, work, trial, backup, vectors, m):
     """Back up the lower bound at one depth of the trial; return whether it improved by more than `step`."""
     x, belief = trial.state[d], trial.belief[d]
@@ -522,8 +504,10 @@ def trials(x0, prior, enough, backups, fineness, rng, trial, vectors, hull, q, m
     that gap. A trial without an improvement multiplies one of them by a factor: entry 1 by 0.1 if it has cut off
     children, otherwise entry 0 by 0.98.
     """
-    work, room = np.empty((4, len(prior))), new_room(len(prior))
-    backup, done = new_backup(len(prior), m.targets.shape[1]), 0
+    work, room = np.empty((4, len(prior))), new_program(len(prior))
+    # the vectors picked after each slot, those picked for the best robot action, and the new vector
+    slots, done = m.targets.shape[1], 0
+    backup = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(len(prior))
     while done < backups:
         trial.bound[0] = upper(x0, prior, hull, room)
         gap = trial.bound[0] - lower(x0, prior, vectors)[0]
@@ -615,8 +599,9 @@ def renew(start, order, step, backups, trial, vectors, hull, q, m):
     function stops after `backups` backups, or if memory is short. Return where to continue, and the number of backups.
     """
     size = hull.corner.shape[1]
-    work, room = np.empty((4, size)), new_room(size)
-    backup, done = new_backup(size, m.targets.shape[1]), 0
+    work, room = np.empty((4, size)), new_program(size)
+    slots, done = m.targets.shape[1], 0
+    backup = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(size)
     for at in range(start, len(order)):
         x = order[at]
         if hull.head[x] == NONE:  # no trial has visited the state

@@ -15,6 +15,7 @@ from . import hsvi
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 from .qmdp import QMDP, ROUNDING, evaluate, sweep_order
+from .upper_hull import new_program
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ class Search:
         """Return the lower and upper bound at a belief."""
         belief = _own(belief)
         lower, _ = hsvi.lower(x, belief, self.vectors)
-        upper = hsvi.upper(x, belief, self.hull, hsvi.new_room(len(belief)))
+        upper = hsvi.upper(x, belief, self.hull, new_program(len(belief)))
         return lower - ROUNDING * abs(lower), upper + ROUNDING * abs(upper)
 
     def make_room(self, memory_limit_mb: float) -> bool:

@@ -33,7 +33,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import LimitError
 from planner.system.arrays import outline
 from planner.system.progress import Wanted, shows_progress
 
@@ -41,6 +40,7 @@ from ..people.decision import Floats
 from . import archive, convex_bound
 from .alpha_vectors import VectorPolicy
 from .further_beliefs import widen
+from .memory_needed import require_room
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import read_only
@@ -170,13 +170,6 @@ class Solution(Policy):
         return value
 
 
-def first_bounds_bytes(pomdp: AssistPOMDP, depth: int = SolverOptions.depth) -> int:
-    """Return the approximate memory, in bytes, that `solve` needs before its search begins."""
-    (states, robots), slots, hidden = pomdp.suggested.shape, pomdp.model.choices.targets.shape[1], pomdp.prior.size
-    # QMDP's values and a copy; the corners; vectors and witnesses of four policies; the values of one policy.
-    return 8 * hidden * (states * (2 * robots + 12) + depth * (8 + robots * slots))
-
-
 @shows_progress
 def solve(
     pomdp: AssistPOMDP,
@@ -228,12 +221,7 @@ def solve(
             raise ValueError(f"{name} {number:g}: expected 0 or more")
     pomdp.model.choices.require_one_goal("the certified solver")
     options = options or SolverOptions()
-    needed = first_bounds_bytes(pomdp, options.depth) / 1e6
-    if needed > memory_limit_mb:
-        raise LimitError(
-            f"the first bounds on {len(pomdp.robot_actions):,} states take about {needed:,.0f} MB of memory, and "
-            f"{memory_limit_mb:,.0f} MB are allowed; expected fewer states, a coarser grid or more memory"
-        )
+    require_room(pomdp, options.depth, memory_limit_mb)
     load_compiled(pomdp)
     progress(SOLVING, 0, None)
     start = time.perf_counter()

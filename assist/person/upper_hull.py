@@ -72,8 +72,11 @@ class Program(NamedTuple):
 
 
 @njit()
-def new_program(size: int, most: int) -> Program:
-    """Return the work arrays for beliefs with `size` entries and at most `most` points."""
+def new_program(size: int, most: int = 256) -> Program:
+    """Return the work arrays for beliefs with `size` entries and at most `most` points.
+
+    The search considers at most the default number of points of a state, the most recent ones.
+    """
     return Program(
         np.empty(most, np.int64), np.empty(most), np.empty((most + 1, size + 1)), np.empty(most, np.int64),
         np.empty(size, np.int64), np.empty(size + 1), np.empty(size), np.empty(size, np.int64),

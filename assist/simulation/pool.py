@@ -172,7 +172,7 @@ class Pool:
             require_goal(float(table.lookup([table.initial])[0]))
             require_room_for_people(size, 0, memory_limit_mb)
             people = population.sample(None, size, rng)
-            policies = _truncated(SharedTask(table, prior, region), people, setting)
+            policies = TruncatedPolicy.of_people(SharedTask(table, prior, region), people, setting)
         number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number)
 
@@ -267,11 +267,3 @@ def _enumerated(
         policies.append(LazyPolicy(setting.problem(choices, human, prior), solver))
         advance(1)
     return policies
-
-
-def _truncated(shared: SharedTask, people: Sequence[Human], setting: Setting) -> list[Policy]:
-    """Return a policy for each model of people on a task that is too large to enumerate."""
-    of_task = TruncatedPolicy(shared, setting)
-    if setting.knowledge == "exact":
-        return [of_task]
-    return [TruncatedPolicy(shared, setting, human, of_task) for human in people]

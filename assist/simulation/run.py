@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
-from ..people.goals import given_likeliest
+from ..people.goals import drawn_goals, given_likeliest
 from ..team.action_check import check
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
@@ -69,7 +69,11 @@ class Run:
         self.mind = np.zeros(shape, dtype=np.int64)
         goal = np.zeros(shape, dtype=np.int64)
         if pool.goals > 1:
-            goal = _drawn(pool, self.model, self.random_numbers.draw(4, np.arange(len(numbers))))
+            goal = drawn_goals(
+                [policy.pomdp.model.choices for policy in pool.policies],
+                self.model,
+                self.random_numbers.draw(4, np.arange(len(numbers))),
+            )
         self.beta = np.array([human.beta for human in pool.people])[self.people]
         self.theta = np.array([human.theta for human in pool.people])[self.people]
         if self.on_grid:
@@ -172,10 +176,12 @@ class Run:
             visible = view.x % self.states
             if belief is not None and self.goals == "likeliest":
                 belief = given_likeliest(belief, self.pool.goals)
+        if belief is not None and len(free) < len(self.x):
+            belief = belief.take(free, axis=0)  # faster than by an index
         team = TeamState(
             step=step, x=visible[every], active=active[every], erred=self.erred[every],
             location=self.location[every] if self.robots > 1 else self.location[every, 0], model=view.model[every],
-            belief=None if belief is None else _rows(belief, every), policies=view.policies,
+            belief=belief, policies=view.policies,
             travel=self.travel, free=arrived[every] if self.robots > 1 else None,
         )  # fmt: skip
         action = self.policy(team)
@@ -199,16 +205,3 @@ class Run:
             self.executed[at] += arrays.suggested[view.x[at], does[rows]] == NOTHING
         self.helped[teams, to] += does > 0
         return robot, charged
-
-
-def _drawn(pool: Pool, model: NDArray[np.int64], uniform: Floats) -> NDArray[np.int64]:
-    """Return the number of each person's goal, drawn from the prior by uniform numbers; arrays of the same shape."""
-    every = [list((policy.pomdp.model.choices.goals or {}).values()) for policy in pool.policies]
-    below = np.cumsum(every, axis=1)[model]
-    last = np.array([np.flatnonzero(shares)[-1] for shares in every])[model]  # rounding must not select beyond it
-    return np.minimum((uniform[..., None] >= below).sum(axis=-1), last)
-
-
-def _rows(array: Floats, rows: NDArray[np.int64] | slice) -> Floats:
-    """Return the given rows of a large array: a view for a slice, otherwise a copy (`take` is fastest)."""
-    return array[rows] if isinstance(rows, slice) else array.take(rows, axis=0)
