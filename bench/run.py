@@ -42,6 +42,7 @@ CASES = {
         "--pools 2 --people 2 --humans 1 --instance paper-fixed",
     ),
     "honesty": ("--quick --time-limit 3", "--quick --instances paper-fixed --time-limit 1"),
+    "carried": ("--people 50", "--people 3 --tasks 2 --instance domains/kitting/tiny.pddl"),
     "live": ("--people 10 --people 1000 --steps 100", "--people 10 --steps 10 --instance domains/kitting/tiny.pddl"),
     "line": ("--people 50 --seconds 20", "--instance domains/kitting/tiny.pddl --people 2 --seconds 3"),
     "live_load": ("--people 50 --seconds 30", "--instance domains/kitting/tiny.pddl --people 2 --seconds 5"),

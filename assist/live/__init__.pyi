@@ -7,6 +7,7 @@ from .events import AbsentError as AbsentError
 from .events import Event as Event
 from .live_task import InapplicableError as InapplicableError
 from .live_task import UnknownError as UnknownError
+from .people_store import PeopleStore as PeopleStore
 from .session import Session as Session
 from .store import JournalError as JournalError
 from .store import Tombstone as Tombstone

@@ -147,6 +147,7 @@ class Assistant:
         task: CostToGo | Goals | Policy | None = None,
         *,
         population: Population | Mixture | None = None,
+        belief: ArrayLike | None = None,
     ) -> None:
         """Add a person, at the beginning of a task, or let one return to the task that they left.
 
@@ -157,6 +158,9 @@ class Assistant:
             By default the team's.
         population : Population or Mixture, optional
             Prior of this person; by default that of the team.
+        belief : array, shape (B, T), optional
+            Belief in a new person from which to begin, for instance that of an earlier team (`PersonState.belief`); by
+            default the prior.
         """
         if not isinstance(person, str) or not person.strip():
             raise ValueError(f"person {person!r}: expected a name")
@@ -165,7 +169,7 @@ class Assistant:
             place = team.by_name[person].place
             if team.present[place]:
                 raise ValueError(f"{person} is there already")
-            if task is not None or population is not None:
+            if task is not None or population is not None or belief is not None:
                 raise ValueError(f"{person} returns to the task that they left; `begin` gives them another")
             team.present[place] = True
         else:
@@ -178,7 +182,7 @@ class Assistant:
             if place == len(team):
                 self._travel = self.setting.travel(2 * place)
                 team.grow(2 * place)
-            team.add(person, problem)
+            team.add(person, problem, belief)
         self._advice = None
 
     def leave(self, person: str) -> None:
@@ -560,6 +564,7 @@ class Assistant:
             {
                 "person": record.name,
                 "present": bool(self._team.present[record.place]),
+                "belief": None if record.carried is None else record.carried.tolist(),
                 "episodes": [
                     {"task": digest(p.task), "population": p.prior.as_dict(), "steps": steps}
                     for p, steps in record.episodes()
@@ -628,8 +633,11 @@ class Assistant:
                 task = tasks.get(episode["task"])
                 if task is None:
                     raise ValueError(f"the task of {one['person']} is not among the {len(tasks)} that were given")
-                enter = self.begin if number else self.join
-                enter(one["person"], task, population=population_of(episode["population"]))
+                population = population_of(episode["population"])
+                if number:
+                    self.begin(one["person"], task, population=population)
+                else:
+                    self.join(one["person"], task, population=population, belief=one.get("belief"))
                 record = self._team.by_name[one["person"]]
                 for step in episode["steps"]:
                     self._suggest(record, step["suggestion"])

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from planner import CostToGo
 
 from ..explain.explanation import Explanation, WhyNothing
+from ..people.decision import Floats
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..team.settings import Setting
@@ -173,6 +174,7 @@ class Course:
         facts: dict[str, Any] = {"person": event.person, "task": event.task, "id": event.id}
         if event.kind == "joined":
             facts["task"] = self._joins(event)
+            facts["belief"] = None if event.belief is None or facts["task"] is None else list(event.belief)
         elif event.person is not None:
             self.require(event.person)
         if event.kind == "began" and event.task is not None:
@@ -224,7 +226,7 @@ class Course:
         match kind:
             case "joined":
                 task = record.get("task")
-                desk.join(person or "", None if task is None else self.tasks[task])
+                desk.join(person or "", None if task is None else self.tasks[task], belief=record.get("belief"))
                 if task is not None:
                     self._notes[person or ""] = _Note(task)
                 self.present.add(person or "")
@@ -417,6 +419,14 @@ class Course:
             "grid": {"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
             "belief": known.belief.tolist(),
         }
+
+    def knows(self, person: str) -> bool:
+        """Return whether a person has been in this session, present or not."""
+        return person in self._notes
+
+    def learned(self, person: str) -> Floats | None:
+        """Return the belief in a person, shape (B, T), present or not; None if no action of theirs was observed."""
+        return self.desk.person(person).belief if self._notes[person].times else None
 
     def beliefs(self) -> dict[str, bytes]:
         """Return the belief about each present person, as the bytes of its array."""

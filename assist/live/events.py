@@ -12,7 +12,7 @@ from .live_task import UnknownError
 
 FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
-    "followed": bool, "unheard": bool, "advice": dict, "advices": list, "robot": int,
+    "followed": bool, "unheard": bool, "advice": dict, "advices": list, "robot": int, "belief": list,
 }  # fmt: skip
 """Fields of an event's record, and their types."""
 
@@ -62,6 +62,8 @@ class Event:
         The client's id: a repeated event with this id has no effect, and gets the first answer.
     robot : int
         Number of the robot that has arrived, from 1.
+    belief : tuple of float or None
+        The belief about a person who joins for the first time, from an earlier session, flattened; None for the prior.
     """
 
     kind: str
@@ -72,6 +74,7 @@ class Event:
     task: str | None = None
     id: str | None = None
     robot: int = 1
+    belief: tuple[float, ...] | None = None
 
 
 def advised(record: Mapping[str, Any]) -> list[dict[str, Any]]:

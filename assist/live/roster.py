@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
 from ..people.goals import goal_shares
@@ -78,7 +78,10 @@ class FinishedTasks:
 
 @dataclass
 class RosterEntry:
-    """A person's current task, the steps in it, and the belief about the person at its beginning."""
+    """A person's current task, the steps in it, and the belief about the person at its beginning.
+
+    `carried` is the belief with which the person joined, or None if it was the prior.
+    """
 
     name: str
     place: int
@@ -86,6 +89,7 @@ class RosterEntry:
     before: Floats
     past: FinishedTasks
     steps: list[Step] = field(default_factory=list)
+    carried: Floats | None = None
 
     def episodes(self) -> list[tuple[LiveTask, list[Named]]]:
         """Return all tasks of the person, with their steps."""
@@ -158,19 +162,23 @@ class Roster:
             raise UnknownError(f"{name!r} is not in the team; present: {there or 'nobody'}")
         return record
 
-    def add(self, name: str, problem: LiveTask) -> None:
-        """Add a new person at the first free place. `grow` makes places, if there is none."""
+    def add(self, name: str, problem: LiveTask, belief: ArrayLike | None = None) -> None:
+        """Add a new person at the first free place, with a belief or the prior. `grow` makes places, if there is none."""
         part, row = problem.at(problem.initial)
         prior = part.policy.pomdp.prior
+        carried = None if belief is None else _distribution(name, belief, prior.shape)
         if not self.records:
             self.belief = np.zeros((len(self), *prior.shape))
         elif prior.shape != self.belief.shape[1:]:
             raise ValueError(f"{name}: a belief of shape {prior.shape}; expected {self.belief.shape[1:]}, as in others")
-        record = RosterEntry(name, len(self.records), problem, prior.copy(), FinishedTasks(self._actions))
+        before = prior if carried is None else carried
+        record = RosterEntry(
+            name, len(self.records), problem, before.copy(), FinishedTasks(self._actions), carried=carried
+        )  # fmt: skip
         self.records.append(record)
         self.by_name[name] = record
         self.present[record.place] = True
-        self.belief[record.place] = prior
+        self.belief[record.place] = before
         self.put(record, part, row)
 
     def part(self, record: RosterEntry) -> tuple[TaskPart, int]:
@@ -237,3 +245,21 @@ class Roster:
             kept.values[mine, : values.shape[1]] = values
         kept.change[rows] = self._change[rows]
         return kept.values
+
+
+def _distribution(name: str, belief: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    """Return a belief as an array of this shape.
+
+    Raises
+    ------
+    ValueError
+        It is no distribution on as many pairs of beta and theta.
+    """
+    found = np.array(belief, dtype=float)
+    size, rounding = int(np.prod(shape)), 1e-9
+    if found.size != size or not (found >= 0).all() or not abs(found.sum() - 1.0) <= rounding:
+        raise ValueError(
+            f"{name}: a belief of {found.size} numbers with the sum {found.sum():.6g}; expected {size} "
+            "numbers of 0 or more with the sum 1"
+        )
+    return found.reshape(shape)

@@ -17,6 +17,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner import CostToGo
+from planner.system.errors import DamagedFileError
 
 from ..people.human import Population
 from ..people.mixture import Mixture
@@ -32,9 +34,10 @@ from ..team.state import TeamPolicy
 from .advice import Advice
 from .course import Course
 from .event_sourced import EventSourced, Outlook
-from .events import LONGEST_REASON, Event, InvalidError
+from .events import LONGEST_REASON, AbsentError, Event, InvalidError
 from .header import header_of, require_same
 from .live_task import InapplicableError, UnknownError
+from .people_store import PeopleStore, model_of
 from .store import EventStore, JournalError, Tombstone, utc
 
 Refused = (UnknownError, InapplicableError, InvalidError)
@@ -58,6 +61,8 @@ class Session:
         A team policy, as in `Assistant`.
     setting, population, distance
         As in `Assistant`.
+    people : PeopleStore, optional
+        Where the beliefs in people are kept for later sessions, and taken from when they join for the first time.
     clock : callable
         Returns ascending seconds from any origin. No result depends on it.
 
@@ -85,13 +90,14 @@ class Session:
         setting: Setting | None = None,
         population: Population | Mixture | None = None,
         distance: ArrayLike | None = None,
+        people: PeopleStore | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._tasks = dict(tasks) if isinstance(tasks, Mapping) else {"task": tasks}
         self._options: dict[str, Any] = {
             "policy": policy, "setting": setting, "population": population, "distance": distance,
         }  # fmt: skip
-        self._clock = clock
+        self._clock, self._people, self._learned = clock, people, set[str]()
         self.changed: Callable[[set[str]], None] | None = None
         self.lock = threading.RLock()
         self._store = EventStore(Path(journal))
@@ -105,6 +111,7 @@ class Session:
     def _open(self) -> None:
         """Restore the state, after the events of an old journal were imported; or begin a new session."""
         expected: dict[str, Any] = json.loads(json.dumps(self._header(), default=str))
+        self._meaning = model_of(expected.get("population", {}), expected.get("setting", {}), expected.get("chances"))
         with self._store.transaction():
             if self._store.old is not None:
                 self._store.import_old()
@@ -148,9 +155,41 @@ class Session:
         return self._restored
 
     def close(self) -> None:
-        """Close the store."""
+        """Save what was learned about people, if it is to be kept, and close the store; repeated calls do nothing."""
         with self.lock:
+            if self._people is not None and not self._unsaved:
+                self._learned |= set(self._restored.people)
+                self._keep()
+                self._people = None
             self._store.close()
+
+    # What is learned about people.
+
+    def _carried(self, course: EventSourced, event: Event) -> Event:
+        """Return the event by which a person joins, with the belief of an earlier session if there is one."""
+        person = event.person or ""
+        if self._people is None or not isinstance(course, Course) or course.knows(person):
+            return event
+        try:
+            belief = self._people.belief(person, self._meaning)
+        except (JournalError, DamagedFileError) as error:
+            logging.getLogger(__name__).warning("%s joins without what was learned before: %s", person, error)
+            return event
+        return event if belief is None else replace(event, belief=tuple(belief.ravel().tolist()))
+
+    def _keep(self) -> None:
+        """Save the beliefs in people from whose actions something was learned. Failures are logged."""
+        course, learned = self._restored, self._learned
+        self._learned = set()
+        if self._people is None or not isinstance(course, Course):
+            return
+        for person in sorted(learned):
+            belief = course.learned(person) if course.knows(person) else None
+            if belief is not None:
+                try:
+                    self._people.save(person, self._meaning, belief)
+                except (JournalError, DamagedFileError) as error:
+                    logging.getLogger(__name__).warning("what was learned about %s is not kept: %s", person, error)
 
     # Events.
 
@@ -195,6 +234,7 @@ class Session:
                 for event, outcome in zip(events, done, strict=True)
             ]
         self._unsaved = False
+        self._keep()
         if touched and self.changed is not None:
             self.changed(touched)
         return outcomes
@@ -203,6 +243,8 @@ class Session:
         """Apply an event within the transaction, and return its outcome."""
         try:
             known = self._known(event)
+            if known is None and event.kind == "joined":
+                event = self._carried(course, event)
             record = None if known is not None else course.happen(event, self.now())
         except Refused as error:
             return error
@@ -214,6 +256,8 @@ class Session:
         answer = course.robot(event.robot) if arrival else course.person(event.person or "")
         self._store.add(record, answer, at=utc())
         touched |= course.touched(record)
+        if event.kind in ("left", "began") or answer.get("finished"):
+            self._learned.add(event.person or "")
         return answer
 
     def _known(self, event: Event) -> Outcome | None:
@@ -258,9 +302,16 @@ class Session:
                 f"reason: expected 1 to {LONGEST_REASON} characters, without the person's name; found {len(reason)}"
             )
         with self.lock:
-            leaves = self._course.farewell(person)
-            if leaves is not None:
-                self._one(leaves)
+            try:
+                leaves = self._course.farewell(person)
+                if leaves is not None:
+                    self._one(leaves)
+            except AbsentError:
+                if self._people is None or not self._people.erase(person):
+                    raise
+                return Tombstone("", utc(), reason, 0)
+            if self._people is not None:
+                self._people.erase(person)
             before = self._course
             label = f"(erased {len(self._store.tombstones()) + 1})"
             believed = before.beliefs()

@@ -23,6 +23,7 @@ from planner import CostToGo
 
 from ..live.events import AbsentError, Event
 from ..live.live_task import InapplicableError
+from ..live.people_store import PeopleStore
 from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson
 from ..live.store import JournalError
@@ -188,6 +189,10 @@ class ServedTeam:
         As in `SimulatedSeats` and `SimulatedPerson`.
     tick : float
         Seconds without an event after which the robot decides again.
+    people_store : Path or None
+        File in which beliefs in people are kept for later sessions (`PeopleStore`); those in simulated people are not.
+    keep_people : float
+        Days after which they expire.
     public_url : str or None
         Public address of the service, as `public_address` returns it, if it differs from where the service listens.
     trusted_proxies : sequence of networks
@@ -205,6 +210,8 @@ class ServedTeam:
     pace: float
     seed: int
     tick: float
+    people_store: Path | None = None
+    keep_people: float = 30.0
     public_url: str | None = None
     trusted_proxies: Networks = ()
 
@@ -218,9 +225,12 @@ class ServedTeam:
         ValueError
             An invalid combination, such as a choice model and a task that is too large for it.
         """
+        people = None
+        if self.people_store is not None:
+            people = PeopleStore(self.people_store, self.keep_people, except_for=self.simulated)
         session = Session(
             self.tasks, self.folder / JOURNAL, policy=self.policy, setting=self.setting,
-            population=self.population, distance=self.distance,
+            population=self.population, distance=self.distance, people=people,
         )  # fmt: skip
         if not session.outlook().events:
             for outcome in session.report([Event("joined", name, task=task) for name, task in self.people.items()]):

@@ -30,7 +30,7 @@ GROUPS = {
     ),
     "Service": (
         "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy", "--bridge", "--tick",
-        "--data",
+        "--data", "--people-store", "--keep-people",
     ),
     "Run": (
         "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",

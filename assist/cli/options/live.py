@@ -51,6 +51,20 @@ def live_options(command: Command) -> Command:
             help="Folder in which the session is stored. An existing session is resumed.",
         ),
         click.option(
+            "--people-store",
+            type=click.Path(dir_okay=False, path_type=Path),
+            metavar="FILE",
+            help="Begin with what earlier sessions have learned about people of the same names, and keep it there.",
+        ),
+        click.option(
+            "--keep-people",
+            type=SECONDS,
+            metavar="DAYS",
+            default=30.0,
+            show_default=True,
+            help="Days after which the store forgets a person.",
+        ),
+        click.option(
             "--policy", type=PolicyName(), default="attention", show_default=True, help=f"Team policy: {CHOICES}."
         ),
         click.option(
@@ -71,8 +85,8 @@ def live_options(command: Command) -> Command:
 
 def plan_of(
     instances: tuple[str, ...], *, humans: int, simulate: int, pace: float, seed: int, data: Path | None, policy: str,
-    tick: float, domain: str | None, distances: Path | None, beta: Range, theta: Range | None, sigma: Range,
-    population_file: Path | None, people: str | None, **options: Any,
+    tick: float, people_store: Path | None, keep_people: float, domain: str | None, distances: Path | None,
+    beta: Range, theta: Range | None, sigma: Range, population_file: Path | None, people: str | None, **options: Any,
 ) -> ServedTeam:  # fmt: skip
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
@@ -104,6 +118,7 @@ def plan_of(
     return ServedTeam(
         tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen, setting=setting,
         population=population, distance=distance, simulated=simulated, pace=pace, seed=seed, tick=tick,
+        people_store=people_store, keep_people=keep_people,
     )  # fmt: skip
 
 

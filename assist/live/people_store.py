@@ -1,0 +1,170 @@
+"""What was learned about people in earlier sessions: their beliefs by name, in an SQLite database of its own.
+
+A session that has a store takes the belief in a person who joins from it, in place of the prior, and saves the belief
+when the person finishes a task, leaves, or the session ends. Theta, the state of the trust rule, is part of the belief.
+A belief is used only where it means the same: for the same grid, population and trust rule.
+
+Beliefs expire, and `erase` removes a person for good: what SQLite frees it overwrites with zeros, and no log remains.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import sqlite3
+import stat
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.system.errors import DamagedFileError
+
+from ..people.decision import Floats
+from .store import JournalError
+
+OWNER_ONLY = stat.S_IRUSR | stat.S_IWUSR
+
+TABLE = """
+CREATE TABLE IF NOT EXISTS people (
+    name TEXT PRIMARY KEY, model TEXT NOT NULL, shape TEXT NOT NULL, belief BLOB NOT NULL, expires TEXT NOT NULL
+) WITHOUT ROWID
+"""
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)
+
+
+class PeopleStore:
+    """A database of beliefs. Several sessions may use it at a time; the last to save a person prevails.
+
+    Parameters
+    ----------
+    file : str or Path
+        Created, with its folder, if it does not exist.
+    days : float
+        Days after which a belief that is not saved again expires.
+    except_for : collection of str
+        People who are neither saved nor looked up, such as simulated ones.
+    now : callable
+        Returns the present time in UTC.
+
+    Raises
+    ------
+    DamagedFileError
+        The file is no such database.
+    JournalError
+        It cannot be read or written.
+    """
+
+    def __init__(
+        self,
+        file: str | Path,
+        days: float = 30.0,
+        *,
+        except_for: Collection[str] = (),
+        now: Callable[[], datetime] = _now,
+    ) -> None:
+        if not days > 0:
+            raise ValueError(f"days {days}: expected a number above 0")
+        self.file, self._days, self._except, self._now = Path(file), days, frozenset(except_for), now
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        os.close(os.open(self.file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY))
+        with suppress(PermissionError):  # the file is another user's, who shares it
+            self.file.chmod(OWNER_ONLY)
+        with self._connected() as db:
+            db.execute(TABLE)
+        self.expire()
+
+    @contextmanager
+    def _connected(self) -> Iterator[sqlite3.Connection]:
+        """Connect for one transaction, since sessions save rarely."""
+        try:
+            with closing(sqlite3.connect(self.file, timeout=10.0)) as db:  # seconds, for another session to finish
+                db.executescript(
+                    "PRAGMA temp_store=MEMORY; PRAGMA secure_delete=ON; PRAGMA journal_mode=DELETE; "
+                    "PRAGMA synchronous=FULL"
+                )
+                with db:
+                    yield db
+        except sqlite3.DatabaseError as error:
+            if isinstance(error, sqlite3.OperationalError):
+                raise JournalError(errno.EIO, str(error), str(self.file)) from error
+            raise DamagedFileError(self.file, None, f"is no store of people ({error})") from error
+
+    def names(self) -> list[str]:
+        """Return whose beliefs are stored and have not expired, in alphabetical order."""
+        self.expire()
+        with self._connected() as db:
+            return [name for (name,) in db.execute("SELECT name FROM people ORDER BY name")]
+
+    def belief(self, person: str, model: str) -> Floats | None:
+        """Return the stored belief in a person, shape (B, T), bit for bit; None if there is none for this model.
+
+        Parameters
+        ----------
+        person : str
+        model : str
+            As from `model_of`.
+        """
+        if person in self._except:
+            return None
+        with self._connected() as db:
+            row = db.execute(
+                "SELECT shape, belief FROM people WHERE name = ? AND model = ? AND expires > ?",
+                (person, model, self._now().isoformat()),
+            ).fetchone()
+        if row is None:
+            return None
+        try:
+            return np.frombuffer(row[1], dtype="<f8").reshape(json.loads(row[0])).astype(float)
+        except (ValueError, TypeError) as error:
+            raise DamagedFileError(self.file, None, f"the belief in {person!r} is damaged ({error})") from error
+
+    def save(self, person: str, model: str, belief: Floats) -> None:
+        """Save the belief in a person, in place of an earlier one."""
+        if person in self._except:
+            return
+        expires = (self._now() + timedelta(days=self._days)).isoformat()
+        row = person, model, json.dumps(belief.shape), belief.astype("<f8").tobytes(), expires
+        with self._connected() as db:
+            db.execute("INSERT OR REPLACE INTO people VALUES (?, ?, ?, ?, ?)", row)
+
+    def erase(self, person: str) -> bool:
+        """Remove what is stored of a person, for good; return whether there was anything."""
+        with self._connected() as db:
+            found = db.execute("DELETE FROM people WHERE name = ?", (person,)).rowcount
+        self._vacuum()  # pages that were moved within the file may hold copies
+        return found > 0
+
+    def expire(self) -> None:
+        """Remove, for good, what has expired."""
+        with self._connected() as db:
+            found = db.execute("DELETE FROM people WHERE expires <= ?", (self._now().isoformat(),)).rowcount
+        if found:
+            self._vacuum()
+
+    def _vacuum(self) -> None:
+        with self._connected() as db:
+            db.commit()  # it cannot run within a transaction
+            db.execute("VACUUM")
+
+
+def model_of(population: Mapping[str, Any], setting: Mapping[str, Any], chances: Any = None) -> str:
+    """Return a text that is the same for beliefs that mean the same.
+
+    Parameters
+    ----------
+    population, setting : mapping
+        As `as_dict` returns them. The population determines the grid.
+    chances : mapping of str to str, optional
+        Hashes of the choice probabilities of a user's own choice model.
+    """
+    rule = [setting.get(name) for name in ("trust", "believed_trust", "eta", "utility_scale", "lapse")]
+    return hashlib.sha256(json.dumps([population, rule, chances], default=str).encode()).hexdigest()[:32]
