@@ -22,14 +22,16 @@ from assist.live.people_store import model_of
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.human import advice_takers
 from assist.person.policy import Policy
-from assist.reports.statistics import mean
+from assist.reports.statistics import IntervalEstimate, mean
 from assist.team.settings import Setting
 from planner import CostToGo, cost_to_go, load
 
 
-def cost(team: Assistant, task: CostToGo, person: SimulatedPerson, c_suggest: float, most: int = 500) -> float:
-    """Return the costs of a person's actions in a task, and of the suggestions."""
-    total = 0.0
+def cost(
+    team: Assistant, task: CostToGo, person: SimulatedPerson, c_suggest: float, most: int = 500
+) -> tuple[float, float]:
+    """Return the costs of a person's actions and of the suggestions, and the number of suggestions not followed."""
+    total, declined = 0.0, 0.0
     for _ in range(most):
         seen = team.person("ann")
         if seen.finished:
@@ -38,15 +40,16 @@ def cost(team: Assistant, task: CostToGo, person: SimulatedPerson, c_suggest: fl
         action = person.act(task, seen.state, seen.applicable, suggestion)
         number = {name: n for n, name in enumerate(task.task.actions)}[action]
         total += float(task.task.costs[number]) + c_suggest * (suggestion is not None)
+        declined += suggestion not in (None, action)
         team.observe("ann", action)
-    return total
+    return total, declined
 
 
 def costs(
     task: CostToGo, solved: Policy, setting: Setting, seed: int, tasks: int, store: PeopleStore | None
-) -> list[float]:
-    """Return the costs of one person's tasks, in their order."""
-    population, found = advice_takers(), list[float]()
+) -> list[tuple[float, float]]:
+    """Return the costs of one person's tasks, in their order, and the suggestions not followed."""
+    population, found = advice_takers(), list[tuple[float, float]]()
     person = SimulatedPerson(population, trust=setting.for_real_people().trust_rule(), seed=seed)
     model = model_of(population.as_dict(), setting.as_dict())
     for number in range(tasks):
@@ -59,11 +62,18 @@ def costs(
     return found
 
 
+def interval(one: IntervalEstimate) -> str:
+    """Return a mean with its 95 % interval."""
+    return f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]"
+
+
 COLUMNS: Columns = {
     "people": cell("people"),
     "task": cell("task"),
     "cost anew": cell("anew", ".2f"),
-    "saved by carrying": lambda row: f"{row['saved'].value:.2f} [{row['saved'].low:.2f}, {row['saved'].high:.2f}]",
+    "saved by carrying": lambda row: interval(row["saved"]),
+    "suggestions not followed, anew": cell("declined", ".2f"),
+    "fewer by carrying": lambda row: interval(row["fewer"]),
 }
 
 
@@ -76,7 +86,7 @@ def main(people: int, tasks: int, instance: Path, record: Path | None) -> None:
     """Let people do their tasks both ways."""
     task, setting = cost_to_go(load(instance)), Setting(c_suggest=0.2, c_move=0.0)
     solved = LiveTask(task, setting.for_real_people(), advice_takers()).policy
-    anew, carried = np.empty((people, tasks)), np.empty((people, tasks))
+    anew, carried = np.empty((people, tasks, 2)), np.empty((people, tasks, 2))
     for seed in range(people):
         anew[seed] = costs(task, solved, setting, seed, tasks, None)
         with tempfile.TemporaryDirectory() as folder:
@@ -85,9 +95,12 @@ def main(people: int, tasks: int, instance: Path, record: Path | None) -> None:
     rows = []
     for number in range(tasks + 1):
         chosen = slice(None) if number == tasks else slice(number, number + 1)
-        saved = mean((anew - carried)[:, chosen].sum(axis=1))
+        saved, fewer = (mean((anew - carried)[:, chosen, one].sum(axis=1)) for one in (0, 1))
         name = f"all {tasks}" if number == tasks else str(number + 1)
-        rows.append({"people": people, "task": name, "anew": anew[:, chosen].sum(axis=1).mean(), "saved": saved})
+        cost, declined = anew[:, chosen].sum(axis=1).mean(axis=0)
+        rows.append(
+            {"people": people, "task": name, "anew": cost, "saved": saved, "declined": declined, "fewer": fewer}
+        )  # fmt: skip
         print("; ".join(show(rows[-1]) for show in COLUMNS.values()), flush=True)
     write_record(record, COLUMNS, rows)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -13,9 +14,10 @@ from serving import TINY, served
 
 from assist.cli import main
 from assist.live import AbsentError, Assistant, Event, PeopleStore, Session
+from assist.people.goals import Goals
 from assist.people.human import Population
 from assist.team.settings import Setting
-from planner import Table
+from planner import Table, sweep_goals
 from planner.system.errors import DamagedFileError
 
 SETTING = Setting(c_suggest=0.05)
@@ -163,6 +165,18 @@ def test_a_belief_with_which_a_person_joins_is_checked_and_saved(tiny: Table) ->
     for wrong in (belief * 2, belief[:1], -belief, np.full_like(belief, np.nan)):
         with pytest.raises(ValueError, match="with the sum 1"):
             team.join("eve", belief=wrong)
+
+
+def test_what_is_carried_says_nothing_about_the_goal_of_the_next_task(tiny: Table) -> None:
+    task = tiny.task
+    open_facts = tuple((variable, value) for variable, value in task.goal if task.initial[variable] != value)
+    every, some = sweep_goals([task, replace(task, goal=open_facts[:1])])
+    goals = Goals({"all": every, "some": some}, {"all": 0.75, "some": 0.25})
+    alone = np.random.default_rng(0).dirichlet(np.ones(60)).reshape(6, 10)
+    team = Assistant(goals, setting=SETTING)
+    team.join("ann", belief=alone)
+    found = team.person("ann")
+    np.testing.assert_allclose(found.belief.reshape(2, 6, 10), [0.75 * alone, 0.25 * alone])
 
 
 @pytest.mark.slow

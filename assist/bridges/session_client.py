@@ -30,7 +30,7 @@ class SessionClient:
     patience : float
         Seconds after which an unanswered request is sent again. It must exceed the time of a slow decision.
     most : int
-        Requests at a time. More would only wait for the service's disk.
+        Requests at a time. More share a write to the disk, but the client looks at every connection at each request.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class SessionClient:
         A short text that identifies the session; the links cannot be told from it.
     """
 
-    def __init__(self, link: str, *, pause: float = 0.5, patience: float = 60.0, most: int = 64) -> None:
+    def __init__(self, link: str, *, pause: float = 0.5, patience: float = 60.0, most: int = 8) -> None:
         self._url = Client(link).url
         parts = urlsplit(link)
         token = parts.fragment or parts.path.rstrip("/").rpartition("/")[2]

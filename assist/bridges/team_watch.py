@@ -83,9 +83,9 @@ class TeamWatch:
 
     async def _team(self) -> None:
         while True:
-            team = await self._session.ask("GET", "/api/team")
-            for one in team["people"]:
-                self.follow(one["person"])
+            team = await self._session.ask("GET", "/api/team/people")
+            for person in team["people"]:
+                self.follow(person)
             self.moved()
             await asyncio.sleep(self._every)
 

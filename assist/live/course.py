@@ -425,8 +425,15 @@ class Course:
         return person in self._notes
 
     def learned(self, person: str) -> Floats | None:
-        """Return the belief in a person, shape (B, T), present or not; None if no action of theirs was observed."""
-        return self.desk.person(person).belief if self._notes[person].times else None
+        """Return the belief about a person, shape (B, T), present or not; None if no action was observed.
+
+        It is the same for all goals that the person may pursue, as a later task has goals of its own.
+        """
+        if not self._notes[person].times:
+            return None
+        known = self._state(person)
+        belief: Floats = known.belief.reshape(-1, *known.grid.shape).sum(axis=0)
+        return belief
 
     def beliefs(self) -> dict[str, bytes]:
         """Return the belief about each present person, as the bytes of its array."""

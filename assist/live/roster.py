@@ -163,15 +163,17 @@ class Roster:
         return record
 
     def add(self, name: str, problem: LiveTask, belief: ArrayLike | None = None) -> None:
-        """Add a new person at the first free place, with a belief or the prior. `grow` makes places, if there is none."""
+        """Add a new person at the first free place, with a belief or the prior. `grow` makes places."""
         part, row = problem.at(problem.initial)
         prior = part.policy.pomdp.prior
-        carried = None if belief is None else _distribution(name, belief, prior.shape)
+        carried = None if belief is None else _distribution(name, belief, part.policy.pomdp.grid.shape)
         if not self.records:
             self.belief = np.zeros((len(self), *prior.shape))
         elif prior.shape != self.belief.shape[1:]:
             raise ValueError(f"{name}: a belief of shape {prior.shape}; expected {self.belief.shape[1:]}, as in others")
         before = prior if carried is None else carried
+        if carried is not None and part.choices.goals is not None and part.choices.goal_count > 1:
+            before = np.concatenate([share * carried for share in part.choices.goals.values()])
         record = RosterEntry(
             name, len(self.records), problem, before.copy(), FinishedTasks(self._actions), carried=carried
         )  # fmt: skip

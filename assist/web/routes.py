@@ -22,6 +22,7 @@ from .schemas import (
     Health,
     Joined,
     Me,
+    Names,
     Once,
     Paused,
     Person,
@@ -167,6 +168,12 @@ async def arrived_of(_: Operator, number: int, where: Arrived, service: Desk) ->
 async def team(_: Operator, service: Desk) -> Response:
     """Return all people with the beliefs about them, the robot, and the latest events."""
     return plain(await service.team())
+
+
+@router.get("/api/team/people", tags=["operator"], response_model=Names, responses=refusals(403))
+async def names(_: Operator, service: Desk) -> Response:
+    """Return the names of the people who are present."""
+    return plain({"people": list(service.views)})
 
 
 @router.post("/api/team/people", tags=["operator"], response_model=Place, responses=WRITE)
