@@ -154,7 +154,7 @@ class Ranges:
         return cls(small, np.array([0.0, *-ends]), np.array([np.log1p(largest / small), *ends]))
 
     def beta(self, coordinate: Floats) -> Floats:
-        """Return beta for a coordinate."""
+        """Return beta for values of its coordinate."""
         return np.asarray(self.small * np.expm1(coordinate), dtype=np.float64)
 
     def theta(self, coordinate: Floats) -> Floats:

@@ -55,16 +55,16 @@ class Profiles:
         return len(self.axes[axis]) > 1
 
     def beta(self, coordinate: Floats) -> Floats:
-        """Return the beta of a coordinate."""
+        """Return beta for values of its coordinate, which is log1p(beta / small)."""
         return np.asarray(self.small * np.expm1(coordinate))
 
     def at(self, point: Floats) -> float:
-        """Return the log-likelihood at a point."""
+        """Return the log-likelihood at a point, given by its three coordinates."""
         beta = self.beta(point[BETA : BETA + 1])
         return float(on_grid(self.data, beta, point[THETA : THETA + 1], point[ETA : ETA + 1])[0, 0, 0])
 
     def coarse(self, axis: int) -> Floats:
-        """Return the largest grid value for each point of one coordinate."""
+        """Return, for each grid point of one coordinate, the largest log-likelihood on the grid of the others."""
         if axis == THETA:
             return self._lines(self.axes[BETA][1::2], ETA, self.axes[THETA])[0].max(axis=0)
         return self.over_theta[0].max(axis=1 if axis == BETA else 0)

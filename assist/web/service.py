@@ -304,7 +304,7 @@ class Service:
     def explain(self, person: str, against: str | None = None) -> Explanation:
         """Return why a person has their suggestion, or none; with `against`, the step against another action.
 
-        It waits for the session's lock only to note the state of the team.
+        The session is locked only while the team's state is copied, not while the explanation is computed.
 
         Raises
         ------
