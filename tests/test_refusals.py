@@ -46,6 +46,7 @@ from assist.simulation.common_random_numbers import BLOCK
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
+from assist.team.action_check import check
 from assist.team.settings import Setting
 from assist.team.state import PolicyError, TeamAction
 from assist.team.travel import Travel
@@ -188,12 +189,13 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "the policy has said that it uses no beliefs",
     ),
     "actions of floats": (
-        lambda g: state(g.pool, [0, 0]).check(TeamAction(np.zeros(1), np.zeros(1, dtype=np.int64))),
+        lambda g: check(state(g.pool, [0, 0]), TeamAction(np.zeros(1), np.zeros(1, dtype=np.int64))),
         PolicyError, "step 0: the policy ",
     ),
     "speaks on its way": (
-        lambda g: state(g.pool, [0, 0], travel=Travel.of(2, travel_time=2.0)).check(
-            TeamAction(np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64))
+        lambda g: check(
+            state(g.pool, [0, 0], travel=Travel.of(2, travel_time=2.0)),
+            TeamAction(np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64)),
         ),
         PolicyError, "speaks to a person before the robot has arrived",
     ),

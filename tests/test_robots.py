@@ -216,7 +216,7 @@ def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:
         check(team, TeamAction(np.array([0]), np.array([0])))
     under_way = replace(team, free=np.array([[True, False]]))
     with pytest.raises(PolicyError, match="sends a robot that is under way"):
-        under_way.check(TeamAction(np.array([[NOBODY, 2]]), np.zeros((1, 2), dtype=np.int64)))
+        check(under_way, TeamAction(np.array([[NOBODY, 2]]), np.zeros((1, 2), dtype=np.int64)))
 
 
 @pytest.mark.parametrize("robots", [0, -1, 1.5, "two"])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from ..pddl import built_problems, bundled, instance_finder, instances
 from ..pddl.source import Source
@@ -18,6 +19,8 @@ from .task import Effect, Fact, Operator, Task, Variable
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem
+
+T = TypeVar("T")
 
 
 def load(
@@ -133,83 +136,84 @@ def _load_built(problem: Problem, limits: Limits) -> Task:
 
 def from_sas(sas: str, instance: instances.Instance, note: str | None = None) -> Task:
     """Read the SAS text of Fast Downward's translator (file format version 3)."""
-    lines = iter(sas.split("\n"))
-
-    def expect(word: str) -> None:
-        if (line := next(lines)) != word:
-            raise ValueError(f"SAS text: expected '{word}', found '{line}'")
-
-    def number() -> int:
-        return int(next(lines))
-
-    def facts() -> tuple[Fact, ...]:
-        pairs = (next(lines).split() for _ in range(number()))
-        return tuple((int(variable), int(value)) for variable, value in pairs)
-
-    expect("begin_version")
-    expect("3")
-    expect("end_version")
-    expect("begin_metric")
-    has_costs = number() == 1
-    expect("end_metric")
-
-    variables = []
-    for _ in range(number()):
-        expect("begin_variable")
-        name, layer = next(lines), number()
-        variables.append(Variable(name, tuple(next(lines) for _ in range(number())), layer))
-        expect("end_variable")
-
-    mutexes = []
-    for _ in range(number()):
-        expect("begin_mutex_group")
-        mutexes.append(facts())
-        expect("end_mutex_group")
-
-    expect("begin_state")
-    initial = tuple(number() for _ in variables)
-    expect("end_state")
-    expect("begin_goal")
-    goal = facts()
-    expect("end_goal")
-
-    grounded: list[tuple[str, int, tuple[Fact, ...], tuple[Effect, ...]]] = []
-    for _ in range(number()):
-        expect("begin_operator")
-        action = f"({next(lines).strip()})"
-        preconditions, effects = list(facts()), []
-        for _ in range(number()):
-            words = [int(word) for word in next(lines).split()]
-            conditions = tuple(zip(words[1:-3:2], words[2:-3:2], strict=True))
-            variable, before, after = words[-3:]
-            if before != -1:
-                preconditions.append((variable, before))
-            effects.append(Effect(conditions, variable, after))
-        cost = number()
-        expect("end_operator")
-        conditions = tuple(dict.fromkeys(preconditions))  # each effect repeats that of its variable
-        grounded.append((action, cost if has_costs else 1, conditions, tuple(effects)))
-
-    axioms = []
-    for _ in range(number()):
-        expect("begin_rule")
-        conditions = facts()
-        variable, _, after = (int(word) for word in next(lines).split())
-        axioms.append(Effect(conditions, variable, after))
-        expect("end_rule")
-
-    costs = {action: cost for action, cost, _, _ in grounded}
+    text = _Sas(sas)
+    text.expect("begin_version", "3", "end_version", "begin_metric")
+    has_costs = text.number() == 1
+    text.expect("end_metric")
+    variables = text.each("variable", text.variable)
+    mutexes = text.each("mutex_group", text.facts)
+    text.expect("begin_state")
+    initial = tuple(text.number() for _ in variables)
+    text.expect("end_state", "begin_goal")
+    goal = text.facts()
+    text.expect("end_goal")
+    grounded = text.each("operator", text.operator)
+    axioms = text.each("rule", text.axiom)
+    costs = {action: cost if has_costs else 1 for action, _, _, cost in grounded}
     actions = tuple(sorted(costs))
     index = {action: number for number, action in enumerate(actions)}
     return Task(
         instance=instance,
-        variables=tuple(variables),
+        variables=variables,
         actions=actions,
         costs=tuple(costs[action] for action in actions),
-        operators=tuple(Operator(index[a], preconditions, effects) for a, _, preconditions, effects in grounded),
-        axioms=tuple(axioms),
+        operators=tuple(Operator(index[a], preconditions, effects) for a, preconditions, effects, _ in grounded),
+        axioms=axioms,
         initial=initial,
         goal=goal,
-        mutexes=tuple(mutexes),
+        mutexes=mutexes,
         note=note,
     )
+
+
+class _Sas:
+    """A SAS text that is read line by line."""
+
+    def __init__(self, sas: str) -> None:
+        self._lines = iter(sas.split("\n"))
+
+    def expect(self, *words: str) -> None:
+        for word in words:
+            if (line := next(self._lines)) != word:
+                raise ValueError(f"SAS text: expected '{word}', found '{line}'")
+
+    def number(self) -> int:
+        return int(next(self._lines))
+
+    def numbers(self) -> list[int]:
+        return [int(word) for word in next(self._lines).split()]
+
+    def facts(self) -> tuple[Fact, ...]:
+        pairs = (next(self._lines).split() for _ in range(self.number()))
+        return tuple((int(variable), int(value)) for variable, value in pairs)
+
+    def each(self, section: str, read: Callable[[], T]) -> tuple[T, ...]:
+        """Read a number of sections, each between a line that begins it and one that ends it."""
+        found = []
+        for _ in range(self.number()):
+            self.expect(f"begin_{section}")
+            found.append(read())
+            self.expect(f"end_{section}")
+        return tuple(found)
+
+    def variable(self) -> Variable:
+        name, layer = next(self._lines), self.number()
+        return Variable(name, tuple(next(self._lines) for _ in range(self.number())), layer)
+
+    def operator(self) -> tuple[str, tuple[Fact, ...], tuple[Effect, ...], int]:
+        """Read an action with its preconditions, effects and cost."""
+        action = f"({next(self._lines).strip()})"
+        preconditions, effects = list(self.facts()), []
+        for _ in range(self.number()):
+            words = self.numbers()
+            variable, before, after = words[-3:]
+            if before != -1:
+                preconditions.append((variable, before))
+            effects.append(Effect(tuple(zip(words[1:-3:2], words[2:-3:2], strict=True)), variable, after))
+        # each effect repeats the precondition of its variable
+        return action, tuple(dict.fromkeys(preconditions)), tuple(effects), self.number()
+
+    def axiom(self) -> Effect:
+        conditions = self.facts()
+        variable, _, after = self.numbers()
+        return Effect(conditions, variable, after)
