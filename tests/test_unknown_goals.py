@@ -17,7 +17,7 @@ from teams import equal
 
 from assist.certify import upper_bound
 from assist.learning import Log, infer_goals
-from assist.live import Assistant
+from assist.live import Assistant, Session
 from assist.people import Goals, HumanModel, Population
 from assist.people.goals import given_likeliest
 from assist.person import AssistPOMDP, qmdp, solve
@@ -25,6 +25,7 @@ from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team import Setting
 from planner import Table, sweep, sweep_goals
+from planner.system.errors import ResultsExistError
 
 PRIOR = {"a": 0.5, "b": 0.2, "c": 0.3}
 LAPSE, ETA = 0.01, 0.2
@@ -334,6 +335,27 @@ class TestLive:
         desk.observe("ann", desk.person("ann").applicable[0])  # it was another goal after all, or a lapse
         assert desk.person("ann").goals["a"] < before
         assert not desk.person("ann").finished
+
+
+def test_a_session_keeps_goals(tmp_path: Path) -> None:
+    """The operator's view has the posterior over goals, and the belief in beta and theta; a restart changes nothing."""
+    seen = []
+    for _ in range(2):
+        session = Session(TASKS["tiny"], tmp_path / "journal", setting=Setting(c_suggest=0.1))
+        if not seen:
+            session.join("ann")
+            session.observe("ann", "(fetch box-a)")
+        entry = session.entry("ann")
+        seen.append(entry)
+        assert set(entry["goals"]) == set(PRIOR)
+        assert np.shape(entry["belief"]) == tuple(len(values) for values in entry["grid"].values())
+        assert np.sum(entry["belief"]) == pytest.approx(1)
+        assert session.place("ann")[0] is TASKS["tiny"].tables["a"]
+        session.close()
+    assert seen[0] | {"history": None} == seen[1] | {"history": None}
+    other = replace(TASKS["tiny"], prior={"a": 0.2, "b": 0.2, "c": 0.6})
+    with pytest.raises(ResultsExistError, match="another"):
+        Session(other, tmp_path / "journal", setting=Setting(c_suggest=0.1))
 
 
 def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:

@@ -25,6 +25,7 @@ from planner import CostToGo
 
 from ..explain.explanation import Explanation, WhyNothing
 from ..people.decision import Floats
+from ..people.goals import Goals, first_of
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..team.settings import Setting
@@ -84,7 +85,7 @@ class Course:
 
     def __init__(
         self,
-        tasks: Mapping[str, CostToGo],
+        tasks: Mapping[str, CostToGo | Goals],
         *,
         policy: str | TeamPolicy = "attention",
         setting: Setting | None = None,
@@ -207,7 +208,7 @@ class Course:
         self._task(task)
         return task
 
-    def _task(self, name: str) -> CostToGo:
+    def _task(self, name: str) -> CostToGo | Goals:
         if name not in self.tasks:
             raise UnknownError(f"task {name[:80]!r}: expected one of {', '.join(self.tasks)}")
         return self.tasks[name]
@@ -369,7 +370,7 @@ class Course:
 
     def place(self, person: str) -> tuple[CostToGo, int]:
         """Return a person's task, and the number of its present state."""
-        return self.tasks[self._notes[person].task], self._state(person).state
+        return first_of(self.tasks[self._notes[person].task]), self._state(person).state
 
     def person(self, person: str) -> dict[str, Any]:
         """Return a person's view, as JSON."""
@@ -417,7 +418,8 @@ class Course:
             "beta": [known.beta.low, known.beta.mean, known.beta.high],
             "theta": [known.theta.low, known.theta.mean, known.theta.high],
             "grid": {"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
-            "belief": known.belief.tolist(),
+            "belief": known.belief.reshape(-1, *known.grid.shape).sum(axis=0).tolist(),
+            **({"goals": dict(known.goals)} if known.goals else {}),
         }
 
     def knows(self, person: str) -> bool:

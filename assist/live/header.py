@@ -19,6 +19,7 @@ from ..people.belief import Grid
 from ..people.choice_model import chances
 from ..people.choices import Choices
 from ..people.decision import perceived_cost
+from ..people.goals import Goals, first_of
 from ..people.human import Population
 from ..people.mixture import Mixture
 from .assistant import Assistant
@@ -28,7 +29,7 @@ FORMAT = "kitassist session 1"
 """Format identifier of sessions."""
 
 
-def header_of(desk: Assistant, tasks: Mapping[str, CostToGo], distance: ArrayLike | None) -> dict[str, Any]:
+def header_of(desk: Assistant, tasks: Mapping[str, CostToGo | Goals], distance: ArrayLike | None) -> dict[str, Any]:
     """Return the header of a session."""
     return {
         "format": FORMAT,
@@ -44,15 +45,15 @@ def header_of(desk: Assistant, tasks: Mapping[str, CostToGo], distance: ArrayLik
     }
 
 
-def files_of(tasks: Mapping[str, CostToGo]) -> dict[str, str | None]:
+def files_of(tasks: Mapping[str, CostToGo | Goals]) -> dict[str, str | None]:
     """Return the problem file of each task; None for that of a policy."""
-    known = {name: getattr(getattr(task, "task", None), "instance", None) for name, task in tasks.items()}
+    known = {name: getattr(getattr(first_of(task), "task", None), "instance", None) for name, task in tasks.items()}
     return {name: None if instance is None else str(instance.problem) for name, instance in known.items()}
 
 
-def _chances(task: CostToGo, population: Population | Mixture) -> str:
+def _chances(task: CostToGo | Goals, population: Population | Mixture) -> str:
     """Return a hash of the choice probabilities of a function, which identifies it better than its name."""
-    if not is_whole(task):
+    if isinstance(task, Goals) or not is_whole(task):
         raise ValueError(f"people who choose by a function: expected a task of at most {WHOLE:,} states, all known")
     choices = Choices.of(task)
     q = perceived_cost(choices, choices.h)

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 from planner import CostToGo
 from planner.system.errors import DamagedFileError
 
+from ..people.goals import Goals
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..team.settings import Setting
@@ -52,7 +53,7 @@ class Session:
 
     Parameters
     ----------
-    tasks : CostToGo, or mapping of str to CostToGo
+    tasks : CostToGo or Goals, or mapping of str to these
         Tasks by name; the first is the default.
     journal : Path
         The file in which the session is saved, an SQLite database. If it exists, the session continues from it. The
@@ -83,7 +84,7 @@ class Session:
 
     def __init__(
         self,
-        tasks: CostToGo | Mapping[str, CostToGo],
+        tasks: CostToGo | Goals | Mapping[str, CostToGo | Goals],
         journal: str | Path,
         *,
         policy: str | TeamPolicy = "attention",

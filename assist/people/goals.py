@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from planner import CostToGo, Table
 
 from .choices import WAIT, Choices
 from .decision import Floats
+
+Task = TypeVar("Task", bound=CostToGo)
 
 
 def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None) -> Floats:
@@ -68,6 +71,11 @@ def given_likeliest(belief: Floats, goals: int) -> Floats:
     best &= best.cumsum(axis=-3) == 1
     parts = belief.reshape(*belief.shape[:-2], goals, -1, belief.shape[-1])
     return np.where(best, parts / np.where(best, share, 1.0), 0.0).reshape(belief.shape)
+
+
+def first_of(task: Task | Goals) -> Task | Table:
+    """Return the task of the first of several goals, and any other task as it is."""
+    return next(iter(task.tables.values())) if isinstance(task, Goals) else task
 
 
 def acting_belief(choices: Choices, belief: Floats) -> Floats:

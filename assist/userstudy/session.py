@@ -18,6 +18,7 @@ from ..live.course import Course
 from ..live.header import files_of
 from ..live.live_task import LiveTask, digest
 from ..live.session import Session
+from ..people.goals import first_of
 from ..people.user_code import parse
 from ..person.policy import Policy
 from ..team.policies import UserPolicy
@@ -84,7 +85,7 @@ class StudySession(Session):
         super()._check(found, expected)
 
     def _course_anew(self) -> Cohort:
-        return Cohort(self.study, self._tasks, self._course_of)
+        return Cohort(self.study, {name: first_of(task) for name, task in self._tasks.items()}, self._course_of)
 
     def _course_of(self, condition: str | None) -> Course:
         policy: str | TeamPolicy = "none" if condition is None else self._policies[condition]
