@@ -20,7 +20,7 @@ from assist.live import Assistant, PeopleStore
 from assist.live.live_task import LiveTask
 from assist.live.people_store import model_of
 from assist.live.simulated_person import SimulatedPerson
-from assist.people.human import advice_takers
+from assist.people.mixture import advice_takers
 from assist.person.policy import Policy
 from assist.reports.statistics import IntervalEstimate, mean
 from assist.team.settings import Setting

@@ -13,7 +13,7 @@ from conftest import graph_task, kit, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.certify import certificate, computation, prices, team_bound
+from assist.certify import certificate, comparison, computation, prices, team_bound
 from assist.certify.certificate import Certificate, horizon, returns
 from assist.certify.options import BoundOptions
 from assist.certify.prices import SubproblemKind, kinds_of, search
@@ -35,7 +35,7 @@ SETTING = Setting(gamma=0.5, c_suggest=0.1, c_move=0.2)
 
 
 FEW_EPISODES = BoundOptions(price_episodes=100)  # the tests hold for all prices
-certify = partial(team_bound.certify, options=FEW_EPISODES)
+certify = partial(comparison.certify, options=FEW_EPISODES)
 upper_bound = partial(team_bound.upper_bound, options=FEW_EPISODES)
 
 
@@ -373,7 +373,7 @@ def test_time_is_shared(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
 
         monkeypatch.setattr(module, name, run)
 
-    for module in (team_bound, computation):
+    for module in (team_bound, computation, comparison):
         monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: now[0]))
     for seconds, name, limited in (
         (4, "search", "deadline"),

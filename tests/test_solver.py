@@ -19,7 +19,7 @@ from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.search import Search, SolverOptions, relative_gap
-from assist.person.solver import Solution, solve
+from assist.person.solver import Solution, result_of, solve
 from planner import LimitError, Table
 
 
@@ -338,7 +338,7 @@ def test_backing_everything_up_again_tightens_both_bounds() -> None:
 
     def found() -> Solution:
         none = dict.fromkeys(("value_qmdp", "value_never", "value_always", "seconds"), 0.0)
-        return work.solution(**none, stopped="")
+        return result_of(work, **none, stopped="")
 
     before = found()
     work.renewed, done = 0, 0

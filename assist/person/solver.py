@@ -245,14 +245,14 @@ def solve(
         widen(work, *further_beliefs, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
         work.tighten()
     x0 = pomdp.model.choices.initial
-    return _solution(
+    return result_of(
         work,
         value_qmdp=float((best.value_mdp[x0] * pomdp.prior).sum()), value_never=never, value_always=always,
         seconds=time.perf_counter() - start, stopped=stopped,
     )  # fmt: skip
 
 
-def _solution(search: Search, **facts: object) -> Solution:
+def result_of(search: Search, **facts: object) -> Solution:
     """Return the result of a search, sorted by state."""
     pomdp, states = search.pomdp, len(search.pomdp.robot_actions)
     shape = (-1, *pomdp.grid.shape)
