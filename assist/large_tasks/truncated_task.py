@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner import CostToGo, Table, Transitions, optimal_choices
 from planner.system.arrays import outline
 
+from ..people.arguments import check_costs
 from ..people.belief import Grid
 from ..people.choices import Choices
 from ..people.decision import Floats, choice
@@ -34,7 +35,7 @@ from ..people.mixture import Mixture
 from ..people.state_keys import keys_of
 from ..people.trust_rules import EquationSeven, TrustRule, constant
 from ..person.leaf_bounds import LeafBounds
-from ..person.pomdp import AssistPOMDP, Suggestions, check_costs
+from ..person.pomdp import AssistPOMDP, Suggestions
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are expanded together, between two looks at the clock
 SURVEYED = 10_000_000  # states of a table up to which `_Survey` scans all transitions, to limit its time

@@ -80,3 +80,12 @@ def require_goal(cost: float) -> None:
     """
     if not np.isfinite(cost):
         raise ValueError("the goal cannot be reached from the initial state, so there is nobody to assist")
+
+
+def check_costs(gamma: float, **costs: float) -> None:
+    """Raise a `ValueError` unless 0 < gamma < 1 and every cost is finite and at least 0."""
+    if not 0 < gamma < 1:
+        raise ValueError(f"gamma {gamma:g}: expected 0 < gamma < 1")
+    for name, cost in costs.items():
+        if not 0 <= cost < np.inf:
+            raise ValueError(f"{name} {cost:g}: expected 0 or more")

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from planner.system.arrays import outline
 
 from ..people import belief as beliefs
+from ..people.arguments import check_costs
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, chances, value
 from ..people.choices import Choices
@@ -34,15 +35,6 @@ from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule
 from .leaf_bounds import LeafBounds
 
 Suggestions = Literal["optimal", "all"]
-
-
-def check_costs(gamma: float, **costs: float) -> None:
-    """Raise a `ValueError` unless 0 < gamma < 1 and every cost is finite and at least 0."""
-    if not 0 < gamma < 1:
-        raise ValueError(f"gamma {gamma:g}: expected 0 < gamma < 1")
-    for name, cost in costs.items():
-        if not 0 <= cost < np.inf:
-            raise ValueError(f"{name} {cost:g}: expected 0 or more")
 
 
 @dataclass(frozen=True, kw_only=True)
