@@ -1,7 +1,7 @@
 """Estimates of a person's perceived cost-to-go from repeated mistakes.
 
 The model is hierarchical: h(x) = h*(x) + sigma eps(x), where eps(x) is standard normal for each state and lasting
-(`decision.perceived_cost_to_go`), and choices given h are Boltzmann (5). The eps are integrated out by Laplace's
+(`misconception.perceived_cost_to_go`), and choices given h are Boltzmann (5). The eps are integrated out by Laplace's
 approximation at their mode, which also gives the estimate of h. Beta and sigma maximise the marginal likelihood
 (Tierney and Kadane 1986).
 
