@@ -31,7 +31,7 @@ def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: i
     b, t = np.divmod(cell, len(pomdp.grid.theta))
     people = PeopleArrays(
         np.full(size, choices.initial), np.zeros(size, dtype=np.int64), b, pomdp.grid.theta[t].copy(),
-        np.empty((size, 2)), np.repeat(pomdp.prior[None], size, axis=0),
+        np.zeros(size, dtype=np.int64), np.empty((size, 2)), np.repeat(pomdp.prior[None], size, axis=0),
         np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size, dtype=bool),
     )  # fmt: skip
     here, total = np.zeros(size, dtype=bool), np.zeros(episodes)

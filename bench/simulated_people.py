@@ -11,7 +11,7 @@ from assist.learning import EvaluatedStates, Log, Observations, observe, replay
 from assist.learning.replay import situation
 from assist.people import NOTHING_YET, Situation, Term, Vocabulary, features, goals_met
 from assist.people.decision import NOTHING, choice, influence, trust
-from assist.people.trust_rules import PerceivedSuggestions, TrustRule
+from assist.people.trust_rules import PerceivedSuggestions, TrustRule, moved
 from planner import CostToGo
 
 
@@ -188,7 +188,7 @@ def record_with_trust(
     """
     names, actions_of = people.names(), answers.task.actions
     x = np.full(len(names), answers.initial, dtype=np.int64)
-    theta, heard = people.theta.copy(), np.zeros(len(names), dtype=np.int64)
+    theta, heard, outcomes = people.theta.copy(), *np.zeros((2, len(names)), dtype=np.int64)
     episode, step = np.ones(len(names), dtype=np.int64), np.zeros(len(names), dtype=np.int64)
     rows: list[dict] = []
     while (going := np.flatnonzero(heard < suggestions)).size:
@@ -209,8 +209,8 @@ def record_with_trust(
         asked = told != NOTHING
         h = answers.lookup(targets[lines, picked])
         seen = PerceivedSuggestions.of(q[lines, picked], q.min(axis=1), -q.min(axis=1), -h, best[lines, picked])
-        moved = rule.update(theta[going], seen.event(slot == told, rule.feedback))
-        theta[going] = np.where(asked, moved, theta[going])
+        after, more = moved(rule, theta[going], outcomes[going], seen.event(slot == told, rule.feedback))
+        theta[going], outcomes[going] = np.where(asked, after, theta[going]), np.where(asked, more, outcomes[going])
         heard[going] += asked
         x[going] = targets[lines, slot]
         step[going] += 1

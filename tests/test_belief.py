@@ -17,7 +17,7 @@ from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.mixture import Mixture, advice_takers
 from assist.people.spread import Spread
-from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome, outcome_at_disagreement
+from assist.people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
 from assist.person.belief_filter import child, posterior, split
 from assist.person.belief_filter import update as compiled_update
 from assist.person.pomdp import AssistPOMDP
@@ -350,7 +350,15 @@ def test_where_nothing_moves_trust_suggestions_into_dead_ends_do_not_either(seal
 @settings(deadline=None)
 @given(
     st.integers(0, 10**6),
-    st.sampled_from([EquationSeven(0.3), constant(), outcome(0.5, 1.0), outcome_at_disagreement(0.2, 0.5, 1.0)]),
+    st.sampled_from(
+        [
+            EquationSeven(0.3),
+            constant(),
+            outcome(0.5, 1.0),
+            outcome_at_disagreement(0.2, 0.5, 1.0),
+            Reliability(2, 0.1, 2),
+        ]
+    ),
     st.sampled_from([0.0, 1e-3, 0.3]),
     st.booleans(),
 )
@@ -372,7 +380,7 @@ def test_compiled_filters_are_the_equations(
     m = ProblemArrays.of(pomdp)
     x = int(rng.choice(np.flatnonzero(~tiny_choices.goal)))
     robot = int(rng.integers(pomdp.robot_actions[x]))
-    belief = rng.dirichlet(np.full(grid.beta.size * grid.theta.size, 0.3))
+    belief = rng.dirichlet(np.full(pomdp.prior.size, 0.3))
     belief[(rng.random(len(belief)) < 0.2) & (belief < belief.max())] = 0.0
     belief /= belief.sum()
     parts = np.empty((4, len(belief)))

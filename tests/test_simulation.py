@@ -237,6 +237,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             belief = rng.dirichlet(np.ones(betas * thetas)).reshape(betas, thetas)
             people = PeopleArrays(
                 np.full(n, x), np.full(n, robot), np.zeros(n, dtype=np.int64), np.full(n, theta),
+                np.zeros(n, dtype=np.int64),
                 rng.random((n, 2)), np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=np.int64), np.zeros(n),
                 np.zeros(n, dtype=bool),
             )  # fmt: skip

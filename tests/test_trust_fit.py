@@ -26,8 +26,10 @@ from assist.learning.trust_log import TrustLog
 from assist.learning.trust_scores import TrustComparison, holm, ratio
 from assist.people.choices import Choices
 from assist.people.trust_rules import (
+    LEAST,
     EquationSeven,
     Event,
+    Reliability,
     TrustRule,
     constant,
     outcome,
@@ -43,6 +45,7 @@ RULES: dict[str, TrustRule] = {
     "outcome": outcome(0.3, 0.7),
     "outcome as it is": outcome(0.3, 0.7, "true"),
     "outcome-at-disagreement": outcome_at_disagreement(0.1, 0.5, 0.4),
+    "reliability": Reliability(3.0, 0.2, 2),
 }
 
 
@@ -77,11 +80,11 @@ def enumerated(rows: list[dict], rule: TrustRule, log: TrustLog, population: Inf
     beta, theta = population.weights(log)
     belief, total = np.multiply.outer(beta, theta), 0.0
     start = np.tile(log.theta, (len(log.beta), 1))
-    now, x, episode = start, choices.initial, rows[0]["episode"]
+    now, x, episode, outcomes = start, choices.initial, rows[0]["episode"], 0
     for row in rows:
         if row["episode"] != episode:
             x, episode = choices.initial, row["episode"]
-            now = now if carry else start
+            now, outcomes = (now, outcomes) if carry else (start, 0)
         names = [choices.name(x, a) if choices.applicable[x, a] else None for a in range(q.shape[1])]
         slot, told = names.index(row["action"]), None
         weights = np.array([np.where(choices.applicable[x], np.exp(-b * (q[x] - q[x].min())), 0.0) for b in log.beta])
@@ -99,6 +102,15 @@ def enumerated(rows: list[dict], rule: TrustRule, log: TrustLog, population: Inf
             gain = v[choices.targets[x, told]] - v[x]
             right = q[x, told] == q[x].min() if rule.feedback == "true" else gain > 0
             event = (gain, q[x, told] <= q[x].min(), slot == told, slot == told and rule.feedback != "never", right)
+            if isinstance(rule, Reliability):
+                if event[3]:
+                    n = rule.weight
+                    for _ in range(min(outcomes, rule.counts)):
+                        n = (1 - rule.forgetting) * n + 1
+                    n *= 1 - rule.forgetting
+                    now, outcomes = np.clip((n * now + right) / (n + 1), LEAST, 1 - LEAST), outcomes + 1
+                x = choices.targets[x, slot]
+                continue
             now = rule.update(now, Event(*(np.asarray(part) for part in event)))
         x = choices.targets[x, slot]
     return total

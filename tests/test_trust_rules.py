@@ -30,6 +30,7 @@ from assist.people.trust_rules import (
     EquationSeven,
     Event,
     LogitSteps,
+    Reliability,
     TrustRule,
     constant,
     outcome,
@@ -51,6 +52,7 @@ ALL: dict[str, TrustRule] = {
     "outcome": outcome(0.5, 1.0),
     "outcome, exact": outcome(0.5, 1.0, "true"),
     "outcome-at-disagreement": outcome_at_disagreement(0.2, 0.5, 1.0),
+    "reliability": Reliability(2.0, 0.1, 2),
 }
 
 
@@ -98,7 +100,7 @@ def test_what_cannot_be_is_refused() -> None:
 
 
 def test_a_setting_is_its_own_plain_data() -> None:
-    for trust in (None, "paper", "constant", outcome(0.3, 0.4, "true")):
+    for trust in (None, "paper", "constant", outcome(0.3, 0.4, "true"), Reliability(3.0, 0.2, 4)):
         setting = Setting(trust=trust)
         assert Setting(**setting.as_dict()) == setting
     assert "trust" not in Setting().as_dict()
@@ -173,7 +175,7 @@ def test_values_satisfy_the_bellman_equation(rule: TrustRule) -> None:
                 low = pomdp.followed_low[x, r] if follows else pomdp.low[x, r]
                 up = pomdp.followed_weight[x, r] if follows else pomdp.weight[x, r]
                 if pomdp.suggested[x, r] == NOTHING:
-                    low, up = np.minimum(np.arange(4), 2), np.array([0.0, 0.0, 0.0, 1.0])
+                    low, up = pomdp.grid.shares(pomdp.grid.theta, pomdp.grid.count)
                 after = value[choices.targets[x, a]]
                 follow = (1 - up) * after[:, low] + up * after[:, low + 1]
                 expected += p * (pomdp.gamma * follow - choices.costs[x, a])
@@ -194,7 +196,9 @@ def test_bounds_of_the_solver_hold_the_simulated_return(rule: TrustRule) -> None
     assert solution.lower <= found.mean() + 4 * error
 
 
-@pytest.mark.parametrize("rule", ["constant", outcome(0.5, 1.0), outcome_at_disagreement(0.5, 1.0, 1.0)], ids=str)
+@pytest.mark.parametrize(
+    "rule", ["constant", outcome(0.5, 1.0), outcome_at_disagreement(0.5, 1.0, 1.0), Reliability(2.0, 0.1, 2)], ids=str
+)
 @pytest.mark.parametrize("states", [20_000, 5])
 @pytest.mark.slow
 def test_no_policy_exceeds_a_bound(rule: str | TrustRule, states: int) -> None:
@@ -355,3 +359,50 @@ def test_the_shipped_study_of_trust_crosses_rules_and_beliefs() -> None:
         assert len(set(beliefs)) == len(beliefs)
         assert beliefs[0] == one.settings[0][1].trust_rule()
         assert {constant(), EquationSeven()} <= set(beliefs)
+
+
+def by_hand(theta: float, count: int, right: bool) -> float:
+    """Return theta after an outcome with weight 2 and forgetting .1, where the sum of counts moves twice."""
+    n = 0.9 * (2.0, 2.8, 3.52)[min(count, 2)]
+    return min(max((n * min(max(theta, 0.01), 0.99) + right) / (n + 1), 0.01), 0.99)
+
+
+def test_a_robot_has_a_grid_for_each_number_of_outcomes() -> None:
+    pomdp = problem(Reliability(2.0, 0.1, 2, "true"))
+    assert pomdp.grid.theta.tolist() == [0.0, 0.4, 0.6, 1.0] * 3
+    assert pomdp.prior[:, 4:].sum() == 0
+    assert pomdp.followed_low is not None
+    assert pomdp.followed_weight is not None
+    for x, r in zip(*np.nonzero(pomdp.suggested != NOTHING), strict=True):
+        right = bool(pomdp.model.choices.optimal[x, pomdp.suggested[x, r]])
+        for t, theta in enumerate(pomdp.grid.theta):
+            count = t // 4
+            assert pomdp.low[x, r, t] // 4 == count
+            low, up = pomdp.followed_low[x, r, t], pomdp.followed_weight[x, r, t]
+            assert low // 4 == (low + 1) // 4 == min(count + 1, 2)
+            mean = (1 - up) * pomdp.grid.theta[low] + up * pomdp.grid.theta[low + 1]
+            assert mean == pytest.approx(by_hand(theta, count, right), abs=1e-12)
+
+
+@pytest.mark.parametrize("world", ["people", "model"])
+def test_people_count_outcomes(world: str) -> None:
+    """Theta in a trace equals values by hand; in the robot's model, the mean over many people does."""
+    setting = Setting(c_suggest=0.0, c_move=0.0, trust=Reliability(2.0, 0.1, 2, "true"))
+    trace: list[dict] = []
+    pool = Pool.sample(kit("tiny"), 1, seed=0, setting=setting)
+    simulate(pool, "reactive", humans=[0], episodes=400, seed=0, trace=trace, world=world)  # type: ignore[arg-type]
+    by: dict[str, list[dict]] = {}
+    for row in trace:
+        by.setdefault(row["episode"], []).append(row)
+    off, outcomes = [], 0
+    for rows in by.values():
+        count = 0
+        for before, after in itertools.pairwise(rows):
+            seen = before["suggestion"] is not None and before["suggestion"] == before["action"]
+            off.append(after["theta"] - (by_hand(before["theta"], count, True) if seen else before["theta"]))
+            count += seen
+        outcomes = max(outcomes, count)
+    assert outcomes > 2
+    allowed = 1e-12 if world == "people" else 5 * np.std(off) / np.sqrt(len(off))
+    assert abs(np.mean(off)) <= allowed
+    assert world == "model" or np.max(np.abs(off)) < 1e-12

@@ -86,7 +86,7 @@ class Teams:
         self._prior = np.array([policy.pomdp.prior for policy in pool.policies])
         shape = (teams, places)
         self.people, self.model, self.who, self.x = (np.zeros(shape, dtype=np.int64) for _ in range(4))
-        self.beta, self.theta = np.zeros(shape), np.zeros(shape)
+        self.beta, self.theta, self.seen = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=np.int64)
         self.finished, self.erred = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
         self.belief = np.zeros((*shape, *self._prior.shape[1:])) if filters else None
         robots, self.clock = pool.setting.robots, np.zeros(teams, dtype=np.int64)
@@ -106,6 +106,7 @@ class Teams:
         """
         self.people[rows], self.model[rows], self.who[rows] = people, self.pool.model[people], self._row[people]
         self.beta[rows], self.theta[rows] = np.moveaxis(self._hidden[people], -1, 0)
+        self.seen[rows] = 0
         self.x[rows], self.finished[rows], self.erred[rows] = self._initial[people], self._at_goal[people], False
         if self.belief is not None:
             self.belief[rows] = self._prior[self.model[rows]]
@@ -189,7 +190,7 @@ class Teams:
         there = np.zeros(self.x.shape, dtype=bool)
         there[rows] = ~self.finished[rows]
         charged = np.zeros(self.x.size)
-        people = PeopleArrays.of_teams(self.x, robot, self.who, self.theta, draws, self.belief, self.erred)
+        people = PeopleArrays.of_teams(self.x, robot, self.who, self.theta, self.seen, draws, self.belief, self.erred)
         for number, at in by_model(self.model.reshape(-1), np.flatnonzero(there), len(self.pool.policies)):
             group = self.groups[number]
             charged[at] = group.arrays.robot_costs[people.x[at], people.robot[at]]

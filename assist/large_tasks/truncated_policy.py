@@ -28,6 +28,7 @@ from ..people.belief import Grid
 from ..people.decision import NOTHING, Floats
 from ..people.human import Human, Population
 from ..people.mixture import Mixture
+from ..people.trust_rules import counts_of
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, SOLVING, look_ahead
@@ -159,7 +160,7 @@ class TruncatedPolicy(Policy):
     @cached_property
     def grid(self) -> Grid:
         """The grid of beta and theta of the robot's belief."""
-        return Grid.regular(self.ground.prior)
+        return Grid.regular(self.ground.prior).with_counts(counts_of(self.setting.believed_rule()))
 
     def local(self, states: NDArray[np.int64], *, deep: bool = True, then: NDArray[np.int64] = NONE) -> LocalProblem:
         """Return the problem of the next step of people in some states, with its policy.

@@ -33,7 +33,7 @@ from ..people.decision import Floats, choice
 from ..people.human import Human, HumanModel, Population
 from ..people.mixture import Mixture
 from ..people.state_keys import keys_of
-from ..people.trust_rules import EquationSeven, TrustRule, constant
+from ..people.trust_rules import EquationSeven, TrustRule, constant, counts_of
 from ..person.leaf_bounds import LeafBounds
 from ..person.pomdp import AssistPOMDP, Suggestions
 
@@ -130,6 +130,7 @@ class TruncatedTask:
         """Return the problem of assisting one person within the truncated task; arguments as in `AssistPOMDP.of`."""
         check_costs(gamma, c_suggest=c_suggest)
         grid = grid or Grid.regular(population or Population())
+        grid = grid if trust is None else grid.with_counts(counts_of(trust))
         model = HumanModel.exact(self.choices, eta=eta, lapse=lapse, utility_scale=utility_scale)
         return AssistPOMDP.of(
             model, grid=grid, population=population, gamma=gamma, c_suggest=c_suggest, suggestions=suggestions,

@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from ..people.trust_rules import LEAST
+from ..people.trust_rules import LEAST, Reliability
 from .advice_log import AdviceLog
 from .trust_scores import TrustComparison
 
@@ -38,7 +38,7 @@ LAPSE = 0.0005
 NODES = 31
 """Nodes of the quadrature. Twice as many change no figure of two public data sets in the fifth digit."""
 
-STEPS, DELTA, COUNTS, RELIABILITY = range(4)
+STEPS, DELTA, COUNTS, RELIABILITY, FORGOTTEN = range(5)
 """Kinds of rules, as compiled code tells them apart."""
 
 
@@ -54,7 +54,8 @@ class Rule:
         `STEPS`: a step is added to theta, or to its logit; it depends on agreement, confidence and outcome. `DELTA`:
         theta moves by a share towards the outcome.
         `COUNTS`: theta is the mean of a beta distribution that counts good and bad advice. `RELIABILITY`: logit theta
-        moves with the logit of the perceived share of right advice.
+        moves with the logit of the perceived share of right advice. `FORGOTTEN`: theta is the mean of a beta
+        distribution all of whose counts are forgotten (`people.trust_rules.Reliability`).
     logit : bool
         Whether steps are on the logit scale.
     parameters : tuple of str
@@ -162,6 +163,10 @@ def _rules() -> dict[str, Rule]:
             "perceived reliability at disagreement", RELIABILITY, False, ("n0", "rk", "r0"), (5.0, 1.0, 0.4),
             lambda n, k, r: (n, k, r, 1, 0, 0, 0, 0),
         ),
+        Rule(
+            "beta counts, all forgotten", FORGOTTEN, False, ("n0", "gam"), (20.0, 0.95),
+            lambda n, f: (n, f, Reliability().counts, 0, 0, 0, 0, 0),
+        ),
     ]  # fmt: skip
     return {rule.name: rule for rule in every}
 
@@ -174,6 +179,7 @@ OF_NAMES = {
     "paper": "eq7 fitted",
     "outcome": "L outcome gain/loss",
     "outcome-at-disagreement": "L agreement + outcome at disagreement",
+    "reliability": "beta counts, all forgotten",
 }
 """Rules of logs by the names of `people.trust_rules.RULES`; V of advice is the confidence, for or against."""
 
@@ -446,7 +452,8 @@ def _moved(
     disagreement, the steps after right and after wrong advice at agreement, and the same at disagreement. Of `DELTA`:
     the share. Of `COUNTS`: prior weight, weights of good and bad advice, what is kept of the counts each time, and
     what is counted (0: all outcomes, 1: outcomes at disagreement, 2: agreement). Of `RELIABILITY`: prior weight,
-    slope, prior reliability, and whether only disagreement counts.
+    slope, prior reliability, and whether only disagreement counts. Of `FORGOTTEN`: prior weight, what is kept of all
+    counts each time, and the number of outcomes by which their sum moves; `good` is the number of outcomes.
     """
     if kind == STEPS:
         at = 0 if agrees else 2
@@ -468,6 +475,13 @@ def _moved(
             good = rule[3] * good + (rule[1] if right else 0.0)
             bad = rule[3] * bad + (0.0 if right else rule[2])
         theta = (rule[0] * start + good) / (rule[0] + good + bad)
+    elif kind == FORGOTTEN:
+        if shown:
+            total = rule[0]
+            for _ in range(int(good)):
+                total = rule[1] * total + 1.0
+            theta = (rule[1] * total * theta + (1.0 if right else 0.0)) / (rule[1] * total + 1.0)
+            good = min(good + 1.0, rule[2])
     else:
         if shown and (rule[3] == 0.0 or not agrees):
             good += 1.0 if right else 0.0

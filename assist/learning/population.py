@@ -27,7 +27,7 @@ from scipy.special import chdtri, logit, ndtr
 from ..people.decision import NOTHING, Floats
 from ..people.human import Population, Range
 from ..people.mixture import Mixture
-from ..people.trust_rules import EquationSeven, LogitSteps, rule_of
+from ..people.trust_rules import Shipped, rule_of
 from .hierarchy import Hierarchy
 from .likelihood import Method, log_likelihood
 from .logit_likelihood import BETA, FIRST_TERM, THETA
@@ -202,7 +202,7 @@ def mixture(record: dict[str, Any]) -> Mixture:
         raise ValueError(f"expected a population as `kitassist fit --population` writes it ({what})") from None
 
 
-def trust_of(record: dict[str, Any]) -> EquationSeven | LogitSteps | None:
+def trust_of(record: dict[str, Any]) -> Shipped | None:
     """Return the trust rule of a `PopulationFit.as_dict`; None if none was fitted.
 
     Raises

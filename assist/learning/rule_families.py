@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
-from ..people.trust_rules import EquationSeven, TrustRule, constant, outcome, outcome_at_disagreement
+from ..people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
 from .likelihood import Method
 from .trust_scores import REFERENCE
 
@@ -64,6 +64,10 @@ def families(method: Method) -> dict[str, RuleFamily]:
         "outcome-at-disagreement": RuleFamily(
             outcome_at_disagreement, {"agreement": (-1.0, 1.0), **steps},
             tuple((agreement, *pair) for agreement in (0.0, 0.1) for pair in pairs),
+        ),
+        "reliability": RuleFamily(
+            Reliability, {"weight": (0.5, 200.0), "forgetting": (0.0, 0.9)},
+            tuple(product((3.0, 10.0, 40.0), (0.05, 0.3))),
         ),
     }  # fmt: skip
 

@@ -18,7 +18,7 @@ from planner.system.arrays import outline, read_only
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from ..people.trust_rules import LEAST, Event, PerceivedSuggestions, TrustRule
+from ..people.trust_rules import LEAST, Event, PerceivedSuggestions, TrustRule, moved
 from .fit import LogError
 from .likelihood import Data, Method, alone
 from .maximum_likelihood import largest_beta
@@ -159,12 +159,15 @@ class TrustLog:
         seen = vars(self.suggestions.event(self.followed, rule.feedback))
         start = np.broadcast_to(self.theta, (len(self.people), len(self.theta)))
         theta, before = start, np.empty((*self.followed.shape, len(self.theta)))
+        none = count = np.zeros((len(self.people), 1), dtype=np.int64)
         for h in range(self.followed.shape[1]):
             if not carry:
                 theta = np.where(self.anew[:, h, None], start, theta)
+                count = np.where(self.anew[:, h, None], none, count)
             before[:, h] = theta
-            moved = rule.update(theta, Event(**{name: array[:, h, None] for name, array in seen.items()}))
-            theta = np.where(h < self.heard[:, None], moved, theta)
+            # What fills up the arrays comes after a person's last suggestion, so that it may move the count.
+            after, count = moved(rule, theta, count, Event(**{name: array[:, h, None] for name, array in seen.items()}))
+            theta = np.where(h < self.heard[:, None], after, theta)
         return before, theta
 
     def log_likelihood(self, rule: TrustRule, *, carry: bool = True) -> Floats:

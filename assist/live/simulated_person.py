@@ -15,7 +15,7 @@ from ..people.human import Human, Population
 from ..people.misconception import perceived_cost_to_go
 from ..people.mixture import Mixture
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
-from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule
+from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule, moved
 
 
 class _Step(NamedTuple):
@@ -46,6 +46,7 @@ class SimulatedPerson:
 
     def __init__(self, population: Population | Mixture, *, trust: TrustRule | None = None, seed: int = 0) -> None:
         self._seed, self._trust = seed, EquationSeven() if trust is None else trust
+        self._count = np.zeros((), dtype=np.int64)
         self.rng = np.random.default_rng(seed)
         if isinstance(population, Mixture):
             population = population.parts[int(self.rng.choice(len(population.parts), p=population.shares))]
@@ -85,7 +86,8 @@ class SimulatedPerson:
                 optimal_choices(task, [state], rows)[slot],
             )  # fmt: skip
             event = perceived.event(done == slot, self._trust.feedback)
-            self.theta = float(self._trust.update(np.array(self.theta), event))
+            theta, self._count = moved(self._trust, np.array(self.theta), self._count, event)
+            self.theta = float(theta)
         self._last = _Step(task, state, int(rows.actions[done]), int(rows.targets[done]))
         return names[done]
 

@@ -38,6 +38,7 @@ from .terms import goals_met as goals_met
 from .trust_rules import EquationSeven as EquationSeven
 from .trust_rules import Event as Event
 from .trust_rules import LogitSteps as LogitSteps
+from .trust_rules import Reliability as Reliability
 from .trust_rules import TrustRule as TrustRule
 from .trust_rules import constant as constant
 from .trust_rules import outcome as outcome

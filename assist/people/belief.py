@@ -33,7 +33,7 @@ class Grid:
     ----------
     beta : float array, shape (B,)
     theta : float array, shape (T,)
-        Ascending, from 0 to 1.
+        Ascending, from 0 to 1. If the trust rule counts outcomes, such values are repeated for each count.
     """
 
     beta: Floats
@@ -46,8 +46,11 @@ class Grid:
             raise ValueError("beta: expected one or more ascending values from 0 upwards")
         if self.beta[-1] == np.inf:
             raise ValueError("beta: expected finite values")
-        if self.theta.ndim != 1 or len(self.theta) < 2 or not (np.diff(self.theta) > 0).all():
+        one = self.values
+        if self.theta.ndim != 1 or len(one) < 2 or not (np.diff(one) > 0).all():
             raise ValueError("theta: expected two or more ascending values")
+        if not np.array_equal(self.theta, np.tile(one, len(self.theta) // len(one))):
+            raise ValueError("theta: expected the same ascending values for each count")
         if self.theta[0] != 0 or self.theta[-1] != 1:
             raise ValueError("theta: expected a grid from 0 to 1, because trust can move that far")
 
@@ -59,6 +62,21 @@ class Grid:
         middles = (edges[1:] + edges[:-1]) / 2
         return cls(np.unique(middles), np.linspace(0.0, 1.0, thetas))
 
+    def with_counts(self, counts: int) -> Grid:
+        """Return the grid with its values of theta for each number of outcomes from 0 to `counts`."""
+        return Grid(self.beta, np.tile(self.values, counts + 1))
+
+    @property
+    def values(self) -> Floats:
+        """The ascending values of theta, without repetition."""
+        falls = np.flatnonzero(np.diff(self.theta) < 0)
+        return self.theta[: falls[0] + 1] if len(falls) else self.theta
+
+    @property
+    def count(self) -> NDArray[np.int64]:
+        """The number of outcomes that each grid point of theta belongs to, shape (T,)."""
+        return np.arange(len(self.theta)) // len(self.values)
+
     @property
     def shape(self) -> tuple[int, int]:
         """The shape (B, T) of a belief."""
@@ -67,11 +85,12 @@ class Grid:
     def spreads(self, belief: Floats) -> tuple[Spread, Spread]:
         """Return the means and intervals of beta and theta under a belief, shape (B, T) or (G * B, T)."""
         belief = belief.reshape(-1, *self.shape).sum(axis=0)
-        theta = Spread.of(self.theta, belief.sum(axis=0), limits=(0.0, 1.0))
+        each = belief.sum(axis=0).reshape(-1, len(self.values)).sum(axis=0)  # over the counts of outcomes
+        theta = Spread.of(self.values, each, limits=(0.0, 1.0))
         return Spread.of(self.beta, belief.sum(axis=1)), theta
 
-    def shares(self, theta: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
-        """Divide values of theta between neighbouring grid points.
+    def shares(self, theta: ArrayLike, count: ArrayLike = 0) -> tuple[NDArray[np.int64], Floats]:
+        """Divide values of theta, with a number of outcomes each, between neighbouring grid points.
 
         Returns
         -------
@@ -81,8 +100,10 @@ class Grid:
             The share of `low + 1`; `low` has the rest.
         """
         theta = np.asarray(theta, dtype=float)
-        low = np.clip(np.searchsorted(self.theta, theta, side="right") - 1, 0, len(self.theta) - 2)
-        weight = (theta - self.theta[low]) / (self.theta[low + 1] - self.theta[low])
+        values = self.values
+        low = np.clip(np.searchsorted(values, theta, side="right") - 1, 0, len(values) - 2)
+        weight = (theta - values[low]) / (values[low + 1] - values[low])
+        low = low + np.asarray(count, dtype=np.int64) * len(values)
         return low.astype(np.int64), np.clip(weight, 0.0, 1.0)
 
     def prior(self, population: Population | Mixture) -> Floats:
@@ -90,7 +111,7 @@ class Grid:
 
         For a mixture, it is the mixture of the parts' beliefs. Beta is uniform over the grid's values in the
         population's range, or on the nearest one if there is none. The uniform density of theta is divided between
-        grid points as single values are, so that its mean is exact.
+        grid points as single values are, so that its mean is exact. No outcome has been seen yet.
         """
         if isinstance(population, Mixture):
             parts = zip(population.shares, population.parts, strict=True)
@@ -100,8 +121,8 @@ class Grid:
         if not inside.any():
             inside = np.arange(len(self.beta)) == np.abs(self.beta - (low + high) / 2).argmin()
         beta = inside / inside.sum()
-        low, high = population.theta
-        knots = np.unique(np.concatenate([[low, high], self.theta[(self.theta > low) & (self.theta < high)]]))
+        (low, high), values = population.theta, self.values
+        knots = np.unique(np.concatenate([[low, high], values[(values > low) & (values < high)]]))
         theta = np.zeros(len(self.theta))
         if high > low:  # between knots the shares are linear, so that the midpoint represents the interval
             nodes, mass = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / (high - low)

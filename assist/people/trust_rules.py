@@ -3,22 +3,24 @@
 The paper's rule is `EquationSeven`: theta moves by what the person thinks of the suggestion, whether they follow it or
 not. Real advice data support other rules better (docs/people.md): a theta of one's own that stays (`constant`), or that
 moves on the logit scale by the outcome of the advice (`outcome`, `outcome_at_disagreement`). All of these are
-`LogitSteps`. A rule of one's own is any frozen object with the attributes and the method of `TrustRule`.
+`LogitSteps`. With `Reliability` theta is the mean of a beta distribution that counts outcomes. A rule of one's own is
+any frozen object with the attributes and the method of `TrustRule`.
 
 A rule is a deterministic map of theta and an `Event`. The robot's problem of one person evaluates it at its grid of
-theta, and a simulation at the people's own values, so that there is one definition of each rule.
+theta, and a simulation at the people's own values, so that there is one definition of each rule. Where a rule has an
+attribute `counts`, the number of outcomes that a person has seen is part of the map, up to that number (`moved`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .arguments import MOST, number
+from .arguments import MOST, number, whole
 from .decision import Floats, trust
 
 Feedback = Literal["perceived", "true", "never"]
@@ -155,6 +157,90 @@ class LogitSteps:
         return np.where(step == 0, theta, moved)
 
 
+@dataclass(frozen=True)
+class Reliability:
+    """A rule by which theta is the mean of a beta distribution whose counts are the outcomes that the person has seen.
+
+    With n the sum of the two counts, an outcome that is right or wrong leads to
+
+        n' = (1 - forgetting) n + 1,  theta' = ((1 - forgetting) n theta + [right]) / n'.
+
+    Attributes
+    ----------
+    weight : float
+        Value of n at first: how many outcomes the initial theta is worth.
+    forgetting : float
+        Share of the counts that is forgotten at each outcome, below 1.
+    counts : int
+        Number of outcomes by which n moves; it then stays, so that all later outcomes have the same weight. A robot's
+        problem has a grid of theta for each number from 0 to `counts`.
+    feedback : "perceived", "true" or "never"
+        As in `TrustRule`.
+    """
+
+    weight: float = 20.0
+    forgetting: float = 0.05
+    counts: int = 5
+    feedback: Feedback = "perceived"
+
+    def __post_init__(self) -> None:
+        for name in ("weight", "forgetting"):
+            object.__setattr__(self, name, number(name, getattr(self, name)))
+        object.__setattr__(self, "counts", whole("counts", self.counts, 0))
+        if not 0 < self.weight <= MOST:
+            raise ValueError(f"weight {self.weight:g}: expected a number above 0, at most {MOST:g}")
+        if not 0 <= self.forgetting < 1:
+            raise ValueError(f"forgetting {self.forgetting:g}: expected 0 <= forgetting < 1")
+        if self.feedback not in get_args(Feedback):
+            raise ValueError(f"feedback '{self.feedback}': expected one of {', '.join(get_args(Feedback))}")
+
+    @property
+    def uses_answer(self) -> bool:
+        """Whether outcomes are seen at all."""
+        return self.feedback != "never"
+
+    def update(self, theta: Floats, event: Event, count: Floats | int = 0) -> Floats:
+        """Return theta after the event, between `LEAST` and 1 - `LEAST` where it moves.
+
+        Parameters
+        ----------
+        theta : float array
+        event : Event
+        count : int array
+            Number of outcomes before, at most `counts`.
+        """
+        kept, before = 1 - self.forgetting, [self.weight]
+        for _ in range(self.counts):
+            before.append(kept * before[-1] + 1)
+        n = kept * np.array(before)[np.asarray(count, dtype=np.int64)]
+        start = np.clip(np.asarray(theta, dtype=float), LEAST, 1 - LEAST)
+        moved = np.clip((n * start + event.right) / (n + 1), LEAST, 1 - LEAST)
+        return np.where(event.shown, moved, theta)
+
+
+def moved(rule: TrustRule, theta: Floats, count: NDArray[np.int64], event: Event) -> tuple[Floats, NDArray[np.int64]]:
+    """Return theta and the number of outcomes after an event; the number stays 0 for rules without `counts`.
+
+    Parameters
+    ----------
+    rule : TrustRule
+    theta : float array
+    count : int array
+        Number of outcomes that the person has seen, at most the rule's `counts`.
+    event : Event
+    """
+    most = counts_of(rule)
+    if not most:
+        return rule.update(theta, event), count
+    counting: Any = rule
+    return counting.update(theta, event, count), np.minimum(count + event.shown, most)
+
+
+def counts_of(rule: TrustRule) -> int:
+    """Return how many outcomes a rule counts at most; 0 if theta is all that it depends on."""
+    return int(getattr(rule, "counts", 0))
+
+
 def constant() -> LogitSteps:
     """Return the rule of a theta that never moves."""
     return LogitSteps(feedback="never")
@@ -192,8 +278,14 @@ RULES: dict[str, Callable[..., TrustRule]] = {
     "constant": constant,
     "outcome": outcome,
     "outcome-at-disagreement": outcome_at_disagreement,
+    "reliability": Reliability,
 }
 """Functions that make the shipped rules, by name."""
+
+
+Shipped: TypeAlias = EquationSeven | LogitSteps | Reliability
+KINDS: dict[str, type[Shipped]] = {"paper": EquationSeven, "reliability": Reliability}
+"""Classes of the shipped rules that are not `LogitSteps`, by name."""
 
 
 def trust_rule(rule: str | TrustRule | None, eta: float, utility_scale: float) -> TrustRule:
@@ -224,12 +316,12 @@ def plain_rule(name: str, rule: TrustRule) -> dict[str, Any]:
     ValueError
         The rule is the user's own.
     """
-    if not isinstance(rule, EquationSeven | LogitSteps):
-        raise ValueError(f"trust {rule!r}: a rule that is not saved; expected EquationSeven or LogitSteps")  # noqa: TRY004
+    if not isinstance(rule, Shipped):
+        raise ValueError(f"trust {rule!r}: a rule that is not saved; expected one of those shipped")  # noqa: TRY004
     return {"rule": name, **vars(rule)}
 
 
-def rule_of(plain: Mapping[str, Any]) -> EquationSeven | LogitSteps:
+def rule_of(plain: Mapping[str, Any]) -> Shipped:
     """Return the rule of `plain_rule`.
 
     Raises
@@ -240,12 +332,28 @@ def rule_of(plain: Mapping[str, Any]) -> EquationSeven | LogitSteps:
     name, numbers = plain.get("rule"), {key: value for key, value in plain.items() if key != "rule"}
     if name not in RULES:
         raise ValueError(f"trust rule '{name}'; expected one of {', '.join(RULES)}")
-    kind = EquationSeven if name == "paper" else LogitSteps
+    kind = KINDS.get(name, LogitSteps)
     try:
         return kind(**numbers)
     except TypeError:
         names = ", ".join(one.name for one in fields(kind))
         raise ValueError(f"trust rule {name} with {', '.join(numbers)}; expected some of {names}") from None
+
+
+def rule_with(numbers: Mapping[str, Any]) -> LogitSteps | Reliability:
+    """Return the rule with these attributes, as `Setting.as_dict` writes them.
+
+    Raises
+    ------
+    ValueError
+        No rule has them.
+    """
+    kinds = (LogitSteps, Reliability)
+    for kind in kinds:
+        if set(numbers) <= {one.name for one in fields(kind)}:
+            return kind(**numbers)
+    names = " or of ".join(", ".join(one.name for one in fields(kind)) for kind in kinds)
+    raise ValueError(f"{dict(numbers)}: expected some of {names}")
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from ..people.human import HumanModel, Population
 from ..people.mixture import Mixture
-from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule
+from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule, counts_of, moved
 from .leaf_bounds import LeafBounds
 
 Suggestions = Literal["optimal", "all"]
@@ -160,14 +160,14 @@ class AssistPOMDP:
         if execute and model.choices.state is not None:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
-        grid = grid or Grid.regular(population)
         robots = _RobotActions.of(model.choices, suggestions, c_suggest, c_execute if execute else None)
-        chosen, unsuggested = _choice_probabilities(model, chooses, grid, robots.suggested)
         v = value(chooses, model.choices, model.q)
         if frontier is not None:  # no choices are known at the leaves, hence no value of the next state
             leaves = frontier.states
             v[leaves] = -model.choices.h[leaves] if frontier.value is None else frontier.value
         rule = EquationSeven(model.eta, model.utility_scale) if trust is None else trust
+        grid = (grid or Grid.regular(population)).with_counts(counts_of(rule))
+        chosen, unsuggested = _choice_probabilities(model, chooses, grid, robots.suggested)
         low, weight = _trust_shares(model, grid, rule, v, robots.suggested, followed=False)
         followed_low = followed_weight = None
         if rule.uses_answer:
@@ -325,6 +325,6 @@ def _trust_shares(
         v[:, None, None], v[np.take_along_axis(model.choices.targets, slot, axis=1)][:, :, None],
         np.take_along_axis(model.choices.optimal, slot, axis=1)[:, :, None],
     )  # fmt: skip
-    theta = rule.update(grid.theta, perceived.event(followed, rule.feedback))
-    # Without a suggestion theta does not move.
-    return grid.shares(np.where(suggested[:, :, None] == NOTHING, grid.theta, theta))
+    theta, count = moved(rule, grid.theta, grid.count, perceived.event(followed, rule.feedback))
+    silent = suggested[:, :, None] == NOTHING  # then theta does not move
+    return grid.shares(np.where(silent, grid.theta, theta), np.where(silent, grid.count, count))

@@ -33,6 +33,8 @@ class PeopleArrays(NamedTuple):
     who : int array, shape (N,)
         Row of `Minds` with the person's choices.
     theta : float array, shape (N,)
+    seen : int array, shape (N,)
+        Number of outcomes of suggestions that the person has seen, if the trust rule counts them.
     uniform : float array, shape (N, 2)
         Uniform numbers in [0, 1): for the choice, and for the grid point of theta.
     belief : float array, shape (N, B, T)
@@ -49,6 +51,7 @@ class PeopleArrays(NamedTuple):
     robot: NDArray[np.int64]
     who: NDArray[np.int64]
     theta: Floats
+    seen: NDArray[np.int64]
     uniform: Floats
     belief: Floats
     slot: NDArray[np.int64]
@@ -57,15 +60,16 @@ class PeopleArrays(NamedTuple):
 
     @classmethod
     def of_teams(
-        cls, x: NDArray[np.int64], robot: NDArray[np.int64], who: NDArray[np.int64], theta: Floats, uniform: Floats,
-        belief: Floats | None, erred: NDArray[np.bool_],
+        cls, x: NDArray[np.int64], robot: NDArray[np.int64], who: NDArray[np.int64], theta: Floats,
+        seen: NDArray[np.int64], uniform: Floats, belief: Floats | None, erred: NDArray[np.bool_],
     ) -> PeopleArrays:  # fmt: skip
         """Return flat views of teams' arrays, of shape (N, K, ...) in C order, with one person after the other.
 
         Slots and costs begin at `NOTHING` and 0.
         """
         return cls(
-            x.reshape(-1), robot.reshape(-1), who.reshape(-1), theta.reshape(-1), uniform.reshape(-1, 2),
+            x.reshape(-1), robot.reshape(-1), who.reshape(-1), theta.reshape(-1), seen.reshape(-1),
+            uniform.reshape(-1, 2),
             np.empty((0, 1, 1)) if belief is None else belief.reshape(-1, *belief.shape[2:]),
             np.full(x.size, NOTHING), np.zeros(x.size), erred.reshape(-1),
         )  # fmt: skip
@@ -104,6 +108,9 @@ def act(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemA
     p = np.empty(m.chosen.shape[1])
     after = np.empty(people.belief.shape[1:])
     has_beliefs = len(people.belief) > 0
+    each = 1  # number of values of theta; they are repeated for each count of outcomes
+    while each < len(m.theta) and m.theta[each] > m.theta[each - 1]:
+        each += 1
     for i in rows:
         x, robot, theta = people.x[i], people.robot[i], people.theta[i]
         acting, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
@@ -122,11 +129,12 @@ def act(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemA
         people.erred[i] = not minds.optimal[acting, slot]
         if suggestion >= 0:
             if minds.on_grid:
-                t = np.searchsorted(m.theta, theta)
+                t = people.seen[i] * each + np.searchsorted(m.theta[:each], theta)
                 low, up = m.low[x, robot, t], m.weight[x, robot, t]
                 if slot == suggestion:
                     low, up = m.followed_low[x, robot, t], m.followed_weight[x, robot, t]
-                people.theta[i] = m.theta[low + (people.uniform[i, 1] < up)]
+                after_it = low + (people.uniform[i, 1] < up)
+                people.theta[i], people.seen[i] = m.theta[after_it], after_it // each
             else:
                 value = minds.value[people.who[i]]
                 before, expected = value[x], value[m.targets[x, suggestion]]

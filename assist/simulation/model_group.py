@@ -12,7 +12,7 @@ from ..people.choice_model import chances, value
 from ..people.choices import Choices
 from ..people.decision import Floats, perceived_cost
 from ..people.human import Human
-from ..people.trust_rules import PerceivedSuggestions, TrustRule
+from ..people.trust_rules import PerceivedSuggestions, TrustRule, moved
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only
 from .dynamics import Minds, PeopleArrays, act
@@ -101,7 +101,7 @@ class ModelGroup:
         if self.trust is None:
             act(rows, people, self.minds, self.arrays)
             return
-        before, theta = people.x[rows], people.theta[rows]
+        before, theta, seen = people.x[rows], people.theta[rows], people.seen[rows]
         act(rows, people, self.minds, self.arrays)
         who, robot = people.who[rows], people.robot[rows]
         suggested, value = self.arrays.suggested[before, robot], self.minds.value
@@ -112,7 +112,9 @@ class ModelGroup:
             value[who, self.arrays.targets[x, slot]], self.minds.optimal[x, slot],
         )  # fmt: skip
         event = perceived.event(people.slot[rows[advised]] == slot, self.trust.feedback)
-        people.theta[rows[advised]] = self.trust.update(theta[advised], event)
+        people.theta[rows[advised]], people.seen[rows[advised]] = moved(
+            self.trust, theta[advised], seen[advised], event
+        )
 
 
 def _mind(human: Human, choices: Choices) -> tuple[Floats, Floats, Floats]:

@@ -81,7 +81,7 @@ class Run:
             pomdps = [solved.pomdp for solved in pool.policies]
             goal, self.mind, self.beta, self.theta = from_the_prior(pomdps, self.model, drawn)
         self.sigma = np.array([human.sigma for human in pool.people])[self.people]
-        self.first_theta = self.theta.copy()
+        self.first_theta, self.seen = self.theta.copy(), np.zeros(shape, dtype=np.int64)
 
         self.task_view = TaskView(parts, self.model, self.people, self.mind)
         self.x = self.task_view.initial.copy()
@@ -143,7 +143,7 @@ class Run:
         uniform = np.empty((*self.x.shape, 2))
         for kind in (1, 2) if self.on_grid else (1,):
             uniform[running, :, kind - 1] = self.random_numbers.draw(kind, running)
-        people = PeopleArrays.of_teams(view.x, robot, view.who, self.theta, uniform, self.belief, self.erred)
+        people = PeopleArrays.of_teams(view.x, robot, view.who, self.theta, self.seen, uniform, self.belief, self.erred)
         for number, rows in by_model(view.model.reshape(-1), flat, len(view.policies)):
             group = view.groups[number]
             group.act(rows, people)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -15,7 +15,7 @@ from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
 from ..people.human import Human, HumanModel, Population
 from ..people.mixture import Mixture
-from ..people.trust_rules import LogitSteps, TrustRule, trust_rule
+from ..people.trust_rules import LogitSteps, Reliability, TrustRule, rule_with, trust_rule
 from ..person.leaf_bounds import LeafBounds
 from ..person.pomdp import AssistPOMDP, Suggestions
 from .travel import Travel
@@ -58,8 +58,8 @@ class Setting:
         Number of robots of a team, M. They are alike, and begin at the base.
     trust : str or TrustRule, optional
         How theta moves, for people and in the robot's model of them: "paper" (equation 7 with `eta` and
-        `utility_scale`), "constant", "outcome", "outcome-at-disagreement", or a rule. Unless given it is the paper's
-        for simulated people, and constant for real people (`live`), as data of real people support.
+        `utility_scale`), "constant", "outcome", "outcome-at-disagreement", "reliability", or a rule. Unless given
+        it is the paper's for simulated people, and constant for real people (`live`), as data of real people support.
     believed_trust : str or TrustRule, optional
         How the robot believes that theta moves; the rule of `trust` unless given. Bounds hold for the robot's model.
 
@@ -109,10 +109,9 @@ class Setting:
             plain: object = getattr(self, name)
             if isinstance(plain, Mapping):  # as `as_dict` writes a rule
                 try:
-                    object.__setattr__(self, name, LogitSteps(**plain))
-                except TypeError:
-                    names = ", ".join(field.name for field in fields(LogitSteps))
-                    raise ValueError(f"{name} {dict(plain)}: expected some of {names}") from None
+                    object.__setattr__(self, name, rule_with(plain))
+                except ValueError as error:
+                    raise ValueError(f"{name} {error}") from None
         self.travel(1)  # raises an error for impossible travel
         self.trust_rule()  # raises an error for an unknown rule
         self.believed_rule()
@@ -147,8 +146,10 @@ class Setting:
             rule = getattr(self, name)
             if rule is None:
                 del plain[name]
-            elif not isinstance(rule, str | LogitSteps):
-                raise ValueError(f"{name} {rule!r}: a rule that is not saved; expected a name or LogitSteps")
+            elif not isinstance(rule, str | LogitSteps | Reliability):
+                raise ValueError(
+                    f"{name} {rule!r}: a rule that is not saved; expected a name, LogitSteps or Reliability"
+                )
         return plain
 
     def require_one_robot(self, what: str) -> None:

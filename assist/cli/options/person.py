@@ -16,7 +16,7 @@ from .common import NUMBER, SEED, Command, Option, Range, domain_option, lapse_o
 from .population import people_option, population_of, population_options, with_rule_of
 from .task import one_instance
 
-TRUST = ("paper", "constant", "outcome", "outcome-at-disagreement")
+TRUST = ("paper", "constant", "outcome", "outcome-at-disagreement", "reliability")
 """Names of `assist.people.trust_rules.RULES`, without loading numpy."""
 
 if TYPE_CHECKING:
