@@ -20,6 +20,7 @@ from assist.learning.fit import LogError
 from assist.learning.influence_population import InfluencePopulation
 from assist.learning.population import trust_of
 from assist.learning.rule_families import RuleFamily, families
+from assist.learning.rule_search import RuleSearch
 from assist.learning.trust_comparison import compare_trust
 from assist.learning.trust_fit import _interval, fit_influence
 from assist.learning.trust_log import TrustLog
@@ -437,3 +438,19 @@ def test_advice_takes_the_place_of_a_log(log_file: Path) -> None:
     assert (missing.exit_code, "expected INSTANCE and LOG, or --advice" in missing.stderr) == (2, True)
     drop = invoke("fit", "--advice", log_file, "--trust", "paper", "--drop", "return")
     assert (drop.exit_code, "--drop has no effect with --advice" in drop.stderr) == (2, True)
+
+
+@pytest.mark.slow
+def test_intervals_follow_the_ridge_where_one_parameter_has_no_effect() -> None:
+    """With unit costs the gain has no effect. At the ends of the interval of the loss, the best agreement is as likely.
+
+    Otherwise intervals are those of a loss with a known agreement, and too short.
+    """
+    log = TrustLog.of(seen(recorded(outcome_at_disagreement(0.2, 0.1, 0.8), 24, 40, 5)), Method())
+    search = RuleSearch(log, families(Method())["outcome-at-disagreement"], carry=True)
+    best = search.best()
+    found = search.intervals(best, search.covariance(best), 0.95)
+    assert found[1] == (0.0, 3.0)
+    for end in found[2]:
+        near = [search.at((agreement, best[1], end))[0] for agreement in np.linspace(*found[0], 13)]
+        assert search.at(best)[0] - max(near) == pytest.approx(1.92, abs=0.3)

@@ -99,10 +99,11 @@ class RuleSearch:
             found.append((ends[0], ends[1]))
         return found
 
-    def covariance(self, best: tuple[float, ...]) -> Floats:
+    def covariance(self, best: tuple[float, ...], noise: float = 0.1) -> Floats:
         """Return the covariance of the parameters, (P, P), from differences of the likelihood at about two deviations.
 
-        Where the likelihood is not concave, parameters are taken to be independent.
+        A parameter on which the likelihood does not depend, as the differences are below `noise` nats, is taken to be
+        independent of the others. So are all of them where the likelihood is not concave.
         """
         at, top, count, ranges = (
             np.array(best),
@@ -129,6 +130,9 @@ class RuleSearch:
                 both = self.value(middle + moves[i] + moves[j]) + self.value(middle - moves[i] - moves[j])
                 mixed = (both - single[i].sum() - single[j].sum() + 2 * center) / (2 * steps[i] * steps[j])
                 curvature[i, j] = curvature[j, i] = mixed
-        if (np.linalg.eigvalsh(curvature) >= 0).any():
-            return np.diag((steps / 2) ** 2)
-        return np.asarray(np.linalg.inv(-curvature))
+        found = np.diag((steps / 2) ** 2)
+        depends = -np.diag(curvature) * steps**2 > noise
+        known = np.ix_(depends, depends)
+        if (np.linalg.eigvalsh(curvature[known]) < 0).all():
+            found[known] = np.linalg.inv(-curvature[known])
+        return found
