@@ -57,6 +57,7 @@ CASES = {
     ),
     "trust": ("", "--fixed"),
     "ignored": ("", "--people 2"),
+    "trust_study": ("--pools 2 --people 2", "--pools 2 --people 1 --instance kitting/tiny"),
     "trust_recovery coverage": (
         "--populations 4",
         "--instance kitting/tiny --people 5 --populations 1 --suggestions 8 --setting constant",
