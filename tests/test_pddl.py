@@ -318,7 +318,7 @@ BROKEN = [
         PROBLEM,
         "domain",
         ":parameters ?c",
-        ["Parameters"],
+        ["parameters", "'fetch'"],
     ),
     (
         "a letter outside ASCII",
