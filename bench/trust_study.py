@@ -91,7 +91,7 @@ def rows_of(folder: Path, low: float = 0.5, high: float = 0.85) -> Iterator[dict
 @click.option("--pools", type=click.IntRange(2), default=2, show_default=True)
 @click.option("--people", type=click.IntRange(1), default=3, show_default=True, help="In a pool.")
 @click.option("--instance", default="kitting/paper", show_default=True)
-@click.option("--of", "folder", type=click.Path(exists=True, file_okay=False, path_type=Path), help="Results to read.")
+@click.option("--of", "folder", type=click.Path(file_okay=False, path_type=Path), help="Results to read.")
 @record_option
 def main(pools: int, people: int, instance: str, folder: Path | None, record: Path | None) -> None:
     """Measure what rules of influence, and beliefs about them, change."""
