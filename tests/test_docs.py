@@ -8,7 +8,6 @@ import re
 import shlex
 import subprocess
 import sys
-import tomllib
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -122,20 +121,6 @@ def test_every_block_is_of_a_kind_that_is_run_or_is_no_code() -> None:
     for page in PAGES:
         for language, text in BLOCK.findall(page.read_text()):
             assert language in KINDS, f"{name(page)}: ```{language}\n{text}"
-
-
-@pytest.mark.parametrize(
-    "page", [page for page in pages_with("toml") if page.stem not in ("userstudy", "forms", "line")], ids=name
-)
-def test_drawings_shown_are_those_of_a_shipped_domain(page: Path) -> None:
-    """The page may leave entries out."""
-    shipped = [tomllib.loads(file.read_text()) for file in (ROOT / "domains").rglob("drawing.toml")]
-    for block in re.findall(r"^```toml\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE):
-        shown = tomllib.loads(block)
-        assert any(
-            all(entries.items() <= whole.get(section, {}).items() for section, entries in shown.items())
-            for whole in shipped
-        )
 
 
 @pytest.mark.parametrize("page", pages_with("sh"), ids=name)
