@@ -83,7 +83,7 @@ class TeamWatch:
 
     async def _team(self) -> None:
         while True:
-            team = await self._session.ask("GET", "/api/team/people")
+            team = await self._session.ask("GET", "/api/team/names")
             for person in team["people"]:
                 self.follow(person)
             self.moved()

@@ -149,7 +149,7 @@ async def arrived(_: Operator, where: Arrived, service: Desk) -> Response:
     return plain(await service.report(Event("arrived", where.person, id=where.id)))
 
 
-@router.get("/api/robots/{number}", tags=["robot"], response_model=Robot, responses=refusals(403, 404))
+@router.get("/api/robots/{number}", tags=["robot"], response_model=Robot, responses=refusals(403, 404, 422))
 async def robot_of(_: Operator, number: int, service: Desk) -> Response:
     """Return where one of several robots should go and what it should suggest there; numbers begin at 1."""
     robots = service.outlook.robots
@@ -170,7 +170,7 @@ async def team(_: Operator, service: Desk) -> Response:
     return plain(await service.team())
 
 
-@router.get("/api/team/people", tags=["operator"], response_model=Names, responses=refusals(403))
+@router.get("/api/team/names", tags=["operator"], response_model=Names, responses=refusals(403))
 async def names(_: Operator, service: Desk) -> Response:
     """Return the names of the people who are present."""
     return plain({"people": list(service.views)})
