@@ -467,7 +467,9 @@ def test_two_robots_serve_six_people_and_the_page_shows_both(chromium: Any, tmp_
         page.set_default_timeout(PATIENCE)
         page.goto(running.operator)
         section = page.get_by_role("region", name="The robots")
-        assert section.get_by_role("heading", level=3).all_inner_texts() == ["Robot 1", "Robot 2"]
+        headings = section.get_by_role("heading", level=3)
+        headings.nth(1).wait_for()
+        assert headings.all_inner_texts() == ["Robot 1", "Robot 2"]
         for number in (1, 2):
             page.get_by_text(f"robot {number} here", exact=True).first.wait_for()
         section.get_by_text("On the way to").or_(section.get_by_text("Goes to")).first.wait_for()

@@ -307,7 +307,7 @@ def test_fifty_people_and_five_kills_of_the_broker(broker: Broker, tmp_path: Pat
     Of fifty people with equal pasts, many are equally worth a suggestion. So another last bit of one belief would alter
     suggestions, and with them other beliefs.
     """
-    walks = plans(kit("tiny"), 50, 20, seed=3)
+    walks = plans(kit("tiny"), 50, 12, seed=3)
     options = ("--humans", 50, "--tick", 3600, "--c-suggest", 0.1)
     stations = Stations(broker, walks, seed=4)
     with served(*options, "--bridge", settings_file(tmp_path, broker)) as mqtt, served(*options) as http:
