@@ -24,6 +24,12 @@ def write_pomdpx(pomdp: AssistPOMDP, path: Path | str, table: Table | None = Non
     robot action, the next values of x, beta and theta are independent, so that the file is small. The prior is written
     as P(beta) and P(theta), or as P(beta) and P(theta | beta) if they are dependent.
 
+    A state's name lists the facts in which it differs from the initial state `start`, such as
+    `on-platform.box-a__not-in-storage.box-a`; other characters become `-`, and a second state of a name gets `_2`.
+    A robot action that a state does not have has the effect of `nothing` and costs 1 more, so that no value changes.
+    An observation is the next state; if two actions lead to it, it has copies `_2`, `_3`. Goals are absorbing,
+    without cost.
+
     Parameters
     ----------
     pomdp : AssistPOMDP

@@ -103,7 +103,22 @@ class Solution(Policy):
             array.flags.writeable = False
 
     def save(self, file: str | Path, **more: Any) -> None:
-        """Save the solution and its problem, with further named arrays; `docs/policies.md` describes the file."""
+        """Save the solution and its problem as arrays of one `.npz` file.
+
+        For n states, m alpha vectors, B values of beta and T of theta: `policy.vectors` (m, B, T) are the alpha vectors,
+        sorted by state; `policy.robot` (m,) the robot action with which each vector's plan begins; state x has the
+        vectors `policy.first[x]` to `policy.first[x + 1] - 1`. `corner` (n, B, T) is the upper bound where beta and
+        theta are known; `point` (p, B, T) and `drop` (p,) are beliefs with a lower upper bound and the differences,
+        and `first` (n + 1,) the first belief of each state. `policy.pomdp...` is the problem, as documented at
+        `AssistPOMDP`, `HumanModel`, `Choices` and `Grid`. Robot action 0 is to do nothing; r suggests the action
+        `names[actions[x, suggested[x, r]]]` of `policy.pomdp` and its `model.choices`.
+
+        Parameters
+        ----------
+        file : path
+        **more
+            Further arrays by name.
+        """
         archive.save(Path(file), self, **more)
 
     @classmethod
