@@ -105,8 +105,8 @@ class Solution(Policy):
     def save(self, file: str | Path, **more: Any) -> None:
         """Save the solution and its problem as arrays of one `.npz` file.
 
-        For n states, m alpha vectors, B values of beta and T of theta: `policy.vectors` (m, B, T) are the alpha vectors,
-        sorted by state; `policy.robot` (m,) the robot action with which each vector's plan begins; state x has the
+        For n states, m alpha vectors, B values of beta and T of theta: `policy.vectors` (m, B, T) are the alpha
+        vectors, sorted by state; `policy.robot` (m,) the robot action with which each plan begins; state x has the
         vectors `policy.first[x]` to `policy.first[x + 1] - 1`. `corner` (n, B, T) is the upper bound where beta and
         theta are known; `point` (p, B, T) and `drop` (p,) are beliefs with a lower upper bound and the differences,
         and `first` (n + 1,) the first belief of each state. `policy.pomdp...` is the problem, as documented at
