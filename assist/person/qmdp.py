@@ -224,6 +224,7 @@ def evaluate(
     *,
     tolerance: float = 1e-4,
     deadline: float = math.inf,
+    max_sweeps: int | None = None,
     max_equations: int = 5_000,
 ) -> Floats:
     """Return the values of a policy that depends on x only, shape (n, B, T): exact or slightly too low.
@@ -239,6 +240,8 @@ def evaluate(
     deadline : float
         Time on the clock of `time.perf_counter()` after which no sweep begins. Values that have not converged by then
         are lower bounds.
+    max_sweeps : int, optional
+        Number of sweeps after which values that have not converged are returned; they are lower bounds.
     max_equations : int
         Largest number of states for which the values without suggestions are the solution of linear equations. The
         factors of more may exhaust the memory.
@@ -246,7 +249,7 @@ def evaluate(
     Raises
     ------
     RuntimeError
-        The values did not converge within `MOST_SWEEPS`.
+        The values did not converge within `MOST_SWEEPS`, and no other limit ended the computation.
     """
     arrays = ProblemArrays.of(pomdp)
     active = ~pomdp.final
@@ -264,8 +267,8 @@ def evaluate(
         value[pomdp.frontier.states] = lower if lower.ndim == 3 else lower[:, None]
     if silent and active.sum() <= max_equations:
         value[active] = _never_helped_values(arrays, active)[:, :, None]
-    converged = _converge(value, sweep_order(pomdp), robot, arrays, tolerance, MOST_SWEEPS, deadline)
-    if not converged and time.perf_counter() < deadline:
+    converged = _converge(value, sweep_order(pomdp), robot, arrays, tolerance, max_sweeps or MOST_SWEEPS, deadline)
+    if not converged and max_sweeps is None and time.perf_counter() < deadline:
         raise RuntimeError(f"a policy's values have not converged after {MOST_SWEEPS} sweeps")
     value[active] -= ROUNDING / (1 - pomdp.gamma) * np.abs(value[active])
     return np.repeat(value, pomdp.grid.shape[1], axis=2) if silent else value

@@ -32,11 +32,15 @@ class SolverOptions:
         stalled.
     backups_per_check : int
         Number of backups between two checks of time and memory; the default takes about 0.1 s.
+    first_sweeps : int
+        Number of sweeps that evaluate the two policies whose values only start the lower bound. More sweeps hardly
+        raise it where people go next.
     """
 
     depth: int = 500
     finest: float = 1e-6
     backups_per_check: int = 1000
+    first_sweeps: int = 20
 
 
 def relative_gap(lower: float, upper: float) -> float:
@@ -85,7 +89,7 @@ class Search:
         trusting = np.zeros_like(pomdp.prior)
         trusting[:, -1] = pomdp.prior.sum(axis=1)
         for belief in (pomdp.prior, trusting):
-            self.begin(_informed(best, belief), until)
+            self.begin(_informed(best, belief), until, self.options.first_sweeps)
         return never, always
 
     def load(self) -> float:
@@ -127,9 +131,9 @@ class Search:
         below, above = self.bounds(self.root, self.prior)
         self.lower, self.upper = max(self.lower, below), min(self.upper, above)
 
-    def begin(self, robot: NDArray[np.int64], deadline: float = math.inf) -> float:
+    def begin(self, robot: NDArray[np.int64], deadline: float = math.inf, max_sweeps: int | None = None) -> float:
         """Add the vectors of a policy that depends on x only; return its value at the root, or a lower bound on it."""
-        value = evaluate(self.pomdp, robot, deadline=deadline)
+        value = evaluate(self.pomdp, robot, deadline=deadline, max_sweeps=max_sweeps)
         flat = np.ascontiguousarray(value).reshape(len(value), -1)
         hsvi.add_vectors(flat, robot, _own(self.pomdp.prior), self.vectors)
         return float((value[self.pomdp.model.choices.initial] * self.pomdp.prior).sum())
