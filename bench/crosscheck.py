@@ -1,17 +1,19 @@
 """Check upper bounds on team policies against simulated policies, in random settings.
 
-    python bench/crosscheck.py [COUNT] [--first N] [--jobs N] [--record FILE]
+    python bench/crosscheck.py [COUNT] [--first N] [--goals] [--jobs N] [--record FILE]
 
 Each setting has a number, which is the seed of everything in it: the task, costs, people, the robot's knowledge,
-distances, late joiners, and the method of the bound (on a truncated or the whole task, with prices, with sample paths).
+distances, late joiners, unknown goals, and the method of the bound (on a truncated or the whole task, with prices, with
+sample paths).
 The bound is compared with the mean return of every shipped policy, simulated in the robot's model. A bound computed on
 a truncated task is also compared with a lower bound on the whole task. A mean that exceeds the bound by more than
 `ERRORS` standard errors is a violation; it is printed with its setting, and the exit code is 1. `--first N COUNT`
-repeats the settings from number N on.
+repeats the settings from number N on. Where goals are unknown, policies of a robot that knows them are compared, too.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 import time
@@ -38,6 +40,7 @@ from assist.large_tasks import truncated_bound
 from assist.people.choice_model import ChoiceModel, boltzmann
 from assist.people.choices import Choices
 from assist.people.decision import Floats, perceived_value
+from assist.people.goals import Goals
 from assist.people.human import Population
 from assist.people.mixture import Mixture
 from assist.people.state_keys import mix
@@ -45,12 +48,13 @@ from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
+from assist.simulation.task_view import GoalKnowledge
 from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamPolicy
 from assist.team.travel import Travel
 from assist.team.whittle import Whittle
-from planner import Instance, Table, load, sweep
+from planner import Instance, Table, load, sweep, sweep_goals
 
 DOMAINS = Path(__file__).resolve().parent.parent / "domains"
 ERRORS = 4.0
@@ -135,6 +139,8 @@ class Case:
     window : int or None
     paths : int
         Number of sample paths.
+    goals : int
+        Number of goals, of which each person pursues one.
     """
 
     number: int
@@ -148,6 +154,7 @@ class Case:
     part: dict[str, int] | None
     window: int | None
     paths: int
+    goals: int = 1
 
     @classmethod
     def of(cls, number: int) -> Case:
@@ -208,9 +215,12 @@ class Case:
         robots = np.random.default_rng([number, 10])
         if people > 1 and not sampled and robots.random() < 0.25:
             setting = replace(setting, robots=int(robots.integers(2, 4)))
+        goals, hidden = np.random.default_rng([number, 11]), 1
+        if part is None and not (execute or sampled or how == "weights") and goals.random() < 0.5:
+            hidden = int(goals.integers(2, 5))
         return cls(
             number, task, setting, whom, population() if rng.random() < 0.2 and how != "weights" else whom,
-            one(team, tuple(range(people))), distance, joins, part, window, 60 if sampled else 0,
+            one(team, tuple(range(people))), distance, joins, part, window, 60 if sampled else 0, hidden,
         )  # fmt: skip
 
     @property
@@ -238,7 +248,22 @@ class Case:
                 if 0 < table[table.initial] < math.inf:
                     return table
 
-    def pool(self, table: Table, **options: Any) -> Pool:
+    def task_of(self, table: Table) -> Table | Goals:
+        """Return the task with all goals: its own, and random facts of random states."""
+        if self.goals == 1:
+            return table
+        rng = np.random.default_rng([self.number, 12])
+        initial, goals = table.values([table.initial])[0], [table.task.goal]
+        while len(goals) < self.goals:  # goals may be the same, or hold in the same states
+            values = table.values([int(rng.integers(len(table)))])[0]
+            which = rng.permutation(len(values))[: int(rng.integers(1, 3))]
+            if (values[which] != initial[which]).any():
+                goals.append(tuple((int(one), int(values[one])) for one in np.sort(which)))
+        tables = sweep_goals([replace(table.task, goal=goal) for goal in goals])
+        prior = rng.dirichlet(np.ones(self.goals)).tolist()
+        return Goals({f"goal-{n}": one for n, one in enumerate(tables)}, {f"goal-{n}": p for n, p in enumerate(prior)})
+
+    def pool(self, table: Table | Goals, **options: Any) -> Pool:
         """Draw the pool of people and solve their POMDPs."""
         return Pool.sample(
             table, max(self.team) + 1, seed=self.number, setting=self.setting, population=self.population,
@@ -334,10 +359,11 @@ def alone(travel: Travel) -> list[Travel]:
 def policies_of(case: Case, whole: Pool, pool: Pool, found: TeamBound) -> Iterator[tuple[str, Pool, TeamPolicy]]:
     """Yield the shipped policies, each with the pool that it uses."""
     for name in ("none", "reactive", "attention", "attention-never", "priority"):
-        yield name, whole, whole.policy(name, case.travel)
+        if case.goals == 1 or name != "reactive":  # which needs to know the goal
+            yield name, whole, whole.policy(name, case.travel)
     if case.number % 4 == 0:  # it takes a solution for each price; three make another, equally valid policy
         yield "whittle", whole, Whittle.of(whole.policies, case.travel, (0.0, 0.2, 1.0))
-    if len(found.price):
+    if len(found.price) and case.goals == 1:
         yield "priority at the bound's prices", whole, Priority.of(whole.policies, case.travel, found.price)
     if pool is not whole:
         for name in ("attention", "priority"):
@@ -353,7 +379,9 @@ class Value:
     violates: bool
 
 
-def compared(case: Case, pool: Pool, policy: TeamPolicy, upper: float, error: float) -> Value:
+def compared(
+    case: Case, pool: Pool, policy: TeamPolicy, upper: float, error: float, goals: GoalKnowledge = "inferred"
+) -> Value:
     """Compare a policy with a bound that has a standard error itself."""
     gamma, way = case.setting.gamma, case.travel
     last = math.ceil(math.log(BEYOND * (1 - gamma)) / math.log(gamma)) + max(case.joins)
@@ -363,7 +391,7 @@ def compared(case: Case, pool: Pool, policy: TeamPolicy, upper: float, error: fl
     for episodes in EPISODES if math.isfinite(pool.policies[0].size) else EPISODES_ON_PART:
         run = simulate(
             limited, policy, humans=list(case.team), episodes=episodes, seed=case.number + episodes, travel=way,
-            presence=Schedule.of(len(case.team), joins=list(case.joins)), world="model",
+            presence=Schedule.of(len(case.team), joins=list(case.joins)), world="model", goals=goals,
         )  # fmt: skip
         returns = run.discounted_return - (~run.finished).sum(axis=1) * dearest * gamma**last / (1 - gamma)
         mean, stderr = float(returns.mean()), float(returns.std(ddof=1) / math.sqrt(episodes))
@@ -378,7 +406,7 @@ def check(case: Case) -> Outcome:
     start = time.perf_counter()
     outcome = Outcome(case.number)
     table = case.table()
-    whole = case.pool(table)
+    whole = case.pool(case.task_of(table))
     pool = whole if case.part is None else case.pool(table, states=0, region=case.part["region"])
     with cheaper(case.part):
         upper, found, error = bound_of(case, pool)
@@ -393,9 +421,13 @@ def check(case: Case) -> Outcome:
                 outcome.violations.append(
                     f"one person: {part.upper:.6f} on a part, at least {everything.upper - everything.slack:.6f} on all"
                 )
-    for name, one, policy in policies_of(case, whole, pool, found):
+    policies = list(policies_of(case, whole, pool, found))
+    rows: list[tuple[str, Pool, TeamPolicy, GoalKnowledge]] = [(*row, "inferred") for row in policies]
+    if case.goals > 1:  # the bound holds for robots that know the goals, too
+        rows += [(f"{name}, goals known", one, policy, "known") for name, one, policy in policies if name != "none"]
+    for name, one, policy, knows in rows:
         try:
-            value = compared(case, one, policy, upper, error)
+            value = compared(case, one, policy, upper, error, knows)
         except ValueError as refusal:
             if not (case.late and SO_SOON in str(refusal)):
                 raise
@@ -425,12 +457,14 @@ def checked(number: int) -> Outcome:
 @click.argument("count", type=click.IntRange(1), default=20)
 @click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="The number of the first setting.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Settings at a time.")
+@click.option("--goals", is_flag=True, help="Only settings in which goals are unknown.")
 @record_option
-def main(count: int, first: int, jobs: int, record: Path | None) -> None:
+def main(count: int, first: int, jobs: int, goals: bool, record: Path | None) -> None:
     """Check COUNT settings."""
     outcomes = []
+    numbers = itertools.islice((n for n in itertools.count(first) if not goals or Case.of(n).goals > 1), count)
     with ProcessPoolExecutor(jobs, get_context("spawn")) as processes:
-        for outcome in processes.map(checked, range(first, first + count)):
+        for outcome in processes.map(checked, list(numbers)):
             outcomes.append(outcome)
             if outcome.violations:
                 print(f"setting {outcome.number}", *outcome.violations, Case.of(outcome.number), sep="\n", flush=True)
@@ -447,6 +481,7 @@ def main(count: int, first: int, jobs: int, record: Path | None) -> None:
         "no lapses": sum(case.setting.lapse == 0 for case in cases),
         "execute": sum(case.setting.execute for case in cases),
         "own choice model or terms": sum(bool(case.prior.weights) or case.prior.chooses is not None for case in cases),
+        "unknown goals": sum(case.goals > 1 for case in cases),
         "comparisons": counts.total(),
         "refused": sum(outcome.refused for outcome in outcomes),
         "violations": len(wrong),
@@ -462,7 +497,7 @@ COLUMNS: Columns = {
     name: cell(name, ",")
     for name in (
         "settings", "on a part", "sampled", "late joiners", "no lapses", "execute", "own choice model or terms",
-        "comparisons", "refused", "violations",
+        "unknown goals", "comparisons", "refused", "violations",
     )
 }  # fmt: skip
 

@@ -25,7 +25,9 @@ def assert_no_violation(numbers: range) -> list[Outcome]:
 def test_no_policy_exceeds_a_bound() -> None:
     outcomes = assert_no_violation(range(8))
     compared = Counter(kind for outcome in outcomes for kind in outcome.kinds)
-    assert compared["none"] == compared["priority"] == compared["attention"] == compared["reactive"] == len(outcomes)
+    assert compared["none"] == compared["priority"] == compared["attention"] == len(outcomes)
+    assert compared["reactive"] + compared["priority, goals known"] == len(outcomes)
+    assert compared["priority, goals known"] > 0
     assert compared["priority at the bound's prices"] > 0
     assert compared["part against whole"] > 0
     assert sum(outcome.refused for outcome in outcomes) <= REFUSED * compared.total()
@@ -44,6 +46,7 @@ def test_two_hundred_settings_have_all_features() -> None:
         lambda case: case.task == "delivery/one-parcel", lambda case: case.setting.knowledge == "exact",
         lambda case: case.setting.knowledge == "own", lambda case: case.setting.suggestions == "all",
         lambda case: case.setting.trust != "paper", lambda case: case.setting.robots > 1,
+        lambda case: case.goals > 1, lambda case: case.goals > 1 and case.late,
     ):  # fmt: skip
         assert sum(bool(has(case)) for case in cases) >= 5
 

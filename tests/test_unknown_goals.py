@@ -363,7 +363,7 @@ def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:
     pool = Pool.sample(goals, 2, seed=1)
     expected = "expected people whose goal is known, and there are 3 goals"
     for refused in (
-        lambda: solve(problem_of(goals)), lambda: upper_bound(pool), lambda: pool.policy("reactive"),
+        lambda: solve(problem_of(goals)), lambda: upper_bound(pool, paths=30), lambda: pool.policy("reactive"),
         lambda: problem_of(goals, execute=True), lambda: Assistant(goals, ["ann"], policy="reactive"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=expected):

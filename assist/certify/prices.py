@@ -35,7 +35,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SubproblemKind:
-    """The people of a team who have the same attention subproblem.
+    """The people of a team who have the same attention subproblem, all with the same goal.
 
     Attributes
     ----------
@@ -52,6 +52,8 @@ class SubproblemKind:
         The same on a smaller truncated task, on which prices are optimised.
     pairs : int
         Number of pairs of state and step that are enumerated if there are prices and an outer relaxation.
+    share : float
+        Probability that a person at these places has this subproblem: that of a goal, or 1.
     """
 
     pool: Pool
@@ -61,11 +63,12 @@ class SubproblemKind:
     outer: OuterRelaxation | None = None
     between: OuterRelaxation | None = None
     pairs: int = 0
+    share: float = 1.0
 
     @property
-    def count(self) -> int:
-        """The number of these people."""
-        return len(self.places)
+    def count(self) -> float:
+        """The expected number of these people."""
+        return len(self.places) * self.share
 
     def best(self, visits: AttentionSubproblem) -> QMDP:
         """Solve the subproblem with observed beta and theta, backwards from the steps with free attention."""
@@ -142,8 +145,10 @@ def kinds_of(
     members: dict[tuple[int, float, int], list[int]] = {}
     for k, person in enumerate(team):
         members.setdefault((int(pool.model[person]), entries[k], steps[k]), []).append(k)
-    problems = []
-    for done, (model, entry, _) in enumerate(members):
+    problems: list[TruncatedProblem] = []
+    owners: list[tuple[float, tuple[int, float, int]]] = []  # probability of the goal, and key of `members`
+    for done, key in enumerate(members):
+        model, entry, _ = key
         tell("setting up people's problems", done, len(members))
         share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
         room = memory_limit_mb / len(members)
@@ -153,10 +158,17 @@ def kinds_of(
             entry, with_outer=with_outer, until=share, memory_limit_mb=room if with_outer else memory_limit_mb,
             kept_mb=room,
         )  # fmt: skip
-        problems.append(beyond or TruncatedProblem(pool.policies[model].pomdp))
-    require_room(problems, [steps for _, _, steps in members], window, memory_limit_mb)
+        found = (
+            [(1.0, beyond)]
+            if beyond
+            else [(chance, TruncatedProblem(problem)) for chance, problem in pool.policies[model].pomdp.of_goals()]
+        )
+        problems += [problem for _, problem in found]
+        owners += [(chance, key) for chance, _ in found]
+    require_room(problems, [steps for _, (_, _, steps) in owners], window, memory_limit_mb)
     kinds = []
-    for one, ((_, entry, entry_steps), places) in zip(problems, members.items(), strict=True):
+    for one, (chance, key) in zip(problems, owners, strict=True):
+        _, entry, entry_steps = key
         free = AttentionSubproblem.of(one.problem, entry, entry_steps)
         tail = initial_upper_bounds(free.pomdp)
         value_iteration(free.pomdp, tail, tolerance=1e-5)
@@ -164,7 +176,8 @@ def kinds_of(
             free if one.outer is not None else AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window))
         )
         refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        kinds.append(SubproblemKind(pool, visits, tail, tuple(places), one.outer, one.between, one.pairs))
+        places = tuple(members[key])
+        kinds.append(SubproblemKind(pool, visits, tail, places, one.outer, one.between, one.pairs, chance))
     return kinds
 
 
@@ -175,7 +188,7 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5,
     in which more than `at_work` people per robot are at work if none is helped, but at most `plans` times that number
     of actions. The number of actions is estimated as the cost of the plan divided by the smallest positive cost.
     """
-    shortest = max(float(c.h[c.initial]) / c.unit for c in map(pool.choices, team))
+    shortest = max(float(c.h[c.of_goals(np.array([c.initial]))].max()) / c.unit for c in map(pool.choices, team))
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
     steps = np.arange(math.ceil(plans * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)

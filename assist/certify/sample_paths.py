@@ -27,7 +27,7 @@ def recorder(run: Computation, kinds: list[SubproblemKind], price: Floats, toget
     """
     priority = Priority.of(run.policies, run.travel, price if len(price) else None)
     meeting = BeliefRecorder(priority, len(run.team), together + run.options.relaxation.free_steps)
-    each = math.ceil(run.options.belief_episodes / max(kind.count for kind in kinds))
+    each = math.ceil(run.options.belief_episodes / max(len(kind.places) for kind in kinds))
     returns(run.pool, meeting, run.team, run.travel, episodes=each, seed=run.seed)
     return meeting
 
@@ -66,4 +66,4 @@ def _belief_nodes(relaxed: Relaxation) -> list[BeliefNodes]:
     # The outer relaxation neglects travel time, so that it does not apply if travel takes time.
     outers = [kind.outer if not len(relaxed.price) and not kind.visits.entry_steps else None for kind in relaxed.kinds]
     belief_nodes = [BeliefNodes(*part, outer) for part, outer in zip(relaxed.parts, outers, strict=True)]
-    return [one for kind, one in zip(relaxed.kinds, belief_nodes, strict=True) for _ in range(kind.count)]
+    return [one for kind, one in zip(relaxed.kinds, belief_nodes, strict=True) for _ in range(len(kind.places))]

@@ -25,6 +25,15 @@ V_k.
 The prices are optimised (`assist.certify.prices`). Each V_k is bounded from above with hidden beta and theta
 (`assist.person.solver`), so that the bound does not assume more knowledge of people than a robot has.
 
+Unknown goals. If person k pursues goal g with probability p_k(g), the same holds with sum_g p_k(g) V_kg(lambda) in
+place of V_k(lambda), where V_kg is the optimal value of their subproblem if the goal is known to be g.
+
+Proof. A robot that is told all goals at the beginning can ignore them, so that no policy is better than its optimum.
+For each vector of goals the claim bounds this optimum. Its mean over the goals is as stated, since prices do not depend
+on goals and the sum over people is linear; goals of different people may depend on each other. The robot actions of
+V_kg are those with the unknown goal: steps that are optimal for any goal may be suggested. V_kg ends when the goal is
+reached, where a robot that does not see this could only pay for more.
+
 The prices only enforce that the robot is in one place on average. If sample paths are requested, an information
 relaxation enforces it in every step (`assist.certify.information_relaxation.sampled_bound`). This bound holds with a
 confidence level. It uses the subproblems at the prices, or those without prices if their bounds are lower. Subproblems
@@ -136,8 +145,10 @@ class TeamBound:
         Raises
         ------
         ValueError
-            The task is truncated, and there are prices.
+            There are prices, and the task is truncated or people's goals are unknown.
         """
+        if len(self.price):
+            self.pool.choices(self.team[0]).require_one_goal("the policy at a bound's prices")
         without = 0.0 if 1 < len(self.team) <= self.pool.setting.robots else None
         return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else without)
 
@@ -223,8 +234,8 @@ def upper_bound(
     Raises
     ------
     ValueError
-        A parameter is out of its range; sample paths are requested for several robots; or a person's goal is one of
-        several.
+        A parameter is out of its range; or sample paths are requested for several robots, or for people whose goal is
+        unknown.
     LimitError
         The subproblems would exceed the memory limit.
     """
@@ -234,8 +245,7 @@ def upper_bound(
     members = _members(pool, team)
     if whole("paths", paths, 0):
         pool.setting.require_one_robot("the bound from sample paths")
-    for member in members:
-        pool.choices(member).require_one_goal("a bound")
+        pool.choices(members[0]).require_one_goal("the bound from sample paths")
     travel = travel or pool.setting.travel(len(members))
     if len(travel) != len(members):
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")

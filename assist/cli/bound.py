@@ -13,6 +13,7 @@ from planner.batch.solve_instance import versions
 from planner.system.progress import stages
 
 from .options.common import JOBS, gap_option, instance_argument, json_option, seconds_option
+from .options.goals import goal_list_options, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
@@ -36,10 +37,11 @@ from .terminal.console import print_json, print_table
     "--jobs", type=JOBS, help="Number of problems solved at the same time. One for each processor unless given."
 )
 @team_options
+@goal_list_options
 @json_option
 def bound(
     instance: str, names: tuple[str, ...], episodes: int, gap: float, time_limit: float, samples: int, jobs: int | None,
-    as_json: bool, **team: Any,
+    as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...], **team: Any,
 ) -> None:  # fmt: skip
     """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
     from ..certify.comparison import certify
@@ -49,9 +51,12 @@ def bound(
     start = time.perf_counter()
     if samples and team["robots"] > 1:
         raise click.UsageError(f"--samples with --robots {team['robots']}: expected one robot")
+    if samples and problems:
+        raise click.UsageError("--samples with --goals: expected people whose goal is known")
     with policy_errors():
         policies = policies_of(names)
-        made = team_of(instance, size=team["humans"], **team)
+        goals = several_goals(instance, problems, goal_prior, domain=team["domain"], max_states=team["max_states"])
+        made = team_of(instance, size=team["humans"], goals=goals, **team)
         with stages() as show:
             found, certificates = certify(
                 made.pool, policies, time_limit=max(1e-3, start + time_limit - time.perf_counter()), progress=show,
@@ -62,6 +67,7 @@ def bound(
     if as_json:
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), **asdict(best),
+            **({"goals": dict(goals.prior)} if goals else {}),
             "policies": [asdict(certificate) for certificate in certificates], "upper_seen": found.upper_seen,
             "upper_proven": found.proven, "sampled": found.sampled and asdict(found.sampled),
             "confidence": CONFIDENCE if found.sampled and found.sampled.enough else 1.0,

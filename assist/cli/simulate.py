@@ -12,7 +12,7 @@ from planner.system import files
 from planner.system.progress import stages
 
 from .options.common import OUTPUT_FILE, instance_argument, json_option, separate_files
-from .options.goals import goal_options, several_goals
+from .options.goals import goal_knowledge_option, goal_list_options, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
@@ -38,7 +38,8 @@ from .terminal.console import print_json
     help="Steps after which an episode is cut off.",
 )
 @team_options
-@goal_options
+@goal_list_options
+@goal_knowledge_option
 @json_option
 def simulate(
     instance: str, names: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,

@@ -54,8 +54,8 @@ def goals_of(
     return dict(zip(names, every, strict=True))
 
 
-def goal_options(command: Command) -> Command:
-    """Add the options for people who pursue one of several goals. `several_goals` takes the first two."""
+def goal_list_options(command: Command) -> Command:
+    """Add the options for people who pursue one of several goals. `several_goals` takes their values."""
     return with_options(
         command,
         (
@@ -68,13 +68,14 @@ def goal_options(command: Command) -> Command:
                 "--goal-prior", multiple=True, metavar="GOAL=P,...",
                 help="Probability of each goal, by the problem's name. All are equal unless given.",
             ),
-            click.option(
-                "--goal-knowledge", type=click.Choice(["inferred", "likeliest", "known"]), default="inferred",
-                show_default=True,
-                help="How the robot knows the goals: from a posterior, from the most probable goal only, or exactly.",
-            ),
         ),
     )  # fmt: skip
+
+
+goal_knowledge_option = click.option(
+    "--goal-knowledge", type=click.Choice(["inferred", "likeliest", "known"]), default="inferred", show_default=True,
+    help="How the robot knows the goals: from a posterior, from the most probable goal only, or exactly.",
+)  # fmt: skip
 
 
 def several_goals(

@@ -1,0 +1,129 @@
+"""Bounds on all policies for people whose goals are unknown, compared with exact values and with certain goals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT, invoke
+from crosscheck import EASY
+from graphs import graph_task
+
+from assist.certify import TeamBound, upper_bound
+from assist.people import Goals, HumanModel, Population
+from assist.person import AssistPOMDP, qmdp
+from assist.person.qmdp import evaluate
+from assist.simulation import Pool
+from assist.team import Setting
+from planner import sweep_goals
+
+KITS = ROOT / "docs" / "examples" / "kits"
+PEOPLE = Population(beta=(0.2, 1.4), theta=(0.3, 0.8))
+RING = [(a, b, 1) for a, b in pairwise([*range(5), 0])] + [(b, a, 1) for a, b in pairwise([*range(5), 0])]
+
+
+@cache
+def ring(shares: tuple[float, ...] = (0.5, 0.3, 0.2), start: int = 0) -> Goals:
+    """Five places in a circle, of which people want to reach one; a step may serve two of the goals."""
+    task = graph_task(RING, goal=2, start=start)
+    tables = sweep_goals([replace(task, goal=((0, node),)) for node in (2, 3, 1)])
+    names = [f"place-{node}" for node in (2, 3, 1)]
+    return Goals(dict(zip(names, tables, strict=True)), dict(zip(names, shares, strict=True)))
+
+
+def exact(pomdp: AssistPOMDP, steps: int) -> tuple[float, float]:
+    """Bounds on the optimal value: all histories of `steps` steps, then the best or no help without a hidden part."""
+    choices, betas = pomdp.model.choices, len(pomdp.grid.beta)
+    ends = [choices.of_goals(np.arange(len(choices)))[:, x] for x in range(len(choices) // choices.goal_count)]
+    least, most = evaluate(pomdp, np.zeros(len(choices), dtype=np.int64)), qmdp(pomdp).value_mdp
+
+    def going_on(x: int, weight: np.ndarray) -> np.ndarray:
+        """The weight of those who have not reached their goal: who has is seen to stop."""
+        return np.where(choices.goal[ends[x]].repeat(betas)[:, None], 0.0, weight)
+
+    def value(x: int, weight: np.ndarray, left: int) -> np.ndarray:
+        weight = going_on(x, weight)
+        if (mass := weight.sum()) == 0:
+            return np.zeros(2)
+        if left == 0:
+            return np.array([(one[ends[x]].reshape(weight.shape) * weight).sum() for one in (least, most)])
+        found = []
+        at = np.array([x])
+        for robot in range(pomdp.robot_actions[x]):
+            total = np.full(2, -pomdp.robot_costs[x, robot] * mass)
+            for slot in np.flatnonzero(choices.applicable[x]):
+                with_robot = at, np.array([robot]), np.array([slot])
+                chance = float((weight * pomdp.likelihood(*with_robot)[0]).sum())
+                if chance > 0:
+                    after = pomdp.update(weight[None] / mass, *with_robot)[0] * chance
+                    then = value(int(choices.targets[x, slot]), after, left - 1)
+                    total += pomdp.gamma * then - choices.costs[x, slot] * chance
+            found.append(total)
+        return np.max(found, axis=0)
+
+    low, high = value(choices.initial, pomdp.prior, steps)
+    return float(low), float(high)
+
+
+@pytest.mark.parametrize("suggestions", ["optimal", "all"])
+def test_the_bound_of_one_person_is_the_mean_value_with_known_goals(suggestions: Any) -> None:
+    """It is above the value with unknown goals, from an enumeration of histories: the goal is worth knowing here."""
+    people, goals = Population(beta=(0.1, 0.5), theta=(0.8, 0.95)), ring((0.45, 0.45, 0.1))
+    options: dict[str, Any] = {"gamma": 0.5, "c_suggest": 0.01, "suggestions": suggestions}
+    setting = Setting(**options, eta=0.1, c_move=0.0, knowledge="exact", lapse=0.01)
+    found = upper_bound(Pool.sample(goals, 1, seed=1, setting=setting, population=people), gap=1e-3, jobs=1)
+    problem = AssistPOMDP.of(HumanModel.exact(goals.choices(), eta=0.1, lapse=0.01), population=people, **options)
+    low, high = exact(problem, 3)
+    assert high - low < 0.01
+    known = np.array([share * np.array(exact(one, 3)) for share, one in problem.of_goals()]).sum(axis=0)
+    assert known[0] <= found.upper + 1e-9
+    assert found.upper - found.slack <= known[1] + 1e-9
+    assert found.upper - found.slack > high
+
+
+def bound_of(goals: Any, **more: Any) -> TeamBound:
+    setting = Setting(gamma=0.9, c_suggest=0.05, suggestions="all", c_move=0.1, **more)
+    pool = Pool.sample(goals, 3, seed=2, setting=setting, population=PEOPLE)
+    return upper_bound(pool, window=6, gap=0.02, jobs=1, options=EASY)
+
+
+def test_with_certainty_the_bound_is_that_of_people_with_that_goal() -> None:
+    goals = ring()
+    certain, known = (bound_of(one) for one in (ring((0.0, 1.0, 0.0)), goals.tables["place-3"]))
+    assert certain.price == pytest.approx(known.price)
+    assert certain.upper == pytest.approx(known.upper, rel=1e-9)
+    alone = bound_of(Goals({"place-3": goals.tables["place-3"]}))
+    assert (alone.upper, alone.price.tobytes()) == (known.upper, known.price.tobytes())
+
+
+@pytest.mark.parametrize("travel_time", [0, 1])
+def test_policies_are_compared_with_the_bound(travel_time: int) -> None:
+    found = bound_of(ring(), travel_time=travel_time, knowledge="exact")
+    assert len(found.price)
+    for name in ("none", "attention", "priority"):
+        certificate = found.certify(name, episodes=500)
+        assert certificate.value - 4 * certificate.value_stderr <= certificate.upper
+    mean, error = found.relaxed(episodes=500)
+    assert mean - 4 * error <= found.upper
+    with pytest.raises(ValueError, match="expected people whose goal is known"):
+        found.policy()
+
+
+def test_the_command() -> None:
+    given = ["bound", KITS / "travel.pddl", "--goals", KITS, "--humans", "1", "--policy", "none"]
+    more = ["--episodes", "50", "--gap", ".5", "--goal-prior", "travel=.5,mend=.5,mount=0", "--gamma", ".7"]
+    result = invoke(*given, *more, "--json")
+    assert (result.exit_code, result.stderr) == (0, "")
+    found = json.loads(result.stdout)
+    assert found["goals"] == {"travel": 0.5, "mend": 0.5, "mount": 0}
+    assert found["value"] - 4 * found["value_stderr"] <= found["upper"]
+    result = invoke(*given, "--samples", "30")
+    assert (result.exit_code, "--samples with --goals: expected people whose goal is known" in result.stderr) == (
+        2,
+        True,
+    )
