@@ -36,19 +36,21 @@ ROOMS = {
     "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model human
         mixture
         spread belief influence_kernels trust_rules user_code action_names signals""",
-    "assist.person": """leaf_bounds pomdp visiting_robot policy lazy_policy archive problem_arrays belief_filter qmdp
-        solution_cache alpha_vectors upper_hull convex_bound hsvi search memory_needed further_beliefs solver
+    "assist.person": """leaf_bounds observation_model pomdp visiting_robot policy lazy_policy archive problem_arrays
+        belief_filter joint_belief qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search memory_needed
+        further_beliefs solver
         suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
         fit joint_states goals comparison rule_families trust_log influence_population rule_search trust_fit
         trust_comparison""",
-    "assist.team": """by_policy travel state action_check settings assignment attention time_expansion memory_needed
-        subproblem_frontier attention_subproblem priority whittle policies""",
+    "assist.team": """by_policy travel state hidden_states action_check settings assignment attention time_expansion
+        memory_needed subproblem_frontier attention_subproblem priority whittle policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
     "assist.simulation": """memory_needed pool schedule common_random_numbers trace episodes dynamics model_group
-        task_parts task_view run traced_run requested suggestion_search simulate belief_trace illustration""",
+        observed_people task_parts task_view run traced_run requested suggestion_search simulate belief_trace
+        illustration""",
     "assist.coupled": "agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.explain": "continuations contrast catalogue explanation",

@@ -51,6 +51,7 @@ def people() -> None:
     import test_refusals
     import test_solver
     import test_trust_fit
+    import test_unreliable_observations
     import test_upper_bound
 
     from assist import fit
@@ -74,6 +75,7 @@ def people() -> None:
     rows = people_at_work(Choices.of(kit("tiny")), [0.5], np.random.default_rng(0), suggest=0.4, episodes=2)
     fit(kit("tiny"), Log.of(rows), chooses=test_fit_own.same)
     test_trust_fit.test_held_out_people_are_predicted_from_the_others()
+    test_unreliable_observations.test_who_may_have_finished_does_nothing_more()
     test_joint.test_one_person_alone_is_the_problem_of_visits(test_joint.COSTS[0], False)
 
 

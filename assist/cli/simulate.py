@@ -37,6 +37,14 @@ from .terminal.console import print_json
     show_default=True,
     help="Steps after which an episode is cut off.",
 )
+@click.option(
+    "--miss", type=click.FloatRange(0, 1, max_open=True), default=0.0, show_default=True,
+    help="Probability that the robot does not see an action of a person.",
+)  # fmt: skip
+@click.option(
+    "--confusion", type=click.FloatRange(0, 1, max_open=True), default=0.0, show_default=True,
+    help="Probability that the robot takes an action that it sees for another one that is applicable then.",
+)  # fmt: skip
 @team_options
 @goal_list_options
 @goal_knowledge_option
@@ -44,9 +52,10 @@ from .terminal.console import print_json
 def simulate(
     instance: str, names: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
     figure: Path | None, as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...], goal_knowledge: str,
-    **team: Any,
+    miss: float, confusion: float, **team: Any,
 ) -> None:  # fmt: skip
     """Simulate a team of people and a robot that assists them, and compare policies."""
+    from ..person.observation_model import ObservationModel
     from ..plots import style
     from ..plots.episode import episode_figure
     from ..simulation.illustration import Illustration
@@ -54,6 +63,7 @@ def simulate(
     from .output.episode_summaries import show_summaries
 
     size = size or max(12, team["humans"])
+    team["observation"] = ObservationModel(miss, confusion)
     separate_files({"--out": out, "--trace": trace, "--figure": figure}, {"--population": team["population_file"]})
     if figure:
         style.require()

@@ -72,6 +72,7 @@ class Teams:
         world: World = "people",
         filters: bool = True,
     ) -> None:
+        pool.setting.require_all_seen("an environment")
         for policy in pool.policies:
             policy.require_enumerated("pool")
             policy.pomdp.model.choices.require_one_goal("an environment")

@@ -108,6 +108,7 @@ class Assistant:
         self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
         if robots is not None:
             self.setting = replace(self.setting, robots=robots)
+        self.setting.require_all_seen("a live team")
         if self.setting.execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy

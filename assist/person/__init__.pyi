@@ -1,6 +1,8 @@
 from .alpha_vectors import VectorPolicy as VectorPolicy
 from .archive import ArchiveError as ArchiveError
+from .joint_belief import JointBelief as JointBelief
 from .leaf_bounds import LeafBounds as LeafBounds
+from .observation_model import ObservationModel as ObservationModel
 from .policy import Policy as Policy
 from .pomdp import AssistPOMDP as AssistPOMDP
 from .qmdp import QMDP as QMDP

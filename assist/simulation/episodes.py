@@ -85,6 +85,9 @@ class Episodes:
         Whether a person had neither finished nor left at the step limit.
     suggestion_threshold : SuggestionThreshold or None
         Set if the policy weighs costs and made no suggestion.
+    pruned : float array, shape (N,), or None
+        Probability of the task states that the robot left out, summed over steps and people; None if it sees all
+        actions as they are.
     """
 
     policy: str
@@ -104,13 +107,15 @@ class Episodes:
     discounted_return: Floats
     cut_off: NDArray[np.bool_]
     suggestion_threshold: SuggestionThreshold | None = None
+    pruned: Floats | None = None
 
     __repr__ = outline
 
     @classmethod
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
         """Return the union of episodes of one policy."""
-        names = [field.name for field in fields(cls) if field.name not in ("policy", "suggestion_threshold")]
+        names = [field.name for field in fields(cls) if getattr(parts[0], field.name) is not None]
+        names = [name for name in names if name not in ("policy", "suggestion_threshold")]
         arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return cls(parts[0].policy, **arrays)
 
@@ -127,6 +132,7 @@ class Episodes:
             discounted_return=_mean_and_error(self.discounted_return),
             cut_off=int(self.cut_off.sum()),
             suggestion_threshold=self.suggestion_threshold,
+            pruned=None if self.pruned is None else float(self.pruned.mean()),
         )
 
     def to_frame(self) -> Any:
@@ -199,6 +205,8 @@ class Summary:
         Number of episodes in which a person had neither finished nor left at the step limit.
     suggestion_threshold : SuggestionThreshold or None
         Set if the policy weighs costs and made no suggestion.
+    pruned : float or None
+        Mean of `Episodes.pruned`; None if the robot sees all actions as they are.
     """
 
     policy: str
@@ -211,6 +219,7 @@ class Summary:
     discounted_return: tuple[float, float]
     cut_off: int
     suggestion_threshold: SuggestionThreshold | None = None
+    pruned: float | None = None
 
     def record(self) -> dict[str, Any]:
         """Return the summary as plain data; an unknown standard error is None."""
@@ -223,6 +232,7 @@ class Summary:
             **record,
             "cut_off": self.cut_off,
             "suggestion_threshold": self.suggestion_threshold and asdict(self.suggestion_threshold),
+            **({} if self.pruned is None else {"pruned": self.pruned}),
         }
 
     def __str__(self) -> str:

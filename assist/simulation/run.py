@@ -17,6 +17,7 @@ from .common_random_numbers import CommonRandomNumbers, from_the_prior
 from .dynamics import PeopleArrays
 from .episodes import Episodes
 from .model_group import World
+from .observed_people import ObservedPeople
 from .pool import Pool
 from .schedule import Schedule
 from .task_parts import TaskParts
@@ -104,6 +105,16 @@ class Run:
                 self.belief *= own.repeat(self.belief.shape[2] // pool.goals, axis=2)[..., None]
                 self.belief /= self.belief.sum(axis=(2, 3), keepdims=True)
         self.goals = goals
+        self.observed: ObservedPeople | None = None
+        if pool.setting.observation is not None:
+            for solved in pool.policies:
+                solved.require_enumerated("observation")
+            belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
+            visible = self.x % self.states if pool.goals > 1 else self.x
+            self.observed = ObservedPeople(
+                pool.setting.observation, visible, belief if self.belief is None else self.belief
+            )
+            self.belief = None
         self.actions = np.zeros(shape, dtype=np.int64)
         self.costs = np.zeros(shape)
         self.helped = np.zeros(shape, dtype=np.int64)
@@ -132,12 +143,16 @@ class Run:
             executed=self.executed, interventions=self.helped.sum(axis=1), moves=self.moves, steps=self.steps,
             discounted_return=self.discounted,
             cut_off=np.asarray((~self.finished & (self.presence.leaves > self.pool.setting.max_steps)).any(axis=1)),
+            pruned=None if self.observed is None else self.observed.pruned.sum(axis=1),
         )  # fmt: skip
 
     def _step(self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]) -> None:
         flat = np.flatnonzero(active)
         view = self.task_view.view(self.x, flat, deep=self.belief is not None)
         robot, charged = self._robot(step, running, active, view)
+        said = None
+        if self.observed is not None:
+            robot, said = self.observed.heard(robot, view.x, view.model, view.policies)
         view = self.task_view.after_suggestions(view, robot)
         before, theta_before = view.x.copy(), self.theta.copy()
         uniform = np.empty((*self.x.shape, 2))
@@ -150,6 +165,8 @@ class Run:
             to = people.x[rows]
             self.finished.reshape(-1)[rows] = group.ends[to]
             self.x.reshape(-1)[rows] = to if group.states is None else group.states[to]
+        if self.observed is not None and said is not None:
+            self._observe(view, running, before, people, said)
         slot, cost = people.slot, people.cost.reshape(self.x.shape)
         reward = -charged - cost
         self.discounted += self.pool.setting.gamma**step * reward.sum(axis=1)
@@ -157,6 +174,22 @@ class Run:
         self.costs += cost
         self.steps[running] += 1
         self.watch(StepTaken(step, flat, view, before, robot, slot, theta_before, reward))
+
+    def _observe(
+        self, view: StepView, running: NDArray[np.int64], before: NDArray[np.int64], people: PeopleArrays,
+        said: NDArray[np.int64],
+    ) -> None:  # fmt: skip
+        """Let the robot see, well or badly, what people have done who are still at work."""
+        assert self.observed is not None
+        uniform = np.zeros((*self.x.shape, 2))
+        for kind in (5, 6):
+            uniform[running, :, kind - 5] = self.random_numbers.draw(kind, running)
+        acted = np.flatnonzero((people.slot >= 0) & ~self.finished.reshape(-1))
+        for number, rows in by_model(view.model.reshape(-1), acted, len(view.policies)):
+            self.observed.observe(
+                view.groups[number], view.policies[number].pomdp.model.choices, rows.tolist(), before.reshape(-1),
+                people.slot, said.reshape(-1), uniform.reshape(-1, 2), self.erred.reshape(-1),
+            )  # fmt: skip
 
     def watch(self, taken: StepTaken) -> None:
         """See each step that has been taken; a `TracedRun` writes it down."""
@@ -172,7 +205,9 @@ class Run:
             return robot, charged
         every = slice(None) if len(free) == len(self.x) else free
         visible, belief = view.x, self.belief
-        if self.pool.goals > 1:
+        if self.observed is not None:
+            visible, belief = self.observed.x, self.observed.beliefs
+        elif self.pool.goals > 1:
             visible = view.x % self.states
             if belief is not None and self.goals == "likeliest":
                 belief = given_likeliest(belief, self.pool.goals)
@@ -184,6 +219,8 @@ class Run:
             belief=belief, policies=view.policies,
             travel=self.travel, free=arrived[every] if self.robots > 1 else None,
         )  # fmt: skip
+        if self.observed is not None:
+            team = self.observed.as_known(team, np.arange(len(self.x))[every])
         action = self.policy(team)
         try:
             check(team, action)
@@ -201,7 +238,7 @@ class Run:
         for model, rows in by_model(view.model[teams, to], np.flatnonzero(does > 0), len(view.policies)):
             at = (teams[rows], to[rows])
             arrays = view.groups[model].arrays
-            charged[at] += arrays.robot_costs[view.x[at], does[rows]]
-            self.executed[at] += arrays.suggested[view.x[at], does[rows]] == NOTHING
+            charged[at] += arrays.robot_costs[visible[at], does[rows]]
+            self.executed[at] += arrays.suggested[visible[at], does[rows]] == NOTHING
         self.helped[teams, to] += does > 0
         return robot, charged

@@ -122,7 +122,7 @@ class StudyTable(Struct, forbid_unknown_fields=True):
     reference: ReferenceTable | None = None
 
 
-SettingTable = partial_of(Setting, trust=str | AnyTable, believed_trust=str | AnyTable)
+SettingTable = partial_of(Setting, trust=str | AnyTable, believed_trust=str | AnyTable, observation=AnyTable)
 
 
 def shipped() -> list[str]:

@@ -17,6 +17,7 @@ from ..people.human import Human, HumanModel, Population
 from ..people.mixture import Mixture
 from ..people.trust_rules import LogitSteps, Reliability, TrustRule, rule_with, trust_rule
 from ..person.leaf_bounds import LeafBounds
+from ..person.observation_model import ObservationModel
 from ..person.pomdp import AssistPOMDP, Suggestions
 from .travel import Travel
 
@@ -62,6 +63,9 @@ class Setting:
         it is the paper's for simulated people, and constant for real people (`live`), as data of real people support.
     believed_trust : str or TrustRule, optional
         How the robot believes that theta moves; the rule of `trust` unless given. Bounds hold for the robot's model.
+    observation : ObservationModel, optional
+        How reliably the robot sees people's actions; every action as it is, by default. Otherwise the robot may suggest
+        any applicable action, as with `suggestions="all"`, since it may mistake the state of a task.
 
     Raises
     ------
@@ -84,6 +88,7 @@ class Setting:
     trust: str | TrustRule | None = None
     believed_trust: str | TrustRule | None = None
     robots: int = 1
+    observation: ObservationModel | None = None
 
     def __post_init__(self) -> None:
         for name in ("gamma", "c_suggest", "c_move", "travel_time", "eta", "utility_scale", "lapse", "c_execute"):
@@ -105,6 +110,15 @@ class Setting:
         object.__setattr__(self, "execute", bool(self.execute))
         object.__setattr__(self, "max_steps", whole("max_steps", self.max_steps, 1))
         object.__setattr__(self, "robots", whole("robots", self.robots, 1))
+        seen: object = self.observation
+        if isinstance(seen, Mapping):  # as `as_dict` writes it
+            object.__setattr__(self, "observation", ObservationModel(**seen))
+        elif not isinstance(seen, ObservationModel | None):
+            raise ValueError(f"observation {seen!r}: expected an ObservationModel")  # noqa: TRY004
+        if self.observation is not None and self.observation.is_perfect:
+            object.__setattr__(self, "observation", None)
+        if self.observation is not None and self.execute:
+            raise ValueError("execute: expected actions that are all seen as they are")
         for name in RULES_OF:
             plain: object = getattr(self, name)
             if isinstance(plain, Mapping):  # as `as_dict` writes a rule
@@ -132,14 +146,18 @@ class Setting:
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as plain data, from which `Setting` makes an equal one.
 
-        Trust rules are included only if they are given, and the number of robots only if there are several.
+        Trust rules and the observation model are included only if they are given, and the number of robots only if
+        there are several.
 
         Raises
         ------
         ValueError
             The trust rule is the user's own, which is not saved.
         """
-        plain = asdict(self)
+        plain = asdict(replace(self, observation=None))
+        del plain["observation"]
+        if self.observation is not None:
+            plain["observation"] = self.observation.as_dict()
         if self.robots == 1:
             del plain["robots"]
         for name in RULES_OF:
@@ -162,6 +180,17 @@ class Setting:
         """
         if self.robots > 1:
             raise ValueError(f"robots {self.robots}: expected 1, as {what} has one robot")
+
+    def require_all_seen(self, what: str) -> None:
+        """Raise an error if actions may be missed or confused, where they must be seen as they are.
+
+        Raises
+        ------
+        ValueError
+            It names `what` needs that.
+        """
+        if self.observation is not None:
+            raise ValueError(f"observation: expected none, as {what} has actions that are all seen as they are")
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Return the travel between `places` people; `distance` as in `Travel.of`."""
@@ -197,6 +226,7 @@ class Setting:
         model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
         return AssistPOMDP.of(
             model, chooses=self.chooses(human, population), grid=Grid.regular(population),
-            population=population, gamma=self.gamma, c_suggest=self.c_suggest, suggestions=self.suggestions,
+            population=population, gamma=self.gamma, c_suggest=self.c_suggest,
+            suggestions=self.suggestions if self.observation is None else "all",
             execute=self.execute, c_execute=self.c_execute, frontier=frontier, trust=self.believed_rule(),
         )  # fmt: skip

@@ -103,7 +103,7 @@ class FileTable(Struct, forbid_unknown_fields=True):
     questionnaires: list[QuestionnaireTable] = []
 
 
-SettingTable = partial_of(Setting, trust=str | AnyTable, believed_trust=str | AnyTable)
+SettingTable = partial_of(Setting, trust=str | AnyTable, believed_trust=str | AnyTable, observation=AnyTable)
 
 
 @dataclass(frozen=True)
@@ -429,6 +429,8 @@ def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Set
     if setting.travel_time:
         message = f"{setting.travel_time:g}; expected 0, since the robot of a user study does not move"
         raise fault(file, f"{place}.travel_time", message)
+    if setting.observation is not None:
+        raise fault(file, f"{place}.observation", "given; expected none, as participants' actions are all seen")
     if setting.execute:
         raise fault(file, f"{place}.execute", "true; expected a robot that suggests")
     if setting.robots > 1:

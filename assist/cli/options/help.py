@@ -26,7 +26,7 @@ GROUPS = {
     ),
     "Robot": (
         "--robots", "--policy", "--knowledge", "--goal-knowledge", "--suggestions", "--execute", "--gamma",
-        "--c-suggest", "--c-execute", "--c-move", "--travel-time", "--distances", "--lapse",
+        "--c-suggest", "--c-execute", "--c-move", "--travel-time", "--distances", "--lapse", "--miss", "--confusion",
     ),
     "Service": (
         "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy", "--bridge", "--tick",

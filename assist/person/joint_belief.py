@@ -1,0 +1,204 @@
+"""The belief in a person whose actions are not all seen as they are: over the task state, beta and theta together.
+
+The states that are possible are few at first, and grow with each uncertain observation. A `JointBelief` has a row for
+each of them; improbable ones are left out, and their probability is reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.system.jit import njit
+
+from ..people.belief import ImpossibleObservationError
+from ..people.choices import Choices
+from ..people.decision import NOTHING, Floats
+from .belief_filter import posterior
+from .observation_model import Evidence
+from .pomdp import AssistPOMDP
+from .problem_arrays import ProblemArrays
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class JointBelief:
+    """A belief over task states and types of a person.
+
+    Attributes
+    ----------
+    x : int array, shape (S,)
+        The possible states; of the first goal, if a person pursues one of several.
+    joint : float array, shape (S, G * B, T)
+        Probability of each state with each type; the sum is 1.
+    erred : float
+        Probability that the last action was not an optimal choice.
+    pruned : float
+        Sum of the probabilities that were left out so far.
+    """
+
+    x: Ints
+    joint: Floats
+    erred: float = 0.0
+    pruned: float = 0.0
+
+    @classmethod
+    def at(cls, x: int, belief: Floats) -> JointBelief:
+        """Return the belief in a person whose state is known, with a belief in their type, shape (G * B, T)."""
+        return cls(np.array([x]), belief[None].copy())
+
+    @cached_property
+    def probability(self) -> Floats:
+        """The probability of each possible state, shape (S,)."""
+        return np.asarray(self.joint.sum(axis=(1, 2)))
+
+    @property
+    def likeliest(self) -> int:
+        """The most probable state."""
+        return int(self.x[self.probability.argmax()])
+
+    @property
+    def belief(self) -> Floats:
+        """The belief in the person's type, shape (G * B, T)."""
+        return np.asarray(self.joint.sum(axis=0))
+
+    def after(
+        self, evidence: Evidence, suggestion: int, choices: Choices, m: ProblemArrays, *, least: float = 1e-6,
+        works: bool = False,
+    ) -> JointBelief:  # fmt: skip
+        """Return the belief after the person has acted once.
+
+        People who have reached their goal do nothing, so that nothing is seen of them.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            What was seen of the action.
+        suggestion : int
+            The ground action that was suggested before; `NOTHING` for none. In states in which it is not applicable,
+            it has no effect.
+        choices : Choices
+        m : ProblemArrays
+            The person's problem, with these choices.
+        least : float
+            States of a lower probability are left out. The default keeps some tens of states in a task of a thousand.
+        works : bool
+            Whether the person is known not to have reached the goal by this action.
+
+        Raises
+        ------
+        ImpossibleObservationError
+            What was seen has probability zero.
+        """
+        x, joint, erred = _advance(
+            self.x, self.joint, suggestion, *evidence, choices.actions, choices.optimal, m, works
+        )
+        each = joint.sum(axis=(1, 2))
+        total = each.sum()
+        if not total > 0:
+            raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
+        keep = each >= least * total
+        kept = each[keep].sum()
+        return JointBelief(x[keep], joint[keep] / kept, float(erred / total), self.pruned + float(1 - kept / total))
+
+    def mixed(self, other: JointBelief, share: float) -> JointBelief:
+        """Return the mixture of this belief and another one of weight `share`."""
+        x, row = np.unique(np.concatenate([self.x, other.x]), return_inverse=True)
+        joint = np.zeros((len(x), *self.joint.shape[1:]))
+        np.add.at(joint, row, np.concatenate([(1 - share) * self.joint, share * other.joint]))
+        pruned = (1 - share) * self.pruned + share * other.pruned
+        return JointBelief(x, joint, (1 - share) * self.erred + share * other.erred, pruned)
+
+    def known_at(self, x: int) -> JointBelief:
+        """Return the belief after it was learned in which state the person is.
+
+        Raises
+        ------
+        ImpossibleObservationError
+            The state is not among the probable ones.
+        """
+        at = np.flatnonzero(self.x == x)
+        if not len(at):
+            raise ImpossibleObservationError("the state is not among those that have been probable")
+        return replace(self, x=self.x[at], joint=self.joint[at] / self.probability[at[0]])
+
+
+def same_suggestions(pomdp: AssistPOMDP, of: Ints, there: Ints) -> Ints:
+    """Return the robot actions that suggest the same ground actions in other states, shape (N, R).
+
+    The entry of each robot action of the states `of` is a robot action of the states `there`, 0 where the suggested
+    action is not applicable. Both have the shape (N,).
+    """
+    asked, offered = said_in(pomdp, of), said_in(pomdp, there)
+    same = (asked[:, :, None] == offered[:, None]) & (asked != NOTHING)[:, :, None]
+    return np.asarray(same.argmax(axis=2))
+
+
+def said_in(pomdp: AssistPOMDP, x: Ints) -> Ints:
+    """Return the ground action that each robot action suggests in some states, shape (N, R); `NOTHING` for others."""
+    slot = pomdp.suggested[x]
+    return np.where(slot == NOTHING, NOTHING, pomdp.model.choices.actions[x[:, None], np.maximum(slot, 0)])
+
+
+@njit()
+def _chance(likelihood: Floats, seen: int, rate: float, action: int, count: int, applicable: bool) -> float:
+    """Return the likelihood of what was seen, if an action was taken in a state with a number of choices."""
+    if rate < 0.0:
+        return likelihood[action]
+    if count == 1:
+        return 1.0 if action == seen else 0.0
+    if action == seen:
+        return 1.0 - rate
+    return rate / (count - 1) if applicable else 0.0
+
+
+@njit(nogil=True)
+def _advance(
+    x: Ints, joint: Floats, suggestion: int, likelihood: Floats, seen: int, rate: float, unseen: bool, actions: Ints,
+    optimal: NDArray[np.bool_], m: ProblemArrays, works: bool,
+) -> tuple[Ints, Floats, float]:  # fmt: skip
+    """Return the possible states after an action, their unnormalised probabilities, and that of a mistake."""
+    betas, thetas = m.chosen.shape[2], len(m.theta)
+    goals = joint.shape[1] // betas
+    states, number, found = len(m.counts) // goals, 0, 0
+    for s in range(len(x)):
+        number += m.counts[x[s]] + 1
+    row = np.full(len(m.counts), -1)
+    to = np.empty(min(number, states), dtype=np.int64)
+    moved = np.zeros((len(to), goals, betas * thetas))
+    before, after, erred = joint.reshape(len(x), goals, betas * thetas), np.empty(betas * thetas), 0.0
+    for s in range(len(x)):
+        origin, spoken, applicable = x[s], 0, False
+        for r in range(1, m.robot_actions[origin] if suggestion >= 0 else 0):
+            if actions[origin, m.suggested[origin, r]] == suggestion:
+                spoken = r
+        for a in range(m.counts[origin]):
+            applicable |= actions[origin, a] == seen
+        for goal in range(goals):
+            own = goal * states + origin
+            if m.goal[own] and unseen and not works:  # who has finished does nothing
+                if row[origin] < 0:
+                    row[origin], to[found] = found, origin
+                    found += 1
+                moved[row[origin], goal] += before[s, goal]
+            if m.goal[own]:
+                continue
+            for a in range(m.counts[own]):
+                chance = _chance(likelihood, seen, rate, actions[own, a], m.counts[own], applicable)
+                target = m.targets[own, a]
+                if chance == 0.0 or (works and m.goal[target]):
+                    continue
+                mass = posterior(before[s, goal], after, own, spoken, a, m)
+                if mass == 0.0:
+                    continue
+                target %= states
+                if row[target] < 0:
+                    row[target], to[found] = found, target
+                    found += 1
+                moved[row[target], goal] += chance * after
+                erred += 0.0 if optimal[own, a] else chance * mass
+    return to[:found], moved[:found].reshape(found, goals * betas, thetas), erred

@@ -1,0 +1,159 @@
+"""How reliably the robot sees people's actions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..people.action_names import words_of
+from ..people.arguments import number
+from ..people.choices import STAND_STILL, WAIT, Choices
+from ..people.decision import Floats
+
+Table = Mapping[str, Mapping[str, float]]
+
+
+class Evidence(NamedTuple):
+    """The likelihood of what was seen under each action, in the form that compiled code reads.
+
+    Attributes
+    ----------
+    likelihood : float array, shape (names + 1,)
+        Likelihood of each ground action, and of waiting, which is last. It is not used if `rate` is 0 or more.
+    seen : int
+        The ground action that was seen.
+    rate : float
+        Probability of seeing one of the other actions that are applicable; -1 if `likelihood` is used.
+    unseen : bool
+        Whether nothing was seen.
+    """
+
+    likelihood: Floats
+    seen: int = WAIT
+    rate: float = -1.0
+    unseen: bool = False
+
+    @classmethod
+    def none(cls, choices: Choices) -> Evidence:
+        """Return the evidence of a step in which nothing was seen."""
+        return cls(np.ones(len(choices.names) + 1), unseen=True)
+
+
+@dataclass(frozen=True)
+class ObservationModel:
+    """How often the robot misses a person's action, or takes it for another one.
+
+    Attributes
+    ----------
+    miss : float
+        Probability that an action is not seen, in [0, 1).
+    confusion : float, or mapping of str to mapping of str to float
+        Probability that an action that is seen is taken for another one, in [0, 1). A number applies to all actions:
+        the other one is any of those that are applicable, with equal probability. A mapping has, for an action, the
+        probability of each action that is seen in its place; actions are in PDDL notation.
+
+    Raises
+    ------
+    ValueError
+        A probability is out of its range.
+    """
+
+    miss: float = 0.0
+    confusion: float | Table = field(default=0.0, hash=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "miss", _share("miss", self.miss))
+        if not isinstance(self.confusion, Mapping):
+            object.__setattr__(self, "confusion", _share("confusion", self.confusion))
+            return
+        rows: dict[str, Mapping[str, float]] = {}
+        for action, row in self.confusion.items():
+            others = {_plain(seen): _share(f"confusion of {action}", p) for seen, p in row.items()}
+            _share(f"confusion of {action}: sum", _total(others))
+            if _plain(action) in others:
+                raise ValueError(f"confusion of {action}: expected other actions only, and it is one of them")
+            rows[_plain(action)] = others
+        object.__setattr__(self, "confusion", rows)
+
+    @property
+    def is_perfect(self) -> bool:
+        """Whether every action is seen as it is."""
+        table = self.confusion
+        confused = any(map(_total, table.values())) if isinstance(table, Mapping) else table
+        return not (self.miss or confused)
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the fields as plain data, from which `ObservationModel` makes an equal one."""
+        table: Any = self.confusion
+        if isinstance(table, Mapping):
+            table = {action: dict(row) for action, row in table.items()}
+        return {"miss": self.miss, "confusion": table}
+
+    def evidence(self, choices: Choices, seen: int | None) -> Evidence:
+        """Return the likelihood of each action of a task after an action was seen, or nothing (None)."""
+        if seen is None:
+            return Evidence.none(choices)
+        if not isinstance(self.confusion, Mapping):
+            return Evidence(np.empty(0), seen, self.confusion)
+        likelihood, number_of = np.zeros(len(choices.names) + 1), _numbers(choices, self.confusion)
+        likelihood[seen] = 1 - _total(self.confusion.get(_name(choices, seen), {}))
+        for action, row in self.confusion.items():
+            likelihood[number_of[action]] += row.get(_name(choices, seen), 0.0)
+        return Evidence(likelihood)
+
+    def draw(self, choices: Choices, x: int, slot: int, uniform: Sequence[float] | Floats) -> int | None:
+        """Return the ground action that is seen when a person acts; None if nothing is seen.
+
+        Parameters
+        ----------
+        choices : Choices
+        x, slot : int
+            The person's state, and the slot of their choice.
+        uniform : sequence of float
+            Two uniform numbers in [0, 1).
+        """
+        if uniform[0] < self.miss:
+            return None
+        action, remaining = int(choices.actions[x, slot]), uniform[1]
+        if isinstance(self.confusion, Mapping):
+            for seen, p in self.confusion.get(_name(choices, action), {}).items():
+                if remaining < p:
+                    return _numbers(choices, self.confusion)[seen]
+                remaining -= p
+            return action
+        others = int(choices.applicable[x].sum()) - 1
+        if others < 1 or remaining >= self.confusion:
+            return action
+        other = min(int(remaining / self.confusion * others), others - 1)
+        return int(choices.actions[x, other + (other >= slot)])
+
+
+def _name(choices: Choices, action: int) -> str:
+    return STAND_STILL if action == WAIT else choices.names[action]
+
+
+def _numbers(choices: Choices, table: Table) -> dict[str, int]:
+    """Return the ground action of each name, after checking that the table's names are among them."""
+    numbers = {name: n for n, name in enumerate(choices.names)} | {STAND_STILL: WAIT}
+    for name in (*table, *(seen for row in table.values() for seen in row)):
+        if name not in numbers:
+            raise ValueError(f"confusion: {name} is no action of this task")
+    return numbers
+
+
+def _total(row: Mapping[str, float]) -> float:
+    return sum(row.values())
+
+
+def _plain(action: str) -> str:
+    return f"({' '.join(words_of(action))})"
+
+
+def _share(name: str, value: float) -> float:
+    share = number(name, value)
+    if not 0 <= share < 1:
+        raise ValueError(f"{name} {share:g}: expected 0 <= {name} < 1")
+    return share

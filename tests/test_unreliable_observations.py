@@ -1,0 +1,227 @@
+"""People whose actions the robot misses or confuses: the joint belief, what the robot does, and the simulation."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from conftest import invoke, kit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_unknown_goals import SMALL, TASKS
+
+from assist.people import Grid, HumanModel, ImpossibleObservationError
+from assist.people.choices import Choices
+from assist.people.decision import choice, influence, lapse, trust
+from assist.person import AssistPOMDP, JointBelief, ObservationModel, qmdp
+from assist.person.joint_belief import said_in
+from assist.person.observation_model import Evidence
+from assist.person.problem_arrays import ProblemArrays
+from assist.simulation import Episodes, Pool, simulate
+from assist.team import Setting
+from assist.team.hidden_states import expected_answers
+from assist.team.state import worth_of_actions
+
+Steps = list[tuple[ObservationModel, str | None, str | None]]
+"""How the robot sees, what it suggested, and the action that it saw, of each step."""
+
+GRID = Grid(np.array([0.2, 1.5]), np.array([0.0, 0.4, 1.0]))
+
+
+def problem(several: bool) -> AssistPOMDP:
+    choices = TASKS["tiny"].choices() if several else Choices.of(kit("tiny"))
+    model = HumanModel.exact(choices, lapse=0.01)
+    return AssistPOMDP.of(model, grid=GRID, suggestions="all", population=SMALL)
+
+
+PROBLEMS = {several: problem(several) for several in (False, True)}
+
+
+def chance_of_seeing(model: ObservationModel, c: Choices, row: int, slot: int, seen: str | None) -> float:
+    """The probability of what is seen of an action, by the definition of the model."""
+    if seen is None:
+        return model.miss
+    names = [c.name(row, n) for n in range(int(c.applicable[row].sum()))]
+    done = names[slot]
+    if not isinstance(model.confusion, float):
+        others = model.confusion.get(done, {})
+        p = 1 - sum(others.values()) if seen == done else others.get(seen, 0.0)
+    elif len(names) == 1:
+        p = float(seen == done)
+    else:
+        p = 1 - model.confusion if seen == done else model.confusion / (len(names) - 1) * (seen in names)
+    return (1 - model.miss) * p
+
+
+def by_enumeration(pomdp: AssistPOMDP, steps: Steps) -> np.ndarray:
+    """Sum over all histories of people at work, by the equations: each state with each goal, beta and theta."""
+    c, grid, q = pomdp.model.choices, pomdp.grid, pomdp.model.q
+    states, value = len(c) // c.goal_count, np.where(pomdp.model.choices.goal, 0.0, -pomdp.model.q.min(axis=1))
+    found = np.zeros((states, c.goal_count, *grid.shape))
+
+    def follow(row: int, b: int, weights: np.ndarray, left: Steps) -> None:
+        if not left:
+            found[row % states, row // states, b] += weights
+            return
+        (model, suggestion, seen), *rest = left
+        names = [c.name(row, n) for n in range(int(c.applicable[row].sum()))]
+        slot = names.index(suggestion) if suggestion in names else -1
+        moved = np.eye(len(grid.theta))
+        if slot >= 0:
+            after = [float(trust(t, value[row], value[c.targets[row, slot]], 0.2)) for t in grid.theta]
+            moved = np.array([[np.interp(t, grid.theta, column) for column in np.eye(len(grid.theta))] for t in after])
+        p = choice(q[row], c.applicable[row], grid.beta[b])
+        each = [lapse(influence(p, slot, t), c.applicable[row], 0.01) for t in grid.theta]
+        for a in range(len(names)):
+            to, chance = int(c.targets[row, a]), chance_of_seeing(model, c, row, a, seen)
+            if chance and not c.goal[to]:
+                follow(to, b, (weights * chance * [one[a] for one in each]) @ moved, rest)
+
+    prior = pomdp.prior.reshape(c.goal_count, *grid.shape)
+    for goal in range(c.goal_count):
+        for b in range(len(grid.beta)):
+            follow(goal * states + c.initial % states, b, prior[goal, b], steps)
+    return found / found.sum()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.data(), st.booleans())
+def test_the_joint_belief_equals_the_enumeration_of_histories(data: st.DataObject, several: bool) -> None:
+    pomdp = PROBLEMS[several]
+    c, m = pomdp.model.choices, ProblemArrays.of(pomdp)
+    share = st.sampled_from([0.0, 0.05, 0.3])
+    pairs = st.lists(st.sampled_from(c.names), min_size=2, max_size=2, unique=True)
+    belief, x, steps = JointBelief.at(c.initial, pomdp.prior), c.initial, []
+    for _ in range(data.draw(st.integers(1, 3))):
+        confusion = data.draw(share | pairs.map(lambda pair: {pair[0]: {pair[1]: 0.4}}))
+        model = ObservationModel(data.draw(share), confusion)
+        going_on = [a for a in range(int(c.applicable[x].sum())) if not c.goal[c.targets[x, a]]]
+        slot = data.draw(st.sampled_from(going_on))
+        uniform = data.draw(st.tuples(st.floats(0, 0.99), st.floats(0, 0.99)))
+        seen = model.draw(c, x, slot, uniform)
+        suggestion = data.draw(st.sampled_from([-1, *range(len(c.names))]))
+        belief = belief.after(model.evidence(c, seen), suggestion, c, m, least=0.0, works=True)
+        said, name = c.names[suggestion] if suggestion >= 0 else None, None if seen is None else c.names[seen]
+        steps.append((model, said, name))
+        x = int(c.targets[x, slot])
+    expected = by_enumeration(pomdp, steps)
+    found = np.zeros_like(expected)
+    found[belief.x] = belief.joint.reshape(len(belief.x), *expected.shape[1:])
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    assert belief.pruned == pytest.approx(0, abs=1e-12)
+
+
+def test_improbable_states_are_left_out_and_their_probability_is_reported() -> None:
+    pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(kit("paper-fixed"))), grid=GRID)
+    model = ObservationModel(0.05, 0.1)
+    c, m, rng = pomdp.model.choices, ProblemArrays.of(pomdp), np.random.default_rng(1)
+    few = every = JointBelief.at(c.initial, pomdp.prior)
+    x = c.initial
+    for _ in range(12):
+        slot = int(rng.choice([a for a in range(int(c.applicable[x].sum())) if not c.goal[c.targets[x, a]]]))
+        evidence = model.evidence(c, model.draw(c, x, slot, (rng.random(), rng.random())))
+        few, every = (
+            one.after(evidence, -1, c, m, works=True, least=least) for one, least in ((few, 1e-3), (every, 0))
+        )
+        x = int(c.targets[x, slot])
+    assert len(few.x) < len(every.x)
+    assert 0 < few.pruned < 0.05
+    likely = dict(zip(every.x.tolist(), every.probability, strict=True))
+    assert all(abs(likely[x] - p) < 0.05 for x, p in zip(few.x.tolist(), few.probability, strict=True))
+
+
+def test_who_may_have_finished_does_nothing_more() -> None:
+    pomdp = PROBLEMS[False]
+    c, m = pomdp.model.choices, ProblemArrays.of(pomdp)
+    last = int(np.flatnonzero((c.h == 1) & c.applicable.any(axis=1))[0])
+    belief = JointBelief.at(last, pomdp.prior).after(Evidence.none(c), -1, c, m)
+    finished = belief.x[c.goal[belief.x]]
+    assert finished.size
+    again = belief.after(Evidence.none(c), -1, c, m)
+    assert again.probability[np.isin(again.x, finished)].sum() >= belief.probability[c.goal[belief.x]].sum()
+    with pytest.raises(ImpossibleObservationError, match="impossible in all states"):
+        JointBelief.at(int(finished[0]), pomdp.prior).after(Evidence(np.ones(len(c.names) + 1)), -1, c, m)
+
+
+def test_the_robot_acts_on_the_expected_advantage_over_states() -> None:
+    """A suggestion that one state does not have costs there as much as elsewhere, and changes nothing."""
+    pomdp = PROBLEMS[False]
+    c, policy = pomdp.model.choices, qmdp(pomdp)
+    here, there = (int(x) for x in np.flatnonzero(~c.goal)[[0, 5]])
+    joint = JointBelief(np.array([here, there]), np.stack([0.7 * pomdp.prior, 0.3 * pomdp.prior]))
+    found = expected_answers(worth_of_actions, policy, np.array([here]), [joint])[0]
+    alone = [policy.q_values(np.array([x]), pomdp.prior[None])[0] for x in (here, there)]
+    said = [said_in(pomdp, np.array([x]))[0].tolist() for x in (here, there)]
+    for robot in range(int(pomdp.robot_actions[here])):
+        other = said[1].index(said[0][robot]) if robot and said[0][robot] in said[1] else 0
+        elsewhere = alone[1][other] - (0 if other or not robot else pomdp.c_suggest)
+        assert found[robot] == pytest.approx(0.7 * alone[0][robot] + 0.3 * elsewhere)
+    assert (found[int(pomdp.robot_actions[here]) :] == -np.inf).all()
+
+
+def bytes_of(episodes: Episodes) -> bytes:
+    return b"".join(np.asarray(value).tobytes() for name, value in vars(episodes).items() if name != "pruned")
+
+
+@pytest.mark.parametrize("policy", ["reactive", "attention", "priority"])
+def test_a_simulation_without_errors_is_that_of_perfect_observation(tiny_choices: Choices, policy: str) -> None:
+    def run(observation: ObservationModel | None) -> Episodes:
+        # a robot that may err suggests any applicable action
+        setting = Setting(c_suggest=0.2, suggestions="all", observation=observation)
+        pool = Pool.sample(tiny_choices, 3, seed=1, setting=setting)
+        return simulate(pool, policy, humans=2, episodes=40, seed=4, explain=False)
+
+    exact = run(None)
+    assert Setting(observation=ObservationModel(0, 0)).observation is None
+    assert bytes_of(run(ObservationModel(0, 0))) == bytes_of(exact)
+    nearly = run(ObservationModel(1e-12, 1e-12))  # the joint belief then has one state
+    np.testing.assert_allclose(nearly.discounted_return, exact.discounted_return, rtol=0, atol=1e-9)
+    assert exact.pruned is None
+    assert nearly.pruned is not None
+
+
+def test_errors_of_observation_cost_return_and_people_act_alike_without_a_robot(tiny_choices: Choices) -> None:
+    returns = {}
+    for share in (0.0, 0.3):
+        setting = Setting(c_suggest=0.2, suggestions="all", observation=ObservationModel(share, share))
+        pool = Pool.sample(tiny_choices, 3, seed=1, setting=setting)
+        for policy in ("none", "attention", "priority"):
+            found = simulate(pool, policy, humans=2, episodes=200, seed=4, explain=False)
+            returns[policy, share] = found.discounted_return.mean()
+    assert returns["none", 0.0] == returns["none", 0.3]
+    for policy in ("attention", "priority"):
+        assert returns["none", 0.3] < returns[policy, 0.3] < returns[policy, 0.0]
+
+
+def test_an_observation_model_is_saved_with_its_setting_and_wrong_ones_are_refused() -> None:
+    table = {"(fetch box-a)": {"fetch box-b": 0.2}}
+    for observation in (ObservationModel(0.1, 0.2), ObservationModel(0.1, table)):
+        setting = Setting(observation=observation)
+        again = Setting(**json.loads(json.dumps(setting.as_dict())))
+        assert asdict(again.observation or ObservationModel()) == asdict(observation)
+    assert "observation" not in Setting(observation=ObservationModel()).as_dict()
+    with pytest.raises(ValueError, match=r"miss 1: expected 0 <= miss < 1"):
+        ObservationModel(1.0)
+    with pytest.raises(ValueError, match="expected other actions only"):
+        ObservationModel(0.0, {"(a)": {"(a)": 0.5}})
+    with pytest.raises(ValueError, match="seen as they are"):
+        Setting(observation=ObservationModel(0.1), execute=True)
+    pool = Pool.sample(
+        kit("tiny"), 1, seed=1, setting=Setting(observation=ObservationModel(0, {"(fly)": {"(a)": 0.5}}))
+    )
+    with pytest.raises(ValueError, match=r"\((fly|a)\) is no action of this task"):
+        simulate(pool, "attention", humans=1, episodes=1, seed=1)
+
+
+def test_the_command_simulates_errors_of_observation() -> None:
+    printed = json.loads(
+        invoke(
+            "simulate", "kitting/tiny", "--humans", "2", "--pool", "2", "--episodes", "20", "--policy", "attention",
+            "--miss", "0.05", "--confusion", "0.1", "--json",
+        ).stdout
+    )  # fmt: skip
+    assert printed["setting"]["observation"] == {"miss": 0.05, "confusion": 0.1}
+    assert 0 <= printed["policies"][0]["pruned"] < 1e-3
+    assert "--miss" in invoke("simulate", "kitting/tiny", "--humans", "1", "--miss", "1.5").stderr
