@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from ..people.decision import Floats
 from .state import BASE, NOBODY, TeamState
@@ -65,6 +64,8 @@ def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints
 
 def _matched(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
     """Return the assignment by matching, for any distances."""
+    from scipy.optimize import linear_sum_assignment  # slow to import, and rarely needed
+
     person = np.full(location.shape, NOBODY)
     for n in np.flatnonzero((worth > 0).any(axis=(1, 2))).tolist():
         gain = worth[n].clip(0)
