@@ -37,13 +37,13 @@ from hypothesis import Phase, settings
 from tables import ROOT, Columns, cell, more_option, record_option, write_record
 
 TESTS = {
-    "assist/people/human.py": "test_human test_people",
-    "assist/people/belief.py": "test_belief",
+    "assist/people/human.py": "test_human test_people test_weights test_choice_models",
+    "assist/people/belief.py": "test_belief test_unknown_goals test_trust_rules",
     "assist/people/decision.py": "test_human test_equations test_misconception",
     "planner/costtogo/table.py": "test_costtogo test_ondemand test_tables",
     "assist/large_tasks/truncated_task.py": "test_region test_frontier",
-    "assist/team/attention.py": "test_policies test_assistant",
-    "assist/team/attention_subproblem.py": "test_bounds test_policies",
+    "assist/team/attention.py": "test_policies test_assistant test_robots",
+    "assist/team/attention_subproblem.py": "test_bounds test_policies test_unknown_goals",
     "assist/certify/team_bound.py": "test_certify test_upper_bound",
     "assist/certify/certificate.py": "test_certify",
     "assist/certify/prices.py": "test_certify test_upper_bound",

@@ -11,6 +11,8 @@ from conftest import write_instance
 from hypothesis import given
 from hypothesis import strategies as st
 
+from assist.people.arguments import MOST
+from assist.people.choice_model import Weighted, boltzmann
 from assist.people.choices import WAIT, Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_cost, perceived_value, trust
 from assist.people.human import Human, HumanModel, Population
@@ -230,6 +232,15 @@ def test_the_same_generator_draws_the_same_people(tiny_choices: Choices) -> None
         ({"sigma": (-0.1, 1.0)}, r"sigma range \(-0.1, 1\): expected 0 <= low <= high <= 1e[+]15$"),
         ({"sigma": (0.2, 0.1)}, r"sigma range \(0.2, 0.1\): expected 0 <= low <= high <= 1e[+]15$"),
         ({"noise": "both"}, "noise 'both': expected 'state' or 'action'$"),
+        (
+            {"weights": {"goals": (1.0, 0.5)}},
+            r"weight range \(1, 0.5\) of goals: expected -1e[+]15 <= low <= high <= 1e[+]15$",
+        ),
+        ({"weights": {"goals": (0.0, 2e15)}}, "weight range .* of goals: expected"),
+        (
+            {"weights": {"goals": (0.0, 1.0)}, "chooses": boltzmann},
+            "weights of goals, and a choice model: expected one",
+        ),
     ],
 )
 def test_populations_that_cannot_be(ranges: dict[str, tuple[float, float]], message: str) -> None:
@@ -243,6 +254,67 @@ def test_ranges_may_be_a_point_and_reach_their_ends(tiny_choices: Choices) -> No
     )[0]
     assert (one.beta, one.theta, one.sigma) == (0, 1, 0)
     np.testing.assert_array_equal(one.h, tiny_choices.h)
+
+
+def test_weights_are_drawn_from_their_ranges_and_change_nothing_else(tiny_choices: Choices) -> None:
+    ranges = {"goals": (1, 1), "name": (-MOST, MOST)}
+    population = Population(weights=ranges)
+    plain = Population().sample(tiny_choices, 3, np.random.default_rng(5))
+    people = population.sample(tiny_choices, 3, np.random.default_rng(5))
+    for person, other in zip(people, plain, strict=True):
+        assert (person.beta, person.theta, person.sigma) == (other.beta, other.theta, other.sigma)
+        assert other.chooses is boltzmann
+        assert isinstance(person.chooses, Weighted)
+        assert person.weights["goals"] == 1.0
+    assert len({person.weights["name"] for person in people}) == 3
+    assert population.typical.weights == {"goals": 1.0, "name": 0.0}  # type: ignore[union-attr]
+    assert Population().typical is boltzmann
+
+
+def test_a_population_as_plain_data() -> None:
+    plain = {"beta": (0.0, 3.0), "theta": (0.5, 0.95), "sigma": (0.1, 1.0), "noise": "state"}
+    whole = Population(beta=(0, 3))
+    assert whole.as_dict() == plain
+    assert all(type(end) is float for end in whole.beta)
+    assert Population(beta=(0, 3), weights={"back": (0, 1)}).as_dict() == {**plain, "weights": {"back": (0.0, 1.0)}}
+
+    def uniform(choices: Choices, _q: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(choices.applicable, (len(beta), *choices.applicable.shape)) * 1.0
+
+    assert Population(beta=(0, 3), chooses=uniform).as_dict() == {**plain, "chooses": "uniform"}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "accepted"),
+    [
+        ("beta", MOST, True), ("beta", 2 * MOST, False), ("beta", -0.1, False), ("sigma", MOST, True),
+        ("sigma", 2 * MOST, False), ("theta", 0, True), ("theta", 1, True), ("theta", 1.5, False),
+        ("theta", "high", False),
+    ],
+)  # fmt: skip
+def test_the_range_of_each_parameter_of_a_person(name: str, value: float, accepted: bool) -> None:
+    known = {"beta": 1.0, "theta": 0.5, "sigma": 0.0, name: value}
+    if accepted:
+        person = Human(**known, h=[1, 0])  # type: ignore[arg-type]
+        assert getattr(person, name) == value
+        assert type(getattr(person, name)) is float
+        assert person.h.dtype == float
+    else:
+        with pytest.raises(ValueError, match=name):
+            Human(**known, h=np.zeros(2))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("h", [np.array([1.0, np.nan]), np.array([[np.nan]]), np.zeros((1, 1, 1)), np.array(0.0)])
+def test_perceived_costs_have_a_number_for_each_state_or_choice(h: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="expected a number for each state, or for each choice in it"):
+        Human(1.0, 0.5, 0.0, h)
+
+
+def test_trust_reaches_the_ends_of_its_parameters(tiny_choices: Choices) -> None:
+    for eta, scale in ((MOST, 1 / MOST), (0, MOST)):
+        model = HumanModel.exact(tiny_choices, eta=eta, utility_scale=scale)
+        assert (model.eta, model.utility_scale) == (eta, scale)
+        assert type(model.eta) is float
 
 
 def test_a_mixture_draws_from_each_part_by_its_share(tiny_choices: Choices) -> None:
