@@ -66,13 +66,13 @@ ROOMS = {
         export""",
     "assist.reports": """statistics effects hypothesis_tests wording study_summary study_claims study_figures
         study_report userstudy_summary preregistration userstudy_report""",
-    "assist.web": """tokens cookies measures service schemas authorization request_limits task_drawings routes metrics
-        websocket openapi_page page_routes app server client""",
+    "assist.web": """tokens cookies log_lines measures service schemas authorization request_limits task_drawings routes
+        metrics websocket openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
     "assist.bridges": """messages ordering session_client team_watch mqtt_settings mqtt opcua_settings opcua
         ros2_settings ros2 behaviour_tree""",
     "assist.cli.terminal": "interrupts console",
-    "assist.cli.options": "common task population person travel team policies help live log goals trust",
+    "assist.cli.options": "common config task population person travel team policies help live log goals trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
         people_estimates trust_estimates goal_posteriors""",
     "assist.cli": """domains solve simulate policy bound export draw fit infer study user_study serve study_prepare

@@ -109,7 +109,8 @@ def test_explanations(web: Web) -> None:
 
 
 def test_what_a_person_sees_and_does(web: Web) -> None:
-    assert web.client.get("/api/health").json() == {"status": "ok", "people": 2, "events": 2}
+    health = {"status": "ok", "ready": True, "reasons": [], "people": 2, "events": 2}
+    assert web.client.get("/api/health").json() == health
     seen = web.ask("GET", ANN, "ann").json()
     assert set(seen) == SEEN
     assert (seen["applicable"], seen["cost_to_go"]) == (["(fetch box-a)", "(fetch box-b)"], 6.0)

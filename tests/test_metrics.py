@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def values(text: str) -> dict[tuple[str, ...], float]:
 def test_metrics_are_what_happened(tmp_path: Path) -> None:
     web = Web(kit("tiny"), tmp_path)
     with web.client:
-        web.service.measures.bridges["mqtt"] = {"recorded": 3}
+        web.service.bridges["mqtt"] = SimpleNamespace(counts={"recorded": 3}, connected=True)  # type: ignore[assignment]
         first = web.ask("GET", "/api/people/ann", "ann").json()
         assert first["suggestion"] is not None
         web.act(first["suggestion"], id="1")
@@ -54,6 +55,7 @@ def test_metrics_are_what_happened(tmp_path: Path) -> None:
     assert found["kitassist_report_seconds_bucket", "+Inf"] == found["kitassist_report_seconds_count",] == 4
     assert found["kitassist_belief_entropy_nats", "largest"] == max(map(entropy, beliefs.values()))
     assert found["kitassist_bridge_total", "mqtt", "recorded"] == 3
+    assert found["kitassist_bridge_connected", "mqtt"] == found["kitassist_ready",] == 1
     assert "ann" not in answer.text
 
 

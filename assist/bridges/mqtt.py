@@ -93,6 +93,8 @@ class MqttBridge:
     counts : Counter
         Numbers of `messages`, of reports `recorded` and `refused`, of `connections` to the broker and messages
         `published`.
+    connected : bool
+        Whether the bridge is connected to the broker, and subscribed.
 
     Raises
     ------
@@ -104,7 +106,7 @@ class MqttBridge:
         self, settings: MqttSettings, link: str, *, every: float = 5.0, longest_pause: float = 30.0, publishers: int = 8
     ) -> None:
         self.settings, self._mqtt = settings, library()
-        self.counts = Counter[str]()
+        self.counts, self.connected = Counter[str](), False
         self._session = SessionClient(link)
         self._longest_pause, self._publishers = longest_pause, publishers
         self._senders: dict[str, _Sender] = {}
@@ -191,6 +193,7 @@ class MqttBridge:
         for topic, payload in self._kept.items():
             self._waiting.setdefault(topic, (topic, payload, True))
         self._wake.set()
+        self.connected = True
         tasks = [asyncio.create_task(self._publisher(broker)) for _ in range(self._publishers)]
         open_messages = Acknowledgements(broker._client.ack)
         tasks.append(asyncio.create_task(self._receiver(broker, open_messages)))
@@ -204,6 +207,7 @@ class MqttBridge:
                     await broker.publish(settings.status.text, OFFLINE, qos=1, retain=True, timeout=1.0)
             raise
         finally:
+            self.connected = False
             open_messages.close()
             for task in tasks:
                 task.cancel()

@@ -79,6 +79,8 @@ class OpcUaBridge:
     ----------
     counts : Counter
         Numbers of `values`, of reports `recorded` and `refused`, and of `connections` to the server.
+    connected : bool
+        Whether the bridge is connected to the server, and subscribed.
 
     Raises
     ------
@@ -90,7 +92,7 @@ class OpcUaBridge:
         self, settings: OpcUaSettings, link: str, *, period: float = 50.0, longest_pause: float = 30.0
     ) -> None:
         self.settings, self._library = settings, library()
-        self.counts = Counter[str]()
+        self.counts, self.connected = Counter[str](), False
         self._session = SessionClient(link)
         self._period, self._longest_pause = period, longest_pause
         self._observed = {one.node: one for one in settings.observed}
@@ -124,7 +126,7 @@ class OpcUaBridge:
                     LOG.warning("OPC UA: no connection to %s: %s", self.settings.url, error or type(error).__name__)
             else:
                 pause = 0.1  # seconds
-            lost = True
+            self.connected, lost = False, True
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))
             pause = min(2 * pause, self._longest_pause)
 
@@ -152,6 +154,7 @@ class OpcUaBridge:
                     client.get_node(node), queuesize=100, sampling_interval=self._period
                 )
             self._waiting = {**self._kept, **self._waiting}
+            self.connected = True
             while not ended.is_set():
                 while self._waiting:
                     node, text = next(iter(self._waiting.items()))

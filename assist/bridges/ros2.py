@@ -62,6 +62,8 @@ class Ros2Bridge:
     counts : Counter
         Numbers of `messages`, of reports `recorded` and `refused`, of `connections` to the server, of messages
         `published`, of `goals` and of `arrivals`.
+    connected : bool
+        Whether the bridge is connected to the server.
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class Ros2Bridge:
         self._kept: dict[str | int, dict[str, Any]] = {}  # the last advice to each person, as messages
         self._waiting: dict[str | int, dict[str, Any]] = {}  # to be sent, in this order
         self._keys, self._wake = count(), asyncio.Event()
-        self._connected = False
+        self.connected = False
         self._to: str | None = None  # the person to whom the robot has been sent
         self._goal: str | None = None  # id of the goal in progress
         self._instruction: dict[str, Any] | None = None
@@ -134,14 +136,14 @@ class Ros2Bridge:
         for one in settings.observed:
             await socket.send(json.dumps({"op": "subscribe", "topic": one.topic, "type": one.type}))
         self._waiting = {**self._kept, **self._waiting}
-        self._connected = True
+        self.connected = True
         self._go()
         sending = asyncio.create_task(self._send(socket))
         try:
             async for text in socket:
                 self._received(text)
         finally:
-            self._connected, self._to, self._goal = False, None, None
+            self.connected, self._to, self._goal = False, None, None
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
             # Results of goals cannot arrive any more. The next connection has a goal of its own.
@@ -258,7 +260,7 @@ class Ros2Bridge:
         """Publish all advice again from time to time."""
         while True:
             await asyncio.sleep(self._every)
-            if self._connected:
+            if self.connected:
                 for person, message in self._kept.items():
                     self._queue(message, person)
 
@@ -271,7 +273,7 @@ class Ros2Bridge:
     def _go(self) -> None:
         """Send the robot to where it is to go, unless it has been sent there."""
         go_to, errand = self.settings.go_to, self._instruction
-        if go_to is None or errand is None or not self._connected:
+        if go_to is None or errand is None or not self.connected:
             return
         to = None if errand["arrived"] else errand["person"]
         if to == self._to:

@@ -12,18 +12,21 @@ import click
 from planner.system.errors import DamagedFileError, ResultsExistError
 
 from .options.common import INPUT_FILE
+from .options.config import config_option, configurable
 from .options.help import command
-from .options.live import bridge_of, live_options, plan_of
+from .options.live import bridge_of, changed_settings, live_options, plan_of
 from .options.policies import policy_errors
-from .user_study import PORT, conduct, listen, live_server, public_url_option, trusted_proxy_option
+from .user_study import PORT, conduct, listen, live_server, note, public_url_option, trusted_proxy_option
 
 if TYPE_CHECKING:
     from ..web.request_limits import Networks
     from ..web.tokens import AccessTokens
 
 
+@configurable
 @command("serve kitting/paper --humans 4 --simulate 3")
 @click.argument("instances", metavar="INSTANCE...", nargs=-1)
+@config_option("tasks")
 @click.option(
     "--study", type=INPUT_FILE, metavar="FILE.toml", help="Run this user study instead of a team on given tasks."
 )
@@ -39,16 +42,24 @@ if TYPE_CHECKING:
 @click.option("--bridge", type=INPUT_FILE, metavar="FILE.toml", help="Connect the team to MQTT, OPC UA or ROS 2.")
 @public_url_option
 @trusted_proxy_option
+@click.option(
+    "--log-format", type=click.Choice(["text", "json"]), default="text", show_default=True,
+    help="Format of the log on stderr. As JSON it has a line for each report, without names.",
+)  # fmt: skip
 @live_options
 def serve(
-    instances: tuple[str, ...], study: Path | None, rehearse: int | None, port: int | None, host: str,
-    bridge: Path | None, public_url: str | None, trusted_proxy: Networks, **team: Any,
+    instances: tuple[str, ...], config: Path | None, study: Path | None, rehearse: int | None, port: int | None,
+    host: str, bridge: Path | None, public_url: str | None, trusted_proxy: Networks, log_format: str, **team: Any,
 ) -> None:  # fmt: skip
     """Run the live assistant: a web service that receives people's actions and returns suggestions.
 
     If several tasks are given, people are assigned to them in turn.
     """
     server = live_server()
+    if log_format == "json":
+        from ..web.log_lines import log_json
+
+        log_json()
     if study is not None:
         conduct(study, team["data"], host, port, rehearse or 0, public_url, trusted_proxy)
         return
@@ -75,8 +86,7 @@ def serve(
     def ready(access: AccessTokens, people: tuple[str, ...]) -> None:
         join = {person: access.join_url(person) for person in people if person not in plan.simulated}
         click.echo(json.dumps({"url": access.base, "operator": access.operator_url(), "join": join}))
-        click.echo(
-            f"the session is saved in {plan.folder}; Ctrl-C ends the service, --data {plan.folder} resumes it", err=True
-        )
+        note(f"the session is saved in {plan.folder}; Ctrl-C ends the service, --data {plan.folder} resumes it")
 
-    server.serve(plan, session, listening, ready, beside)
+    changed = None if config is None else changed_settings(config, click.get_current_context(), session)
+    server.serve(plan, session, listening, ready, beside, changed)

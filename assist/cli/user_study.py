@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import tempfile
 from pathlib import Path
 from types import ModuleType
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from ..web.user_study.service import StudyService
 
 PORT = 8000  # usual port of local web servers that need no privileges
-OF_STUDIES = {"study", "rehearse", "port", "host", "public_url", "trusted_proxy", "data"}
+OF_STUDIES = {"study", "rehearse", "port", "host", "public_url", "trusted_proxy", "data", "config", "log_format"}
 """Options that can be combined with `--study`. The study's file settles everything else."""
 
 
@@ -83,8 +84,17 @@ def listen(host: str, port: int | None, public_url: str | None) -> socket.socket
     server = live_server()
     found: socket.socket = server.listen(host, PORT if port is None else port, otherwise=0 if port is None else None)
     if public_url is not None:
-        click.echo(f"listening at {server.address(found)} for a proxy that serves {public_url}", err=True)
+        note(f"listening at {server.address(found)} for a proxy that serves {public_url}")
     return found
+
+
+def note(text: str) -> None:
+    """Print a line to stderr, or log it where the log is JSON."""
+    log = logging.getLogger(__name__)
+    if log.isEnabledFor(logging.INFO):
+        log.info(text)
+    else:
+        click.echo(text, err=True)
 
 
 def new_folder() -> Path:
@@ -126,7 +136,7 @@ def conduct(
     def ready(service: StudyService) -> None:
         links = {"url": service.access.base, "operator": service.operator_url()}
         click.echo(json.dumps({**links, "join": {"everybody": service.join_url()}}))
-        click.echo(f"the study is saved in {folder}; Ctrl-C ends the service, --data {folder} resumes it", err=True)
+        note(f"the study is saved in {folder}; Ctrl-C ends the service, --data {folder} resumes it")
 
     try:
         listening = listen(host, port, public_url)

@@ -42,6 +42,7 @@ from ..team.action_check import check
 from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
+from ..team.travel import Travel
 from .advice import Advice, PersonState, Reason
 from .decision_point import DecisionPoint
 from .live_task import InapplicableError, LiveTask, UnknownError, digest, population_of
@@ -182,7 +183,7 @@ class Assistant:
             problem = self._problem(task, population)
             if place == len(team):
                 self._travel = self.setting.travel(2 * place)
-                team.grow(2 * place)
+                team.resize(2 * place)
             team.add(person, problem, belief)
         self._advice = None
 
@@ -350,6 +351,40 @@ class Assistant:
     def elapse(self) -> None:
         """Record that time has passed without an action, so that `recommend` decides again."""
         self._advice = None
+
+    def rearrange(self, distance: ArrayLike) -> None:
+        """Use other distances from now on. A robot under way continues.
+
+        Parameters
+        ----------
+        distance : array, shape (P + 1, P + 1)
+            As in `Assistant`.
+
+        Raises
+        ------
+        ValueError
+            The matrix is invalid, or too small for the people who have joined.
+        """
+        self._travel = self.other_travel(distance)
+        self._distance = np.array(distance, dtype=float)
+        self._team.resize(len(self._travel))
+        if isinstance(self.policy, str):  # the team policy is then built again
+            self._made = None
+        self._advice = None
+
+    def other_travel(self, distance: ArrayLike) -> Travel:
+        """Return the travel over other distances; arguments and errors as in `rearrange`."""
+        found = np.array(distance, dtype=float)
+        travel = self.setting.travel(max(1, len(found) - 1), found)
+        if len(travel) < len(self._team.records):
+            people = len(self._team.records)
+            raise ValueError(f"distance: {len(travel)} places; expected one for each of {people} people and the base")
+        return travel
+
+    @property
+    def distance(self) -> list[list[float]] | None:
+        """The given distances; None if all are 1."""
+        return None if self._distance is None else self._distance.tolist()
 
     def arrived(self, person: str | None = None, *, robot: int = 1) -> None:
         """Record where the robot is: at a person, at the place of a person who has left, or at its base (None).
@@ -585,7 +620,7 @@ class Assistant:
                 "policy": self.policy if isinstance(self.policy, str) else None,
                 "setting": self.setting.as_dict(),
                 "population": self.population.as_dict(),
-                "distance": None if self._distance is None else self._distance.tolist(),
+                "distance": self.distance,
                 "step": self._step,
                 "robot": self.robot if one else self.robots,
                 "under_way": self._under_way[0] if one else self._under_way,

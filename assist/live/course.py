@@ -184,6 +184,12 @@ class Course:
             assert event.person is not None
             assert event.action is not None
             facts |= {"action": event.action, "followed": event.followed, "unheard": self._unheard(event) or None}
+        if event.kind == "rearranged":
+            try:
+                self.desk.other_travel(event.distance or ())
+            except (TypeError, ValueError) as error:
+                raise InvalidError(str(error)) from None
+            facts["distance"] = list(map(list, event.distance or ()))
         if event.kind == "arrived":
             self.require_robot(event.robot)
             facts["robot"] = None if self.robots == 1 else event.robot
@@ -253,6 +259,8 @@ class Course:
                 desk.arrived(person, robot=record.get("robot", 1))
             case "elapsed":
                 desk.elapse()
+            case "rearranged":
+                desk.rearrange(record["distance"])
             case "paused" | "resumed":
                 self.paused = kind == "paused"
                 desk.elapse()
@@ -440,6 +448,11 @@ class Course:
     def beliefs(self) -> dict[str, bytes]:
         """Return the belief about each present person, as the bytes of its array."""
         return {person: self.desk.person(person).belief.tobytes() for person in self.desk.people}
+
+    @property
+    def distance(self) -> list[list[float]] | None:
+        """The distances in force; None if all are 1."""
+        return self.desk.distance
 
     @property
     def robots(self) -> int:

@@ -13,13 +13,14 @@ from .live_task import UnknownError
 FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
     "followed": bool, "unheard": bool, "advice": dict, "advices": list, "robot": int, "belief": list,
+    "distance": list,
 }  # fmt: skip
 """Fields of an event's record, and their types."""
 
 BY_PEOPLE = frozenset({"joined", "left", "began", "acted", "undone"})
 """Kinds of events of one person."""
 
-KINDS = BY_PEOPLE | {"arrived", "elapsed", "paused", "resumed"}
+KINDS = BY_PEOPLE | {"arrived", "elapsed", "paused", "resumed", "rearranged"}
 """Kinds of events that can be reported."""
 
 LONGEST_REASON = 200
@@ -47,7 +48,7 @@ class Event:
     Attributes
     ----------
     kind : str
-        "joined", "left", "began", "acted", "undone", "arrived", "elapsed", "paused" or "resumed".
+        "joined", "left", "began", "acted", "undone", "arrived", "elapsed", "paused", "resumed" or "rearranged".
     person : str or None
         The person who acted, joined or left, or at whom the robot has arrived; None for other events.
     action : str or None
@@ -64,6 +65,8 @@ class Event:
         Number of the robot that has arrived, from 1.
     belief : tuple of float or None
         The belief about a person who joins for the first time, from an earlier session, flattened; None for the prior.
+    distance : tuple of tuple of float or None
+        The distances after people's places were rearranged.
     """
 
     kind: str
@@ -75,6 +78,7 @@ class Event:
     id: str | None = None
     robot: int = 1
     belief: tuple[float, ...] | None = None
+    distance: tuple[tuple[float, ...], ...] | None = None
 
 
 def advised(record: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -104,5 +108,6 @@ def require_record(record: Mapping[str, Any]) -> None:
     if kind not in (*KINDS, VACANT, ERASED) or not math.isfinite(record["time"]):
         raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(sorted(KINDS))}")
     needed = {"person": kind in (*BY_PEOPLE, VACANT), "action": kind == "acted", "task": kind == VACANT}
+    needed["distance"] = kind == "rearranged"
     if missing := [name for name, so in needed.items() if so and name not in record]:
         raise ValueError(f"there is no '{missing[0]}'")

@@ -187,12 +187,12 @@ class Roster:
         """Return the part of the task in which a person is, and their row there."""
         return self.parts[self.model[record.place]], int(self.x[record.place])
 
-    def grow(self, places: int) -> None:
-        """Extend all arrays to a larger number of places."""
+    def resize(self, places: int) -> None:
+        """Change the number of places, of which those without people are at the end."""
 
-        def longer(array: NDArray[Any], fill: Any = 0) -> NDArray[Any]:
-            more = np.full((places - len(array), *array.shape[1:]), fill, dtype=array.dtype)
-            return np.concatenate([array, more])
+        def longer(array: NDArray[Any]) -> NDArray[Any]:
+            more = np.zeros((max(0, places - len(array)), *array.shape[1:]), dtype=array.dtype)
+            return np.concatenate([array[:places], more])
 
         for name in ("x", "model", "robot", "erred", "present", "ended", "belief"):
             setattr(self, name, longer(getattr(self, name)))

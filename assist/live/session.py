@@ -120,8 +120,12 @@ class Session:
             if found is None:
                 self._store.begin(expected)
             else:
-                self._check(found, expected)
+                begun = {name: found.get(name) for name in ("distance",) if name in expected}
+                self._check(found, expected | begun)
+                self._options |= begun  # events begin with these; those in force after the last one are to be the given
             self._resume()
+            if isinstance(self._restored, Course) and self._restored.distance != expected["distance"]:
+                self._check({"distance": self._restored.distance}, {"distance": expected["distance"]})
         self._store.imported()
 
     def _header(self) -> dict[str, Any]:
@@ -382,6 +386,11 @@ class Session:
         """Record that time has passed without an action; return where the robot is to go."""
         return self._one(Event("elapsed"))
 
+    def rearrange(self, distance: ArrayLike) -> dict[str, Any]:
+        """Record that distances have changed, as by `Assistant.rearrange`; return where the robot is to go."""
+        rows = np.asarray(distance, dtype=float).tolist()
+        return self._one(Event("rearranged", distance=tuple(map(tuple, rows))))
+
     def pause(self, paused: bool = True) -> dict[str, Any]:
         """Stop the robot's suggestions, or resume them; people can still act."""
         return self._one(Event("paused" if paused else "resumed"))
@@ -434,6 +443,16 @@ class Session:
             course = self._course
             robots = tuple(course.robot(number) for number in range(1, 1 + len(course.advices)))
             return Outlook(course.count, course.paused, robots[0], list(course.recent), course.fault, robots)
+
+    def fault(self) -> str | None:
+        """Return why events cannot be saved now, as far as it is known; None if they can."""
+        return self._store.fault()
+
+    @property
+    def distance(self) -> list[list[float]] | None:
+        """The distances in force; None if all are 1."""
+        with self.lock:
+            return self._course.distance if isinstance(self._course, Course) else None
 
     @property
     def tasks(self) -> tuple[str, ...]:

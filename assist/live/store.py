@@ -236,6 +236,13 @@ class EventStore:
                 self._db.execute("DELETE FROM header WHERE rowid > 1")
             self._full = False
 
+    def fault(self) -> str | None:
+        """Return why events cannot be saved now, as far as it is known without an attempt; None if they can."""
+        if self._full:
+            return "the disk was full at the last attempt"
+        writable = os.access(self.file, os.W_OK) and os.access(self.file.parent, os.W_OK)
+        return None if writable else f"{self.file.name} cannot be written"
+
     def import_old(self) -> None:
         """Add the header and all events of the old journal, within a transaction.
 

@@ -21,8 +21,6 @@ class Measures:
         Answers to suggestions, "yes" or "no".
     seconds : float
         Sum of the seconds from the arrival of each report until it was saved.
-    bridges : dict of str to mapping
-        Counts of each bridge.
     """
 
     LIMITS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
@@ -30,7 +28,7 @@ class Measures:
 
     def __init__(self) -> None:
         self.reports, self.followed = Counter[tuple[str, str]](), Counter[str]()
-        self.seconds, self.bridges = 0.0, dict[str, Mapping[str, int]]()
+        self.seconds = 0.0
         self._counts = [0] * (len(self.LIMITS) + 1)
 
     def add(self, kind: str, outcome: str, seconds: float) -> None:

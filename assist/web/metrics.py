@@ -85,10 +85,15 @@ class _Collector:
         spread.add_metric(["largest"], max(found, default=math.nan))
         yield spread
         bridge = CounterMetricFamily("kitassist_bridge", "What a bridge has counted.", labels=["bridge", "what"])
-        for name, counts in measures.bridges.items():
-            for what, count in sorted(counts.items()):
+        linked = GaugeMetricFamily("kitassist_bridge_connected", "1 if a bridge is connected.", labels=["bridge"])
+        for name, one in service.bridges.items():
+            linked.add_metric([name], int(one.connected))
+            for what, count in sorted(one.counts.items()):
                 bridge.add_metric([name, what], count)
         yield bridge
+        yield linked
+        ready = int(not service.unready())
+        yield GaugeMetricFamily("kitassist_ready", "1 if the service is ready, as /api/health says.", value=ready)
 
 
 def entropy(belief: bytes) -> float:

@@ -7,6 +7,7 @@ import json
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
+from fastapi.responses import JSONResponse
 
 from ..explain.catalogue import languages
 from ..live.events import LONGEST_REASON, Event
@@ -27,6 +28,7 @@ from .schemas import (
     Paused,
     Person,
     Place,
+    Reloaded,
     Robot,
     Team,
 )
@@ -42,10 +44,13 @@ def plain(body: bytes | dict[str, Any], media_type: str = "application/json") ->
     return Response(body if isinstance(body, bytes) else json.dumps(body), media_type=media_type)
 
 
-@router.get("/api/health", tags=["service"], response_model=Health, responses=refusals())
-async def health(service: Desk) -> Any:
-    """Return the state of the service; needs no token."""
-    return {"status": "ok", "people": len(service.views), "events": service.outlook.events}
+@router.get("/api/health", tags=["service"], response_model=Health, responses=refusals(422) | {503: {"model": Health}})
+async def health(service: Desk, ready: bool = False) -> Any:
+    """Return the state of the service; needs no token. With `ready=true` the status is 503 if it is not ready."""
+    reasons = service.unready()
+    state = {"status": "ok", "ready": not reasons, "reasons": reasons}
+    state |= {"people": len(service.views), "events": service.outlook.events}
+    return JSONResponse(state, 503 if ready and reasons else 200)
 
 
 @router.get("/api/me", tags=["service"], response_model=Me, responses=refusals(), dependencies=[Depends(bearer)])
@@ -205,6 +210,12 @@ async def pause(_: Operator, paused: Paused, service: Desk) -> Response:
     if service.outlook.paused == paused.paused:
         return plain(service.outlook.robot)
     return plain(await service.report(Event("paused" if paused.paused else "resumed")))
+
+
+@router.post("/api/reload", tags=["operator"], response_model=Reloaded, responses=refusals(403, 409, 422, 503, 507))
+async def reload(_: Operator, service: Desk) -> Any:
+    """Read the service's configuration again, and follow changed distances and people's tasks."""
+    return {"changes": await service.reload()}
 
 
 @router.get(

@@ -81,8 +81,16 @@ class Health(BaseModel):
     """The state of the service."""
 
     status: str
+    ready: bool
+    reasons: list[str] = Field(description="Why the service is not ready: what is not connected, or cannot be saved.")
     people: int
     events: int
+
+
+class Reloaded(BaseModel):
+    """What reading the configuration again has changed."""
+
+    changes: int = Field(description="Number of changes: of distances, and of people's tasks.")
 
 
 class Me(BaseModel):

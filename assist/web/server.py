@@ -12,7 +12,7 @@ from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import uvicorn
 from numpy.typing import ArrayLike
@@ -33,7 +33,7 @@ from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .app import make_app
 from .request_limits import LARGEST, Networks
-from .service import BusyError, Service
+from .service import Bridge, BusyError, Service
 from .tokens import AccessTokens
 
 JOURNAL = "journal.sqlite"
@@ -251,24 +251,14 @@ class ServedTeam:
 Ready = Callable[[AccessTokens, tuple[str, ...]], None]
 
 
-class Bridge(Protocol):
-    """A connection between the service and another protocol, which works while the service runs."""
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """The bridge's counts, such as those of messages, by name."""
-
-    async def run(self) -> None:
-        """Work until cancelled."""
-
-
 Beside = Callable[[str], Bridge]
 """Returns a bridge, given the operator's link at an address of this machine."""
 
 
 def serve(
-    plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None = None
-) -> None:
+    plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None = None,
+    changed_settings: Callable[[], list[Event]] | None = None,
+) -> None:  # fmt: skip
     """Serve a session until a signal ends it.
 
     Parameters
@@ -281,14 +271,17 @@ def serve(
         Called with the links and the people present when the service accepts requests.
     beside : callable, optional
         A bridge, which ends with the service. If it fails, the service continues.
+    changed_settings : callable, optional
+        As in `Service`. SIGHUP then reloads the configuration, instead of ending the service.
     """
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
-    asyncio.run(_serve(plan, session, listening, ready, beside))
+    asyncio.run(_serve(plan, session, listening, ready, beside, changed_settings))
 
 
 async def _serve(
-    plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None
-) -> None:
+    plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None,
+    changed_settings: Callable[[], list[Event]] | None,
+) -> None:  # fmt: skip
     access = AccessTokens.kept(plan.folder / "secret", plan.public_url or address(listening))
     service = Service(session, access, tick=plan.tick)
     service.simulated = frozenset(plan.simulated)
@@ -297,9 +290,29 @@ async def _serve(
     others = seats
     if beside is not None:
         bridge = beside(f"{_local(listening)}/operator#{access.operator}")
-        service.measures.bridges[type(bridge).__name__] = bridge.counts
+        service.bridges[type(bridge).__name__] = bridge
         others = _both(seats, bridge)
-    await run(app, listening, lambda: ready(access, service.session.people), others)
+    service.changed_settings = changed_settings
+    reloads: set[asyncio.Task[None]] = set()
+
+    def reload() -> None:
+        task = asyncio.get_running_loop().create_task(_reload(service))
+        reloads.add(task)  # the loop itself keeps no task alive
+        task.add_done_callback(reloads.discard)
+
+    await run(
+        app, listening, lambda: ready(access, service.session.people), others,
+        reload=None if changed_settings is None else reload,
+    )  # fmt: skip
+
+
+async def _reload(service: Service) -> None:
+    """Reload the configuration; log the outcome, and nothing but that if it is faulty."""
+    log = logging.getLogger(__name__)
+    try:
+        log.info("reloaded", extra={"changes": await service.reload()})
+    except Exception as error:  # noqa: BLE001 a faulty file is no reason to end
+        log.error("the configuration is not reloaded: %s", error)
 
 
 def _local(listening: socket.socket) -> str:
@@ -321,7 +334,7 @@ async def _both(seats: Coroutine[Any, Any, None], bridge: Bridge) -> None:
 
 async def run(
     app: ASGIApp, listening: socket.socket, ready: Callable[[], None], beside: Coroutine[Any, Any, None],
-    *, ends: bool = False,
+    *, ends: bool = False, reload: Callable[[], None] | None = None,
 ) -> None:  # fmt: skip
     """Serve an application until a signal ends it, and run a coroutine at the same time.
 
@@ -335,12 +348,16 @@ async def run(
         Starts at once and may end first.
     ends : bool
         Whether the service ends with the coroutine.
+    reload : callable, optional
+        Called at SIGHUP, which otherwise ends the service.
     """
     server = server_of(app, ready)
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             loop.add_signal_handler(number, setattr, server, "should_exit", True)
+    if reload is not None:
+        loop.add_signal_handler(signal.SIGHUP, reload)
     other = asyncio.create_task(beside)
     if ends:
         other.add_done_callback(lambda _: setattr(server, "should_exit", True))

@@ -16,11 +16,11 @@ import json
 import logging
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 from ..explain.explanation import Explanation
 from ..live.course import Explains
@@ -31,6 +31,24 @@ from ..live.session import Outcome, Session
 from ..live.store import JournalError
 from .measures import Measures
 from .tokens import AccessTokens
+
+REPORTS = logging.getLogger(f"{__package__}.reports")
+"""Log of all answered reports, without names of people, for which records could not be erased."""
+
+
+class Bridge(Protocol):
+    """A connection between the service and another protocol, which works while the service runs."""
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """The bridge's counts, such as those of messages, by name."""
+
+    @property
+    def connected(self) -> bool:
+        """Whether the other side can be reached."""
+
+    async def run(self) -> None:
+        """Work until cancelled."""
 
 
 class BusyError(RuntimeError):
@@ -81,6 +99,13 @@ class Service:
         Largest number of reports in one write to the disk. More would delay the first answer of a full batch.
     connections : int
         Largest number of open connections for one person's view, such as those of several tabs.
+
+    Attributes
+    ----------
+    bridges : dict of str to Bridge
+        The bridges that work beside the service, by name.
+    changed_settings : callable or None
+        Reads the service's configuration again, and returns the events by which the session is to follow it.
     """
 
     def __init__(
@@ -96,7 +121,8 @@ class Service:
         self.outlook = self.session.outlook()
         self.visited = asyncio.Event()
         self.simulated: frozenset[str] = frozenset()
-        self.measures = Measures()
+        self.measures, self.bridges = Measures(), dict[str, Bridge]()
+        self.changed_settings: Callable[[], list[Event]] | None = None
         self._entries: dict[str, bytes] = {}
         self._watchers: dict[str, set[Watcher]] = {}
         self._operators: set[asyncio.Event] = set()
@@ -222,10 +248,38 @@ class Service:
             outcome = "refused"
             raise
         finally:
-            self.measures.add(kind, outcome, self._loop.time() - began)
+            seconds = self._loop.time() - began
+            self.measures.add(kind, outcome, seconds)
+            REPORTS.info("report", extra={"event": kind, "outcome": outcome, "seconds": round(seconds, 6)})
         if isinstance(event, Event):
             self.measures.acted(before, event.action, answer)
         return answer
+
+    def unready(self) -> list[str]:
+        """Return why the service is not ready to do all its work; empty if it is."""
+        found = [f"{name} is not connected" for name, bridge in self.bridges.items() if not bridge.connected]
+        if (fault := self.session.fault()) is not None:
+            found.append(f"events cannot be saved: {fault}")
+        if self._writer is None or not self._writer.is_alive():
+            found.append("the service does not accept reports")
+        return found
+
+    async def reload(self) -> int:
+        """Read the configuration again, and change distances and people's tasks accordingly; return how many changes.
+
+        Raises
+        ------
+        InapplicableError
+            There is no configuration to read.
+        ValueError
+            It is faulty, and nothing has changed.
+        """
+        if self.changed_settings is None:
+            raise InapplicableError("there is nothing to reload; expected a service started with --config")
+        events = await asyncio.to_thread(self.changed_settings)
+        for event in events:
+            await self.report(event)
+        return len(events)
 
     async def pass_on(self, event: Event) -> None:
         """Record an event that the clock causes. It is dropped if it is not possible now, or cannot be saved now."""

@@ -67,9 +67,12 @@ OUTPUT_FILE = Output()
 OUTPUT_FOLDER = Output(folder=True)
 
 
+GIVEN = {ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, ParameterSource.DEFAULT_MAP}
+
+
 def is_given(name: str) -> bool:
-    """Whether the user set this parameter of the running command on the command line."""
-    return click.get_current_context().get_parameter_source(name) == ParameterSource.COMMANDLINE
+    """Whether the user set this parameter of the running command, in whatever way."""
+    return click.get_current_context().get_parameter_source(name) in GIVEN
 
 
 def separate_files(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:

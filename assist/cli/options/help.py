@@ -10,6 +10,8 @@ import click
 from rich_click import RichCommand, RichHelpConfiguration
 from rich_click.rich_panel import RichOptionPanel
 
+from .config import named
+
 GROUPS = {
     "Task": (
         "--domain", "--max-states", "--region-states", "--state", "--plan", "--protocol", "--format",
@@ -29,8 +31,8 @@ GROUPS = {
         "--c-suggest", "--c-execute", "--c-move", "--travel-time", "--distances", "--lapse", "--miss", "--confusion",
     ),
     "Service": (
-        "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy", "--bridge", "--tick",
-        "--data", "--people-store", "--keep-people",
+        "--config", "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy",
+        "--bridge", "--tick", "--data", "--people-store", "--keep-people", "--log-format",
     ),
     "Run": (
         "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",
@@ -63,7 +65,10 @@ class Command(RichCommand):
             if new in current and any(arg.partition("=")[0] == old for arg in args[:end]):
                 click.echo(f"{old} is deprecated and will be removed in version 2.0; use {new}", err=True)
                 args = [re.sub(f"^{old}(?==|$)", new, arg) for arg in args[:end]] + args[end:]
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.BadParameter as error:
+            raise named(error) from None
 
 
 def command(example: str, name: str | None = None) -> Callable[[Callable[..., Any]], click.Command]:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from planner import Instance, InstanceError, find_instances
 from planner.batch.solve_instance import SolveOptions
-from planner.system.errors import InputFileError, MissingExtraError
+from planner.system.errors import InputFileError, MissingExtraError, expected
 
 from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
+from .config import read_config
 from .person import model_options
 from .policies import CHOICES, PolicyName, policies_of
 from .population import people_option, population_of, population_options, with_rule_of
@@ -22,7 +25,10 @@ from .task import costs_of
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
-    from ...web.server import Bridge, ServedTeam
+    from ...live.events import Event
+    from ...live.session import Session
+    from ...web.server import ServedTeam
+    from ...web.service import Bridge
 
 
 def live_options(command: Command) -> Command:
@@ -115,11 +121,57 @@ def plan_of(
     simulated = [f"simulated-{number}" for number in range(1, simulate + 1)]
     names = [*(f"person-{number}" for number in range(1, humans - simulate + 1)), *simulated]
     in_turn = {name: list(tasks)[number % len(tasks)] for number, name in enumerate(names)}
+    chosen_tasks = (click.get_current_context().default_map or {}).get("tasks", {})
+    _require_known(chosen_tasks, in_turn, tasks)
+    in_turn |= chosen_tasks
     return ServedTeam(
         tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen, setting=setting,
         population=population, distance=distance, simulated=simulated, pace=pace, seed=seed, tick=tick,
         people_store=people_store, keep_people=keep_people,
     )  # fmt: skip
+
+
+def changed_settings(config: Path, context: click.Context, session: Session) -> Callable[[], list[Event]]:
+    """Return a function that reads a configuration again, and returns the events by which a session follows it.
+
+    It raises ValueError if the configuration is faulty. Distances that the environment or the command line sets are
+    read again from the same file.
+    """
+    import numpy as np
+
+    from ...live.events import Event
+
+    command, before = context.command, context.params["distances"]
+    fixed = context.get_parameter_source("distances") in {ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT}
+
+    def read() -> list[Event]:
+        try:
+            settings = read_config(config, command.params, ("tasks",))
+            file = before if fixed or "distances" not in settings else Path(settings["distances"])
+            tasks = {name: session.person(name)["task"] for name in session.people}
+            _require_known(settings.get("tasks", {}), tasks, session.tasks)
+        except click.UsageError as error:
+            raise ValueError(error.format_message()) from None
+        events = []
+        if file is not None:
+            try:
+                distance = json.loads(file.read_text(encoding="utf-8"))
+                if np.asarray(distance, dtype=float).tolist() != session.distance:
+                    events.append(Event("rearranged", distance=tuple(map(tuple, distance))))
+            except (OSError, TypeError, ValueError) as error:
+                raise ValueError(f"distances {file}: {error}") from None
+        chosen = settings.get("tasks", {}).items()
+        return events + [Event("began", name, task=task) for name, task in chosen if tasks[name] != task]
+
+    return read
+
+
+def _require_known(chosen: Mapping[str, str], people: Collection[str], tasks: Collection[str]) -> None:
+    """Check the table `tasks` of a configuration, which names people's tasks."""
+    for name, task in chosen.items():
+        for what, one, known in (("person", name, people), ("task", task, tasks)):
+            if one not in known:
+                raise click.UsageError(f"tasks.{name}: there is no {what} {one!r}; {expected(one, list(known))}")
 
 
 def bridge_of(file: Path) -> Callable[[str], Bridge]:

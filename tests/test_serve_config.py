@@ -1,0 +1,194 @@
+"""The service in operation: one file of options, readiness, JSON logs, and reloading without a restart."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import ROOT, kit
+from serving import TINY, served
+from test_live_web import Web
+
+from assist.cli import main
+from assist.cli.options.config import read_config
+from assist.cli.serve import serve
+from assist.live import Session
+from assist.team.settings import Setting
+from planner.system.errors import ResultsExistError
+
+FAR = [[0.0, 5.0, 1.0], [5.0, 0.0, 5.0], [1.0, 5.0, 0.0]]
+NEAR = [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]
+
+
+def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "line.toml"
+    options = [one for one in serve.params if one.name not in ("config", "instances")]
+    lines = []
+    for one in options:
+        value = {"humans": "3", "beta": "[0.5, 2.0]", "trusted_proxy": '["10.0.0.1"]', "execute": "true"}.get(
+            str(one.name)
+        )
+        if isinstance(one.type, click.Choice):
+            value = f'"{one.type.choices[0]}"'
+        elif value is None and one.nargs == 2:
+            value = "[0.5, 0.75]"
+        elif value is None:
+            value = "1" if isinstance(one.type, click.IntRange | click.FloatRange) else '"text"'
+        lines.append(f"{one.opts[0][2:].replace('-', '_')} = {value}")
+    file.write_text("\n".join(lines))
+    found = read_config(file, serve.params)
+    assert set(found) == {one.name for one in options}
+    assert (found["humans"], found["beta"], found["data"]) == (3, (0.5, 2.0), str(tmp_path / "text"))
+
+
+@pytest.mark.parametrize(
+    ("line", "environment", "said"),
+    [
+        ("humans = 'three'", {}, 'line.toml:2: humans: "three"; expected a whole number from 1 to 10000'),
+        ("c_sugest = 1", {}, "line.toml:2: c_sugest: unknown; did you mean 'c_suggest'?"),
+        ("policy = 'best'", {}, "(from "),
+        ("pace = -1", {}, "line.toml:2: pace: -1; expected a number above 0"),
+        ("tasks = {ann = 'tiny'}", {}, "tasks.ann: there is no person 'ann'"),
+        ("tasks = {person-1 = 'big'}", {}, "tasks.person-1: there is no task 'big'"),
+        ("humans = 2", {"KITASSIST_PACE": "slow"}, "'slow' is not a valid number. (from KITASSIST_PACE)"),
+        ("humans = 2\nstudy = 'missing.toml'", {}, "missing.toml"),
+    ],
+)
+def test_a_faulty_configuration_is_refused_with_its_place(
+    tmp_path: Path, line: str, environment: dict[str, str], said: str
+) -> None:
+    file = tmp_path / "line.toml"
+    humans = "" if "humans" in line else "\nhumans = 2"
+    file.write_text(f'instances = ["kitting/tiny"]\n{line}{humans}\n')
+    found = CliRunner().invoke(main, ["serve", "--config", str(file), "--port", "0"], env=environment)
+    assert found.exit_code == 2
+    assert said in " ".join(found.stderr.split())
+
+
+def test_a_service_runs_from_one_file_and_follows_its_changes(tmp_path: Path) -> None:
+    shutil.copy(TINY, tmp_path / "own.pddl")
+    shutil.copy(TINY.parent / "domain.pddl", tmp_path / "domain.pddl")
+    (tmp_path / "far.json").write_text(json.dumps(NEAR))
+    file = tmp_path / "line.toml"
+    config = """
+instances = ["own.pddl", "kitting/tiny"]
+humans = 5
+c_suggest = 0.1
+log_format = "json"
+data = "session"
+distances = "far.json"
+[tasks]
+person-1 = "tiny"
+"""
+    file.write_text(config)
+    options = ("--config", file, "--humans", 2)  # an option overrides the file
+    with served(*options, instance=None) as service:
+        assert list(service.links) == ["person-1", "person-2"]
+        assert service.ask("GET", "/api/health?ready=true").json() == {
+            "status": "ok", "ready": True, "reasons": [], "people": 2, "events": 2,
+        }  # fmt: skip
+        assert service.ask("GET", "/api/people/person-1").json()["task"] == "tiny"
+        (tmp_path / "far.json").write_text(json.dumps(FAR))
+        file.write_text(config.replace('"tiny"', '"own"'))
+        service.process.send_signal(signal.SIGHUP)
+        until = time.monotonic() + 60
+        while service.ask("GET", "/api/people/person-1").json()["task"] != "own":
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        assert service.ask("POST", "/api/reload").json() == {"changes": 0}
+        assert service.ask("POST", "/api/reload", "person-1").status_code == 403
+        file.write_text(config + "person-9 = 'tiny'")
+        refused = service.ask("POST", "/api/reload")
+        assert (refused.status_code, "person-9" in refused.json()["detail"]) == (422, True)
+        code, said = service.end(signal.SIGTERM)
+        assert code == 0
+    lines = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
+    assert any(line["message"] == "reloaded" and line["changes"] == 2 for line in lines)
+    reports = [(line["event"], line["outcome"]) for line in lines if line["message"] == "report"]
+    assert ("rearranged", "recorded") in reports
+    assert "person-1" not in said
+    file.write_text(config)
+    with served(*options, instance=None) as service:  # with the distances that are in force
+        assert service.ask("GET", "/api/people/person-1").json()["task"] == "own"
+
+
+def test_changed_distances_are_restored_and_required(tmp_path: Path) -> None:
+    setting = Setting(c_suggest=0.02, c_move=1.0)
+    file, table = tmp_path / "journal.sqlite", kit("tiny")
+    session = Session(table, file, setting=setting, distance=NEAR)
+    for name in ("ann", "bob"):
+        session.join(name)
+    with pytest.raises(ValueError, match="expected one for each of 2 people"):
+        session.rearrange([[0, 1], [1, 0]])
+    assert session.distance == NEAR
+    first = session.rearrange(FAR)
+    assert session.distance == FAR
+    session.observe("ann", "(fetch box-a)")
+    before, advice = session.beliefs(), session.recommend()
+    assert first["seq"] == 3
+    session.close()
+    again = Session(table, file, setting=setting, distance=FAR)
+    assert (again.beliefs(), again.distance, again.recommend()) == (before, FAR, advice)
+    again.close()
+    with pytest.raises(ResultsExistError, match="distance"):
+        Session(table, file, setting=setting, distance=NEAR)
+
+
+def test_distances_can_replace_places_that_grew(tmp_path: Path) -> None:
+    session = Session(kit("tiny"), tmp_path / "journal.sqlite", setting=Setting(c_suggest=0.02, c_move=0.01))
+    for name in ("ann", "bob", "eve"):
+        session.join(name)
+    session.rearrange(1.0 - np.eye(4))
+    assert session.observe("eve", "(fetch box-a)")["steps"] == 1
+    with pytest.raises(ValueError, match="larger matrix"):
+        session.join("dan")
+    session.close()
+
+
+class _Line:
+    counts: dict[str, int] = {}  # noqa: RUF012
+    connected = False
+
+    async def run(self) -> None:
+        pass
+
+
+def test_a_service_says_why_it_is_not_ready(tmp_path: Path) -> None:
+    web = Web(kit("tiny"), tmp_path)
+    with web.client:
+        web.service.bridges["MqttBridge"] = line = _Line()
+        seen = web.client.get("/api/health")
+        assert (seen.status_code, seen.json()["ready"]) == (200, False)
+        assert seen.json()["reasons"] == ["MqttBridge is not connected"]
+        assert web.client.get("/api/health", params={"ready": True}).status_code == 503
+        line.connected = True
+        assert web.client.get("/api/health", params={"ready": True}).status_code == 200
+        web.service.session._store._full = True
+        assert "disk was full" in web.client.get("/api/health").json()["reasons"][0]
+        web.act("(fetch box-a)")  # there is room again
+        assert web.client.get("/api/health").json()["ready"]
+        assert web.ask("POST", "/api/reload", None).status_code == 409
+
+
+def test_the_unit_of_systemd_is_valid(tmp_path: Path) -> None:
+    verify = shutil.which("systemd-analyze")
+    if verify is None:
+        pytest.skip("no systemd")
+    text = (ROOT / "docs/examples/kitassist.service").read_text()
+    program = shutil.which("true")
+    unit = tmp_path / "kitassist.service"
+    lines = [
+        line if not line.startswith("Exec") else f"{line.partition('=')[0]}={program}" for line in text.splitlines()
+    ]
+    unit.write_text("\n".join(lines))
+    found = subprocess.run([verify, "verify", "--man=no", str(unit)], capture_output=True, text=True)
+    assert not [line for line in found.stderr.splitlines() if "kitassist.service" in line], found.stderr
+    assert "kitassist serve --config" in text
