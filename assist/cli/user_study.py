@@ -126,6 +126,8 @@ def conduct(
         fail(str(error), ExitCode.USAGE)
     if study.participants is not None and rehearse > study.participants:
         raise click.UsageError(f"--rehearse {rehearse}: the study is planned for {study.participants} participants")
+    if study.group is not None and rehearse % study.group.size:
+        raise click.UsageError(f"--rehearse {rehearse}: expected a multiple of {study.group.size}, the size of a group")
     if data is None and not rehearse:
         raise click.UsageError("--study: expected --data DIR as well, the folder in which the study's data are saved")
     folder = data or new_folder()

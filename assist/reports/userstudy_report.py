@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES = "figures"
-LATER = {"utc", "excluded", "failed_checks", "option", "passed"}
+LATER = {"utc", "group", "excluded", "failed_checks", "option", "passed"}
 """Columns that exports of earlier versions lack, besides the position of an answer."""
 NUMBERS = {
     "failed_checks", "period", "position", "actions", "optimal_cost", "suboptimal_actions", "suggestions", "followed",
@@ -220,6 +220,13 @@ def _who_took_part(study: UserStudy, summary: dict[str, Any], picture: Iterator[
         f"count in {place}; those who "
         + ("left later were replaced." if study.replace else "left later still count and were not replaced.")
     )
+    if study.group is not None:
+        groups = summary["groups"]
+        yield (
+            f"{groups['began']} groups of {groups['size']} shared a robot; {groups['smaller']} of them began with "
+            f"fewer members. {groups['unmatched']} participants found no group in time. **The unit of analysis is the "
+            "group**: each value is the mean over its members."
+        )
     yield table(["participants", "number"], _counted(counts))
     head = [drawn, "policy", "randomised", "completed", "left after randomisation", "taking part"]
     yield table(
@@ -227,6 +234,11 @@ def _who_took_part(study: UserStudy, summary: dict[str, Any], picture: Iterator[
         ([one[key] for key in ("condition", "policy", "begun", "done", "left", "under_way")] for one in conditions),
     )
     yield from picture
+
+
+def _units(study: UserStudy) -> str:
+    """Return the units of analysis, in words."""
+    return "participants" if study.group is None else "groups"
 
 
 def _counted(counts: dict[str, Any]) -> Iterator[list[Any]]:
@@ -250,13 +262,13 @@ def _counted(counts: dict[str, Any]) -> Iterator[list[Any]]:
 def _what_was_found(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
     yield "## Conditions"
     yield (
-        "Means with 95 % intervals (Student's t) over participants. Completion counts all who began a task; other "
+        f"Means with 95 % intervals (Student's t) over {_units(study)}. Completion counts all who began a task; other "
         "measures of tasks include participants who finished all of them; questionnaires include all who answered."
     )
     head, rows = headline(summary)
     yield table(["measure", *head[1:]], rows)
     counts = [{cell["condition"]: cell["n"] for cell in one["cells"]} for one in summary["measures"]]
-    yield "Participants: " + ", ".join(f"{name} {count}" for name, count in counts[0].items()) + "."
+    yield f"{_units(study).capitalize()}: " + ", ".join(f"{name} {count}" for name, count in counts[0].items()) + "."
     lacking = [
         f"{one['label']}: " + ", ".join(f"{name} {count}" for name, count in own.items())
         for one, own in zip(summary["measures"], counts, strict=True)
@@ -270,7 +282,7 @@ def _what_was_found(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
         whole = len(summary["few"]) == len(study.conditions)
         which = "every condition" if whole else ", ".join(summary["few"])
         yield (
-            f"**Few participants.** Fewer than {FEW} in {which}, so results are preliminary. Student's "
+            f"**Few {_units(study)}.** Fewer than {FEW} in {which}, so results are preliminary. Student's "
             "intervals assume normally distributed means, which cannot be checked with so few; see the individual "
             "points as well."
         )
@@ -289,6 +301,8 @@ def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
         "Tests are paired t-tests, and exact McNemar tests of completion. *By period* is the difference adjusted for "
         "participants and periods by least squares."
         if study.is_within
+        else "Tests are Welch's."
+        if study.group is not None
         else "Tests are Welch's, and Fisher's exact tests of completion, whose intervals are Newcombe's."
     )
     yield f"{said} {tests}"
@@ -309,12 +323,12 @@ def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
     yield from _by_ranks(study, summary)
     if summary["detectable"] is not None:
         yield (
-            "Sensitivity at 80 % power: with the number of participants in the smallest condition, four of five "
+            f"Sensitivity at 80 % power: with the number of {_units(study)} in the smallest condition, four of five "
             f"studies show a difference of g = {summary['detectable']:.2f} or more. Smaller differences are "
             "likely to be missed."
         )
     else:
-        yield "Conditions with fewer than two participants cannot be compared."
+        yield f"Conditions with fewer than two {_units(study)} cannot be compared."
 
 
 def _differences(study: UserStudy, measures: list[dict[str, Any]]) -> str:
@@ -346,7 +360,7 @@ def _by_ranks(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
             [labels[one["measure"]], one["condition"], one["n"], f"{one['effect']:.2f}", _p(one["p"])]
             for one in summary["worst_rank"]
         ]
-        yield table(["measure", "condition", "participants", "effect", "p"], rows)
+        yield table(["measure", "condition", _units(study), "effect", "p"], rows)
     if summary["likert"]:
         yield "### Single Likert items"
         yield f"Exploratory, by {test}, as the answers are ordinal; reversed items are recoded."
@@ -357,7 +371,7 @@ def _by_ranks(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
             ]
             for one in summary["likert"]
         ]  # fmt: skip
-        yield table(["item", "condition", "participants", "effect", "p"], rows)
+        yield table(["item", "condition", _units(study), "effect", "p"], rows)
 
 
 def _p(p: float | None) -> str:

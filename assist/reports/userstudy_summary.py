@@ -1,4 +1,8 @@
-"""Numeric results of a user study: conditions, differences from the reference, questionnaires and dropouts."""
+"""Numeric results of a user study: conditions, differences from the reference, questionnaires and dropouts.
+
+The unit of analysis is the participant. In a study with groups it is the group, whose value is the mean over its
+members, since members who share a robot are not independent.
+"""
 
 from __future__ import annotations
 
@@ -57,13 +61,13 @@ RANKED = ("actions", "suboptimal_actions", "seconds")
 
 @dataclass(frozen=True)
 class Measure:
-    """A value for each participant.
+    """A value for each participant, or for each group in a study with groups.
 
     Attributes
     ----------
     name, label : str
     values : dict of dict
-        Values by condition and participant.
+        Values by condition and participant, or group.
     """
 
     name: str
@@ -80,7 +84,7 @@ def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
             value = 100.0 * done if name == "completion" else _of_tasks(name, rows) if done else None
             if value is not None:
                 found[condition][participant] = value
-        yield Measure(name, label, found)
+        yield Measure(name, label, _of_units(tables, found))
     for one in study.questionnaires:
         if one.scale and study.is_by_condition(one):
             found = {condition.name: {} for condition in study.conditions}
@@ -89,7 +93,19 @@ def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
                     found[condition][participant] = score
             low, high, _ = one.scale[0].ends
             raw = "raw " if one.form == TLX else ""
-            yield Measure(one.name, f"{one.name}: {raw}mean, {low:g} to {high:g}", found)
+            yield Measure(one.name, f"{one.name}: {raw}mean, {low:g} to {high:g}", _of_units(tables, found))
+
+
+def _of_units(tables: Tables, values: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Return values of the units of analysis from those of participants, by condition: means over groups, if any."""
+    groups = {row["participant"]: row["group"] or row["participant"] for row in tables.participants}
+    found: dict[str, dict[str, float]] = {}
+    for condition, own in values.items():
+        units: dict[str, list[float]] = {}
+        for participant, value in own.items():
+            units.setdefault(groups.get(participant, participant), []).append(value)
+        found[condition] = {unit: fmean(each) if len(each) > 1 else each[0] for unit, each in units.items()}
+    return found
 
 
 def _attempts(tables: Tables) -> dict[tuple[str, str], list[Row]]:
@@ -137,7 +153,7 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "design": study.design,
         "reference": study.reference,
         "participants": _counts(tables),
-        "conditions": _conditions(study, tables),
+        "conditions": _conditions(study, tables), **_groups(study, tables),
         "flow": _flow(study, tables),
         "measures": _adjusted(study, [_measure(study, one, tables) for one in found]),
         "worst_rank": [row for name in RANKED for row in _worst_rank(study, name, tables)],
@@ -170,6 +186,17 @@ def _counts(tables: Tables) -> dict[str, Any]:
         "excluded": dict(sorted(excluded.items())),
         "analysed": sum(row["excluded"] is None for row in done),
     }  # fmt: skip
+
+
+def _groups(study: UserStudy, tables: Tables) -> dict[str, Any]:
+    """Return how many groups began, with all members or fewer, and how many participants found none."""
+    if study.group is None:
+        return {}
+    sizes = Counter(row["group"] for row in tables.participants if row["group"] is not None)
+    complete = sum(size == study.group.size for size in sizes.values())
+    unmatched = sum(row["status"] == "unmatched" for row in tables.participants)
+    size = study.group.size
+    return {"groups": {"size": size, "began": len(sizes), "smaller": len(sizes) - complete, "unmatched": unmatched}}
 
 
 def _conditions(study: UserStudy, tables: Tables) -> list[Row]:
@@ -240,7 +267,7 @@ def _compared(study: UserStudy, measure: str, own: dict[str, float], reference: 
         found, effect, p = difference_within(pairs), hedges_g_within(pairs), paired_p(pairs)
     else:
         found, effect, p = difference(a, b), hedges_g(a, b), welch_p(a, b)
-    if measure == "completion":
+    if measure == "completion" and study.group is None:
         effect = math.nan
         if study.is_within:
             p = sign_test(sum(pair > 0 for pair in pairs), sum(pair < 0 for pair in pairs)).p
@@ -269,6 +296,7 @@ def _worst_rank(study: UserStudy, name: str, tables: Tables) -> Iterator[Row]:
     for (participant, condition), rows in _attempts(tables).items():
         value = _of_tasks(name, rows) if _has_finished(study, rows) else None
         values[condition][participant] = math.inf if value is None else value
+    values = _of_units(tables, values)
     for condition, own in values.items():
         if condition != study.reference and (found := _ranked(study, own, values[study.reference])):
             yield {"measure": name, "condition": condition, "n": len(own), "p": finite(found.p), "effect": found.effect}
@@ -284,6 +312,7 @@ def _likert(study: UserStudy, one: Questionnaire, tables: Tables) -> Iterator[Ro
         for participant, condition, scores in rows:
             if item.name in scores:
                 values[condition][participant] = scores[item.name]
+        values = _of_units(tables, values)
         for condition, own in values.items():
             if condition != study.reference and (found := _ranked(study, own, values[study.reference])):
                 yield {
@@ -299,13 +328,23 @@ def _cell(values: list[float]) -> dict[str, Any]:
     return {"n": len(values), **mean(values).record(), "sd": finite(sd), "median": float(np.median(values))}
 
 
+def _cell_of_units(tables: Tables, values: list[tuple[str, float]]) -> dict[str, Any]:
+    """Return the cell of participants' values; a participant may have several, and a group has the mean."""
+    if all(row["group"] is None for row in tables.participants):
+        return _cell([value for _, value in values])
+    return _cell(list(_of_units(tables, {ALL: dict(values)})[ALL].values()))
+
+
 def _questionnaire(study: UserStudy, one: Questionnaire, tables: Tables) -> dict[str, Any]:
     rows = list(scored(one, tables))
     where = [condition.name for condition in study.conditions] if study.is_by_condition(one) else [ALL]
     items = [
         {
             "item": item.name, "condition": name,
-            **_cell([scores[item.name] for _, own, scores in rows if name in (ALL, own) and item.name in scores]),
+            **_cell_of_units(
+                tables,
+                [(who, scores[item.name]) for who, own, scores in rows if name in (ALL, own) and item.name in scores],
+            ),
         }
         for item in one.scale
         for name in where
@@ -339,5 +378,5 @@ def _asked(study: UserStudy, one: Questionnaire, item: Item, tables: Tables) -> 
             "questionnaire": one.name, "item": item.name, "form": item.form, "condition": name,
             "n": len({row["participant"] for row in rows}), "counts": dict(counts),
             **({"passed": sum(row["passed"] is True for row in rows)} if item.correct is not None else {}),
-            **(_cell([row["score"] for row in rows]) if item.is_scored else {}),
+            **(_cell_of_units(tables, [(row["participant"], row["score"]) for row in rows]) if item.is_scored else {}),
         }  # fmt: skip

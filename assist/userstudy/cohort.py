@@ -4,6 +4,9 @@ A place is taken by participants who are taking part or have completed the study
 has begun, unless the study replaces dropouts. The place of a participant who leaves before is free again. The condition
 is assigned when the first task begins, not before (`assignment`).
 
+In a study with groups, participants wait for each other before the first task. The last one to arrive starts the group,
+which has one condition, one team and one robot.
+
 Every event is recorded such that it can be replayed, including random draws and decisions.
 """
 
@@ -11,7 +14,7 @@ from __future__ import annotations
 
 import secrets
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -33,6 +36,11 @@ from .plan import Stage, UserStudy
 from .questionnaires import Item
 
 HERE, GONE, DECLINED, WITHDREW, FULL, DONE = "here", "gone", "declined", "withdrew", "full", "done"
+UNMATCHED = "unmatched"
+"""Status of participants for whom no group was found in time."""
+
+WAITING = "waiting"
+"""Kind of the stage at which participants wait for their group."""
 
 KINDS = {"visited", "onward", "acted", "elapsed", "expired", "withdrew", "left", "returned", "excluded"}
 """Kinds of events."""
@@ -98,6 +106,8 @@ class Participant:
         Why the researchers exclude the participant from the analysis.
     erased : bool
         Whether the records were erased; `code` is then a label.
+    group : str or None
+        Name of the participant's group, once it has begun.
     groups : dict of ParticipantTeam
         Teams, keyed by kind of stage and period: one for practice, and one for the tasks of each condition.
     """
@@ -114,11 +124,27 @@ class Participant:
     completion: str | None = None
     excluded: str | None = None
     erased: bool = False
+    group: str | None = None
     groups: dict[tuple[str, int], ParticipantTeam] = field(default_factory=dict)
 
     def at_tasks(self) -> list[ParticipantTeam]:
         """Return the teams of the tasks that have begun, in the order of conditions."""
         return [group for (kind, _), group in self.groups.items() if kind == "task"]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Participants who share a robot.
+
+    Attributes
+    ----------
+    members : tuple of str
+        Codes of the participants, in order of arrival.
+    team : ParticipantTeam
+    """
+
+    members: tuple[str, ...]
+    team: ParticipantTeam
 
 
 class Cohort:
@@ -136,6 +162,8 @@ class Cohort:
     ----------
     fault : str or None
         The latest error message of a condition's policy.
+    groups : dict of Group
+        Groups by name, in the order in which they began.
     """
 
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], course: Callable[[str | None], Course]) -> None:
@@ -145,6 +173,8 @@ class Cohort:
         self.recent: deque[dict[str, Any]] = deque(maxlen=1)
         self.participants: dict[str, Participant] = {}
         self.fault: str | None = None
+        self.groups: dict[str, Group] = {}
+        self._touched: set[str] = set()
 
     # Events.
 
@@ -170,6 +200,9 @@ class Cohort:
             if facts is None:
                 return None
             record |= facts
+            if person.group is not None and "team" in facts:
+                record["group"] = person.group
+            record |= self._starts(person, record, n, time)
             for group in person.groups.values():
                 self.fault = group.course.fault or self.fault
         self._note(record)
@@ -192,9 +225,13 @@ class Cohort:
             here = self.stages[person.at].name
             if at >= len(self.stages) or record.get("stage", here) != here:
                 raise ValueError(f"{person.code} is at {here}")
-            if "team" in record:
+            if "team" in record and "group" not in record:
                 stage = self.stages[at]
                 self._group(person, stage, record.get("condition")).again(record["team"])
+        if "members" in record:
+            self._form(record["group"], record["members"], record["condition"])
+        if "group" in record:
+            self.groups[record["group"]].team.again(record["team"])
         self._note(record)
 
     def _visits(self, event: Event) -> dict[str, Any]:
@@ -212,20 +249,22 @@ class Cohort:
         """
         stage, kind = self.stages[person.at], event.kind
         if kind == "returned" and person.status in (GONE, FULL):
-            return {"status": HERE if self._room(person) else FULL}
+            here = self._room(person)
+            team = self._rejoins(person, n, time) if here else []
+            return {"status": HERE if here else FULL, **({"team": team} if team else {})}
         if kind == "elapsed":
-            idle = person.status == HERE and stage.kind in ("practice", "task") and not self._over(person)
+            idle = person.status == HERE and stage.kind in ("practice", "task") and not self.is_over(person)
             team = self._at_task(person).elapse(n, time) if idle else []
             return {"team": team} if team else None
         if kind == "left":
             if person.status != HERE:
                 raise InapplicableError(f"{person.code} is not taking part")
-            return {"status": GONE}
+            return {"status": GONE} | self._parts(person, n, time)
         if kind == "excluded":
             return self._excludes(person, event)
-        if kind == "withdrew" and person.status in (GONE, FULL, DONE):
+        if kind == "withdrew" and person.status in (GONE, FULL, DONE, UNMATCHED):
             self._in_time(person, event)
-            return {"status": DECLINED if stage.kind == "consent" else WITHDREW}
+            return {"status": DECLINED if stage.kind == "consent" else WITHDREW} | self._parts(person, n, time)
         facts: dict[str, Any] = {}
         if person.status == GONE and kind in ("acted", "onward"):
             if not self._room(person):
@@ -234,11 +273,14 @@ class Cohort:
         elif person.status != HERE:
             raise InapplicableError(f"{person.code} is not taking part")
         if kind == "withdrew":
-            return facts | {"status": DECLINED if stage.kind == "consent" else WITHDREW}
-        if kind == "expired" and stage.kind == "task" and not self._over(person):
-            return facts | {"expired": True}
+            return facts | {"status": DECLINED if stage.kind == "consent" else WITHDREW} | self._parts(person, n, time)
+        if kind == "expired" and stage.kind == "task" and not self.is_over(person):
+            return facts | {"expired": True} | self._parts(person, n, time)
+        if kind == "expired" and self.study.group is not None and stage.kind == WAITING:
+            ends = self.study.group.then == "end"
+            return facts | ({"status": UNMATCHED, "completion": self._completion()} if ends else {})
         if kind == "acted":
-            if self._over(person):
+            if self.is_over(person):
                 raise InapplicableError("this task is over")
             own = Event("acted", person.code, event.action, event.followed, event.seen)
             return facts | {"stage": stage.name, **self._at_task(person).act(own, n, time)}
@@ -266,7 +308,9 @@ class Cohort:
             raise InapplicableError(f"{person.code} is at {stage.name}, not at {(event.stage or '')[:80]!r}")
         if stage.kind == "thanks":
             raise InapplicableError("the study is complete")
-        if stage.kind in ("practice", "task") and not self._over(person):
+        if stage.kind == WAITING:
+            raise InapplicableError("the task begins when the group is complete")
+        if stage.kind in ("practice", "task") and not self.is_over(person):
             raise InapplicableError("the task is not finished")
         facts: dict[str, Any] = {"stage": stage.name}
         if stage.kind == "questionnaire":
@@ -285,18 +329,96 @@ class Cohort:
         if to.kind in ("practice", "task"):
             new = (to.kind, to.period) not in person.groups
             try:
-                facts["team"] = self._group(person, to, condition).begin(to.what, n, time)
+                facts["team"] = self._group(person, to, condition).begin(person.code, to.what, n, time)
             except Exception:
                 if new:
                     person.groups.pop((to.kind, to.period), None)
                 raise
         if to.kind == "thanks":
-            facts["completion"] = self.study.code or "".join(secrets.choice(LETTERS) for _ in range(8))
+            facts["completion"] = self._completion()
         return facts
+
+    def _completion(self) -> str:
+        return self.study.code or "".join(secrets.choice(LETTERS) for _ in range(8))
+
+    # Groups.
+
+    def _rejoins(self, person: Participant, n: int, time: float) -> list[dict[str, Any]]:
+        """Let a participant return to their group's team; return the records, none outside of a task."""
+        group = None if person.group is None else self.groups[person.group]
+        at_work = self.stages[person.at].kind == "task" and not person.expired
+        return group.team.rejoin(person.code, n, time) if group is not None and at_work else []
+
+    def _parts(self, person: Participant, n: int, time: float) -> dict[str, Any]:
+        """Remove a participant from their group's team, so that the robot attends to the others only."""
+        team = [] if person.group is None else self.groups[person.group].team.leave(person.code, n, time)
+        return {"team": team} if team else {}
+
+    def waiting(self) -> list[str]:
+        """Return the codes of the participants who wait for a group, in order of arrival."""
+        return [
+            code for code, person in self.participants.items()
+            if person.status == HERE and self.stages[person.at].kind == WAITING
+        ]  # fmt: skip
+
+    def _starts(self, person: Participant, record: Mapping[str, Any], n: int, time: float) -> dict[str, Any]:
+        """Start a group if this event completes it; return the fields of the record, none otherwise."""
+        if self.study.group is None:
+            return {}
+        kind, to = record["event"], person.at
+        if kind == "onward":
+            to = self.study.next_stage(person.at, person.condition)
+        if self.stages[to].kind != WAITING or kind not in ("onward", "returned", "expired"):
+            return {}
+        comes = record.get("status", HERE) == HERE
+        members = [code for code in self.participants if code in self.waiting() or (comes and code == person.code)]
+        if not comes or (len(members) < self.study.group.size and kind != "expired"):
+            return {}
+        name = f"G{len(self.groups) + 1}"
+        condition = assign(self.counts(), self.study.seed, self.begun)
+        team = self._form(name, members, condition).team
+        task = self.stages[self.study.next_stage(to, condition)].what
+        try:
+            subs = [sub for member in members for sub in team.begin(member, task, n, time)]
+        except Exception:
+            del self.groups[name]
+            raise
+        return {"group": name, "members": members, "condition": condition, "team": subs}
+
+    def _form(self, name: str, members: Sequence[str], condition: str) -> Group:
+        team = ParticipantTeam(name, self._tasks, lambda: self._course(condition), list, again=False)
+        self.groups[name] = Group(tuple(members), team)
+        return self.groups[name]
+
+    def _begin(self, record: Mapping[str, Any]) -> None:
+        """Update the members of a group that begins."""
+        for code in record["members"]:
+            person = self.participants[code]
+            person.at = self.study.next_stage(person.at, record["condition"])
+            stage = self.stages[person.at]
+            person.entered, person.condition, person.group = record["time"], record["condition"], record["group"]
+            person.groups[stage.kind, stage.period] = self.groups[record["group"]].team
 
     def _note(self, record: Mapping[str, Any]) -> None:
         """Update the participants after an event, from its record."""
-        self.count, time = record["n"], record["time"]
+        self.count, waited = record["n"], set(self.waiting()) if self.study.group is not None else set[str]()
+        self._note_person(record)
+        if "members" in record:
+            self._begin(record)
+            self.begun += 1
+        if self.study.group is not None and waited != (waits := set(self.waiting())):
+            self._touched |= waited | waits
+        if "group" in record:
+            self._touched |= set(self.groups[record["group"]].members)
+            for code in self.groups[record["group"]].members:
+                self.participants[code].acted = record["time"]
+        for code in self._touched:
+            self.participants[code].seq = self.count
+        self._touched = {code for code in self._touched if not self.participants[code].erased}
+
+    def _note_person(self, record: Mapping[str, Any]) -> None:
+        """Update the participant whose event it is."""
+        time, self._touched = record["time"], set()
         if record["event"] == ERASED and "person" not in record:
             return
         if record["event"] in ("visited", VACANT):
@@ -304,7 +426,7 @@ class Cohort:
                 record["person"], bool(record.get("simulated")), erased=record["event"] == VACANT
             )
         person = self.participants[record["person"]]
-        person.seq = self.count
+        self._touched.add(person.code)
         if record["event"] in ("visited", "onward"):
             if record["event"] == "onward":
                 person.at = self.study.next_stage(person.at, person.condition)
@@ -314,10 +436,10 @@ class Cohort:
         person.expired = person.expired or bool(record.get("expired"))
         if record["event"] == "excluded":
             person.excluded = record["reason"]
-        if "condition" in record:
+        if "condition" in record and "members" not in record:
             person.condition, self.begun = record["condition"], self.begun + 1
         if "completion" in record:
-            person.completion, person.status = record["completion"], DONE
+            person.completion, person.status = record["completion"], record.get("status", DONE)
 
     def _group(self, person: Participant, stage: Stage, condition: str | None) -> ParticipantTeam:
         key = stage.kind, stage.period
@@ -352,7 +474,7 @@ class Cohort:
         AbsentError
             Nothing is recorded of this participant.
         """
-        taking_part = self.known(person).status in (HERE, GONE, FULL, DONE)
+        taking_part = self.known(person).status in (HERE, GONE, FULL, DONE, UNMATCHED)
         return StudyEvent("withdrew", person, late=True) if taking_part else None
 
     def without(self, person: str, label: str) -> Change:
@@ -361,9 +483,17 @@ class Cohort:
         The order of arrival and the assigned condition remain, on which the conditions of others depend.
         """
         who, time, here = self.known(person), 0.0, False
+        of_team = None if who.group is None else self.groups[who.group].team.course.without(person, label)
 
         def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
             nonlocal time, here
+            shared: dict[str, Any] = {}
+            if of_team is not None and record.get("group") == who.group:
+                shared = {"group": who.group, "team": [of_team(sub, None)[0] for sub in record["team"]]}
+                if "members" in record:
+                    members = [label if code == person else code for code in record["members"]]
+                    shared |= {"members": members, "condition": record["condition"]}
+                record = record | shared
             if record.get("person") != person:
                 time = record["time"]
                 return record, answer
@@ -371,9 +501,9 @@ class Cohort:
             if not here:
                 here, kept = True, kept | {"event": VACANT, "person": label, "status": who.status}
                 kept |= {"simulated": True} if who.simulated else {}
-            elif "condition" in record:
+            elif "condition" in record and not shared:
                 kept |= {"person": label, "condition": record["condition"]}
-            return kept, None
+            return kept | shared, None
 
         return removed
 
@@ -391,11 +521,12 @@ class Cohort:
         return self.participants[person]
 
     def counts(self) -> dict[str, int]:
-        """Return, for each condition or order, the number of its participants who take a place."""
-        counts = dict.fromkeys(self.study.orders, 0)
+        """Return, for each condition or order, the number of its participants, or groups, that take a place."""
+        counts, groups = dict.fromkeys(self.study.orders, 0), set[str]()
         for person in self.participants.values():
-            if person.condition is not None:
-                counts[person.condition] += self._counts(person)
+            if person.condition is not None and person.group not in groups and self._counts(person):
+                counts[person.condition] += 1
+                groups |= set() if person.group is None else {person.group}
         return counts
 
     def _counts(self, person: Participant) -> bool:
@@ -420,16 +551,16 @@ class Cohort:
             raise InapplicableError(f"{person.code} is at {stage.name}; no action is possible there")
         return person.groups[stage.kind, stage.period]
 
-    def _over(self, person: Participant) -> bool:
+    def is_over(self, person: Participant) -> bool:
         """Whether the participant's task is over: finished, unsolvable, or beyond the time limit."""
-        seen = self._at_task(person).seen()
+        seen = self._at_task(person).seen(person.code)
         return bool(seen["finished"]) or seen["cost_to_go"] is None or person.expired
 
     # Views.
 
-    def touched(self, record: Mapping[str, Any]) -> set[str]:
-        """Return the participants whose views an event has changed."""
-        return {record["person"]}
+    def touched(self, record: Mapping[str, Any]) -> set[str]:  # noqa: ARG002 it is the latest
+        """Return the participants whose views the latest event, which this is, has changed."""
+        return set(self._touched)
 
     def require(self, person: str) -> None:
         """Raise `AbsentError` for an unknown participant."""
@@ -442,7 +573,7 @@ class Cohort:
 
     def place(self, person: str) -> tuple[CostToGo, int]:
         """Return a participant's task, and the number of its present state."""
-        return self._at_task(self.known(person)).place()
+        return self._at_task(self.known(person)).place(person)
 
     def person(self, person: str) -> dict[str, Any]:
         """Return a participant's view as JSON data: the task, and the progress in the study."""
@@ -454,7 +585,7 @@ class Cohort:
         }  # fmt: skip
         over = False
         if stage.kind in ("practice", "task"):
-            seen, over = self._at_task(who).seen(), self._over(who)
+            seen, over = self._at_task(who).seen(person) | {"present": True}, self.is_over(who)
             if over:
                 seen |= {"applicable": [], "suggestion": None, "reason": None}
             own = self.study.condition_at(stage, who.condition)
@@ -468,6 +599,8 @@ class Cohort:
             "kind": kind, "stage": stage.name, "what": stage.what, "number": who.at + 1, "of": len(self.stages),
             "over": over, "completion": who.completion, "items": [item.name for item in self._items(who)],
         }  # fmt: skip
+        if kind == WAITING and self.study.group is not None:
+            study["waiting"] = {"here": len(self.waiting()), "of": self.study.group.size}
         return seen | {"seq": who.seq, "study": study}
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:

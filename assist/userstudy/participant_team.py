@@ -1,4 +1,6 @@
-"""A participant's team: the participant and simulated people, who share a robot and act in step.
+"""A team: participants who share a robot, or one participant and simulated people, who act in step.
+
+Participants of a group act whenever they like, and the robot decides again after each action.
 
 Each simulated person acts once after each action of the participant, as in the simulations. The robot's workload
 therefore does not depend on the participant's speed, and results do not depend on a clock. The actions of the whole
@@ -21,11 +23,12 @@ Sub = dict[str, Any]
 
 
 class ParticipantTeam:
-    """A participant and the simulated people of their team.
+    """The participants of a team, and its simulated people.
 
     Parameters
     ----------
-    person : str
+    name : str
+        Of the only participant, or of the group.
     tasks : mapping of str to CostToGo
     course : callable
         Returns a new course of the team, without events.
@@ -37,42 +40,56 @@ class ParticipantTeam:
 
     def __init__(
         self,
-        person: str,
+        name: str,
         tasks: Mapping[str, CostToGo],
         course: Callable[[], Course],
         mates: Callable[[], Sequence[SimulatedPerson]],
         *,
         again: bool,
     ) -> None:
-        self.name, self._tasks, self._again = person, tasks, again
+        self.name, self._tasks, self._again = name, tasks, again
         self._course_anew, self._mates_anew = course, mates
         self._past: list[Sub] = []
-        self.task = ""
         self._begin_anew()
 
     def _begin_anew(self) -> None:
         self.course = self._course_anew()
+        self._task: dict[str, str] = {}
         self._mates = {f"{self.name}-{number}": mate for number, mate in enumerate(self._mates_anew(), start=1)}
 
     # Events.
 
-    def begin(self, task: str, n: int, time: float) -> list[Sub]:
-        """Start a task for the whole team; return the records."""
-        kind = "began" if self._past else "joined"
-        return self._all([Event(kind, name, task=task) for name in (self.name, *self._mates)], n, time)
+    def begin(self, person: str, task: str, n: int, time: float) -> list[Sub]:
+        """Start a task for a participant and the simulated people; return the records."""
+        kind = "began" if person in self._task else "joined"
+        events = [Event(kind, name, task=task) for name in (person, *self._mates)]
+        return self._all([*self._rejoins(person), *events], n, time)
+
+    def rejoin(self, person: str, n: int, time: float) -> list[Sub]:
+        """Let a participant return to their task; return the records, none if they are present."""
+        return self._all(self._rejoins(person), n, time)
+
+    def leave(self, person: str, n: int, time: float) -> list[Sub]:
+        """Remove a participant, whom the robot then leaves alone; return the records, none if they have left."""
+        return self._all([Event("left", person)] if person in self.course.present else [], n, time)
+
+    def _rejoins(self, person: str) -> list[Event]:
+        away = person in self._task and person not in self.course.present
+        return [Event("joined", person)] if away else []
 
     def act(self, event: Event, n: int, time: float) -> dict[str, Any]:
         """Record the participant's action, then one action of each simulated person.
 
         Return the records (`team`) and what the participant saw (`seen`).
         """
-        before = self.course.person(self.name)
-        subs = self._all([event], n, time, mates=True)
-        after = self.course.person(self.name)
+        person = event.person or ""
+        before = self.course.person(person)
+        subs = self._all([*self._rejoins(person), event], n, time, mates=True)
+        after = self.course.person(person)
         seen = {
-            "suggestion": None if subs[0].get("unheard") else before["suggestion"],
+            "suggestion": None if own_action(subs, person).get("unheard") else before["suggestion"],
             "cost_before": before["cost_to_go"], "cost_after": after["cost_to_go"], "finished": after["finished"],
-            "optimal": not self.course.desk.erred(self.name),
+            "optimal": not self.course.desk.erred(person),
         }  # fmt: skip
         return {"team": subs, "seen": seen}
 
@@ -126,15 +143,20 @@ class ParticipantTeam:
     def _keep(self, subs: Sequence[Sub]) -> None:
         self._past += subs
         for sub in subs:
-            if sub.get("task") and sub["person"] == self.name:
-                self.task = sub["task"]
+            if sub.get("task"):
+                self._task[sub["person"]] = sub["task"]
 
     # Views.
 
-    def seen(self) -> dict[str, Any]:
-        """Return the participant's view of the task."""
-        return self.course.person(self.name)
+    def seen(self, person: str) -> dict[str, Any]:
+        """Return a participant's view of the task."""
+        return self.course.person(person)
 
-    def place(self) -> tuple[CostToGo, int]:
-        """Return the participant's task, and the number of its present state."""
-        return self._tasks[self.task], self.course.place(self.name)[1]
+    def place(self, person: str) -> tuple[CostToGo, int]:
+        """Return a participant's task, and the number of its present state."""
+        return self._tasks[self._task[person]], self.course.place(person)[1]
+
+
+def own_action(subs: Sequence[Sub], person: str) -> Sub:
+    """Return the record of a participant's action among those of the team."""
+    return next(sub for sub in subs if sub["event"] == "acted" and sub["person"] == person)

@@ -53,6 +53,7 @@ OUTCOMES = ("completion", "actions", "suboptimal_actions", "seconds", "suggestio
 Minutes = Annotated[float, Meta(gt=0, le=10_000, description="a number of minutes above 0")]
 # More simulated people would keep the robot away from the participant.
 Mates = Annotated[int, Meta(ge=0, le=20, description="a whole number from 0 to 20")]
+Members = Annotated[int, Meta(ge=2, le=20, description="a whole number from 2 to 20")]
 Day = Annotated[date, Meta(description="a date such as 2027-03-31")]
 
 
@@ -63,6 +64,14 @@ class ConditionTable(Struct, forbid_unknown_fields=True):
     policy: Text
     setting: AnyTable = {}
     reasons: Truth | None = None
+
+
+class GroupTable(Struct, forbid_unknown_fields=True, frozen=True):
+    """The table `group`."""
+
+    size: Members
+    wait: Minutes = 5.0
+    then: Text = "end"
 
 
 class PopulationTable(Struct, forbid_unknown_fields=True, frozen=True):
@@ -86,7 +95,7 @@ class FileTable(Struct, forbid_unknown_fields=True):
     design: Text = BETWEEN
     reference: Text | None = None
     participants: Whole | None = None
-    simulated: Mates = 2
+    simulated: Mates | None = None
     again: Truth = True
     reasons: Truth = False
     replace: Truth = False
@@ -100,6 +109,7 @@ class FileTable(Struct, forbid_unknown_fields=True):
     seed: Seed = 0
     setting: AnyTable = {}
     population: PopulationTable = PopulationTable()
+    group: GroupTable | None = None
     questionnaires: list[QuestionnaireTable] = []
 
 
@@ -128,13 +138,33 @@ class Condition:
 
 
 @dataclass(frozen=True)
+class Grouping:
+    """How participants form groups that share one robot.
+
+    Attributes
+    ----------
+    size : int
+        Number of participants of a group.
+    wait : float
+        Minutes after which a participant no longer waits for the others.
+    then : str
+        What happens then: "start" with those who are waiting, or "end" the study for the participant.
+    """
+
+    size: int
+    wait: float
+    then: str
+
+
+@dataclass(frozen=True)
 class Stage:
     """A stage of the procedure.
 
     Attributes
     ----------
     name : str
-        Name in results: "consent", "instructions", "practice", "task ...", "questionnaire ...", "thanks".
+        Name in results: "consent", "instructions", "practice", "waiting", "task ...", "questionnaire ...",
+        "thanks".
     kind : str
         The first word of the name.
     what : str
@@ -197,6 +227,8 @@ class UserStudy:
     texts : dict of str
         Consent, instructions and thanks, in Markdown.
     questionnaires : tuple of Questionnaire
+    group : Grouping or None
+        How participants form groups that share a robot; None if each has a team of their own.
     """
 
     file: Path
@@ -223,6 +255,7 @@ class UserStudy:
     population: Population | Mixture
     texts: dict[str, str]
     questionnaires: tuple[Questionnaire, ...]
+    group: Grouping | None = None
 
     @cached_property
     def stages(self) -> tuple[Stage, ...]:
@@ -240,6 +273,7 @@ class UserStudy:
 
         return (
             Stage("consent", "consent"), Stage("instructions", "instructions"), *singles(BEFORE), *practice,
+            *([] if self.group is None else [Stage("waiting", "waiting")]),
             *(
                 Stage(f"{kind} {what}" + f" {period}" * self.is_within, kind, what, period)
                 for period in range(1, self.periods + 1)
@@ -361,19 +395,36 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         )
         for number, own in enumerate(table.conditions, start=1)
     )  # fmt: skip
+    group = _group(file, table)
+    simulated = table.simulated if table.simulated is not None else 2 if group is None else 0
     if not 0 < table.tick <= 86_400:
         raise fault(file, "tick", f"{table.tick:g}; expected a number of seconds above 0")
     return UserStudy(
         file, hashlib.sha256(file.read_bytes()).hexdigest()[:32], table.title or file.stem, table.seed,
         tuple(zip(stems, tasks, strict=True)),
         None if table.practice is None else found("practice", table.practice),
-conditions, table.design, reference,
-        table.participants,
-        table.simulated, table.again, table.replace, table.away, table.minutes, table.tick, table.code,
+        conditions, table.design, reference, table.participants,
+        simulated, table.again, table.replace, table.away, table.minutes, table.tick, table.code,
         table.withdraw_until, table.exclude_failed_checks, _confirmatory(file, table, questionnaires),
         setting, _population(file, table.population),
-        {"consent": table.consent, "instructions": table.instructions, "thanks": table.thanks}, questionnaires,
+        {"consent": table.consent, "instructions": table.instructions, "thanks": table.thanks}, questionnaires, group,
     )  # fmt: skip
+
+
+def _group(file: Path, table: FileTable) -> Grouping | None:
+    """Return how participants form groups; None if each has a team of their own."""
+    if table.group is None:
+        return None
+    size, then = table.group.size, table.group.then
+    if then not in ("start", "end"):
+        raise fault(file, "group.then", f"'{then}'; {meant(then, ('start', 'end'))}")
+    if table.design != BETWEEN:
+        raise fault(file, "design", f"'{table.design}'; expected '{BETWEEN}' in a study with groups")
+    if table.simulated:
+        raise fault(file, "simulated", f"{table.simulated}; expected 0 in a study with groups")
+    if table.participants is not None and table.participants % size:
+        raise fault(file, "participants", f"{table.participants}; expected a multiple of {size}, the size of a group")
+    return Grouping(size, table.group.wait, then)
 
 
 def _confirmatory(file: Path, table: FileTable, questionnaires: tuple[Questionnaire, ...]) -> tuple[str, ...]:

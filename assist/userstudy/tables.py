@@ -17,6 +17,7 @@ from planner.system.errors import DamagedFileError
 
 from ..live.events import ERASED, VACANT
 from ..live.store import stored
+from .participant_team import own_action
 from .plan import Stage, UserStudy
 from .questionnaires import CHOICES
 from .session import FORMAT
@@ -30,12 +31,13 @@ COLUMNS: dict[str, dict[str, str]] = {
         "arrived": "time of arrival, UTC",
         "consented": "time of consent, UTC; empty before",
         "status": "done; here: taking part; gone: disconnected for too long; withdrew: no other table has their data; "
-        "declined: no consent; full: the study was full on return",
+        "declined: no consent; unmatched: no group was found in time; full: the study was full on return",
         "stage": "the last stage that the participant reached",
         "condition": "assigned when the first task begins, empty before; in a within-participants design, the order",
         "completion_code": "code shown at the end",
         "failed_checks": "attention checks that were answered wrongly",
         "excluded": "why the participant is excluded from the report; empty otherwise",
+        "group": "the group that shared a robot; empty before it began, and in studies without groups",
     },
     "tasks": {
         "participant": "code of a participant",
@@ -83,7 +85,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "time": "seconds since the study began, without interruptions of the service",
         "utc": "time of the event, UTC",
         "event": "visited; onward: proceeded to the next stage; withdrew; left: disconnected; returned; expired: the "
-        "task's time limit was reached",
+        "time limit of the task or of waiting was reached",
         "stage": "the stage at the event",
     },
 }
@@ -181,15 +183,39 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     current: dict[str, Row] = {}
     began: dict[str, float] = {}
     steps: dict[str, int] = {}
+
+    def enters(code: str, stage: Stage, time: float) -> None:
+        current.pop(code, None)
+        steps[code], began[code], people[code]["stage"] = 0, time, stage.name
+        if stage.kind == "task":
+            current[code] = _where(study, people[code], stage) | {
+                "task": stage.what, "position": [name for name, _ in study.tasks].index(stage.what) + 1,
+                "finished": False, "actions": 0, "optimal_cost": None, "suboptimal_actions": 0, "suggestions": 0,
+                "followed": 0, "seconds": None,
+            }  # fmt: skip
+            found.tasks.append(current[code])
+
+    def begins(record: Mapping[str, Any], utc: str | None) -> None:
+        for code in record["members"]:
+            people[code] |= {"condition": record["condition"], "group": record["group"]}
+            at[code] = study.next_stage(at[code], record["condition"])
+            enters(code, stages[at[code]], record["time"])
+            found.events.append({
+                "participant": code, "time": record["time"], "utc": utc, "event": "onward",
+                "stage": people[code]["stage"],
+            })  # fmt: skip
+
     for utc, record in records:
         code, event = record.get("person"), record["event"]
+        if "members" in record and code is None:
+            begins(record, utc)
         if code is None:  # the records were erased
             continue
         if event in ("visited", VACANT):
             people[code] = {
                 "participant": code, "simulated": bool(record.get("simulated")), "arrived": record.get("at"),
                 "consented": None, "status": "here", "stage": stages[0].name,
-                "condition": None, "completion_code": None, "failed_checks": 0, "excluded": None,
+                "condition": None, "group": None, "completion_code": None, "failed_checks": 0, "excluded": None,
             }  # fmt: skip
             at[code] = 0
         person, stage = people[code], stages[at[code]]
@@ -208,20 +234,12 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             rows = list(_answers(study, stage, record.get("answers", {})))
             found.answers += [where | row for row in rows]
             person["failed_checks"] += sum(row["passed"] is False for row in rows)
-            person["condition"] = record.get("condition", person["condition"])
+            if "members" not in record:
+                person["condition"] = record.get("condition", person["condition"])
             person["consented"] = record["at"] if stage.kind == "consent" and "at" in record else person["consented"]
             at[code] = study.next_stage(at[code], person["condition"])
             stage = stages[at[code]]
-            person["stage"] = stage.name
-            current.pop(code, None)
-            steps[code], began[code] = 0, record["time"]
-            if stage.kind == "task":
-                current[code] = _where(study, person, stage) | {
-                    "task": stage.what, "position": [name for name, _ in study.tasks].index(stage.what) + 1,
-                    "finished": False, "actions": 0, "optimal_cost": None, "suboptimal_actions": 0, "suggestions": 0,
-                    "followed": 0, "seconds": None,
-                }  # fmt: skip
-                found.tasks.append(current[code])
+            enters(code, stage, record["time"])
             if stage.kind == "thanks":
                 person["status"], person["completion_code"] = "done", record["completion"]
         elif event == "acted":
@@ -230,6 +248,10 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             found.actions.append(row)
             if code in current:
                 _count(current[code], row, record["seen"]["finished"], record["time"] - began[code])
+        elif event == "expired" and "completion" in record:  # no group in time
+            person["completion_code"] = record["completion"]
+        if "members" in record:
+            begins(record, utc)
     withdrawn = {code for code, person in people.items() if person["status"] == "withdrew"}
     most = study.exclude_failed_checks
     for person in people.values():
@@ -264,7 +286,7 @@ def _answers(study: UserStudy, stage: Stage, answers: Mapping[str, Any]) -> Iter
 
 
 def _action(stage: Stage, record: Mapping[str, Any], step: int) -> Row:
-    own, seen = record["team"][0], record["seen"]
+    own, seen = own_action(record["team"], record["person"]), record["seen"]
     followed = None if seen["suggestion"] is None else own["action"].strip().lower() == seen["suggestion"].lower()
     return {
         "task": stage.what, "step": step, "time": record["time"], "action": own["action"],

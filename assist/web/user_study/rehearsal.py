@@ -61,7 +61,10 @@ class SimulatedParticipant:
         """Take part in the whole study."""
         watched = self._client.watch()
         seen = next(watched)
-        while seen["study"]["kind"] not in ("thanks", "withdrew", "declined"):
+        while seen["study"]["kind"] not in ("thanks", "withdrew", "declined", "unmatched"):
+            if seen["study"]["kind"] == "waiting":
+                seen = next(watched)
+                continue
             answer = self._step(seen)
             while seen["seq"] < answer["seq"]:  # as a page does, wait for the view that follows the answer
                 seen = next(watched)
@@ -171,5 +174,7 @@ def rehearse(
                 if not stays:
                     places.release()
 
-    with ThreadPoolExecutor(at_once) as threads:
+    group = service.study.group
+    # The members of a group take part at the same time.
+    with ThreadPoolExecutor(at_once if group is None else max(at_once, group.size)) as threads:
         list(threads.map(part, range(len(order))))

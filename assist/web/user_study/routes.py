@@ -102,6 +102,13 @@ class Onward(Once):
     )
 
 
+class Waiting(BaseModel):
+    """How many participants wait for a group, and how many a group has."""
+
+    here: int
+    of: int
+
+
 class Progress(BaseModel):
     """A participant's progress: the present task or questionnaire (`what`), with its questions in their order.
 
@@ -116,6 +123,7 @@ class Progress(BaseModel):
     over: bool
     completion: str | None
     items: list[str]
+    waiting: Waiting | None = Field(None, description="While the participant waits for a group.")
 
 
 class Participant(Person):

@@ -11,7 +11,7 @@ from urllib.parse import urlencode
 
 from ...live.events import AbsentError, Event
 from ...live.live_task import InapplicableError
-from ...userstudy.cohort import HERE, LETTERS, Cohort, FullError, StudyEvent
+from ...userstudy.cohort import HERE, LETTERS, WAITING, Cohort, FullError, StudyEvent
 from ...userstudy.session import StudySession
 from ..service import Service, Watcher
 from ..tokens import VISITOR, AccessTokens, secret_in
@@ -201,18 +201,27 @@ class StudyService(Service):
     def _due(self, cohort: Cohort) -> list[Event]:
         now, session_now, study = self._loop.time(), self.session.now(), self.study
         found: list[Event] = []
+        idle: set[str | None] = set()  # groups whose robot decides again, once for all members
         for code, person in list(cohort.participants.items()):
             if person.status != HERE:
                 continue
             stage = cohort.stages[person.at]
             away = 0.0 if self.connected(code) else now - self._away.setdefault(code, now)
-            if away > 60 * study.away:
+            # Who waits for a group has to be there when it begins; half a minute suffices for a reload.
+            if away > 60 * (min(study.away, 0.5) if stage.kind == WAITING else study.away):
                 found.append(Event("left", code))
+            elif study.group is not None and stage.kind == WAITING:
+                if session_now - person.entered > 60 * study.group.wait:
+                    found.append(Event("expired", code))
             elif stage.kind == "task":
                 late = study.minutes is not None and session_now - person.entered > 60 * study.minutes
                 if late and not person.expired:
                     found.append(Event("expired", code))
-                elif self.ticks and session_now - person.acted > study.tick and self.connected(code):
+                elif (
+                    self.ticks and session_now - person.acted > study.tick and self.connected(code)
+                    and (person.group is None or not (person.group in idle or cohort.is_over(person)))
+                ):  # fmt: skip
+                    idle.add(person.group)
                     found.append(Event("elapsed", code))
         return found
 
@@ -227,13 +236,13 @@ class StudyService(Service):
         now, study = self.session.now(), self.study
         people = []
         for code, person in cohort.participants.items():
-            tasks = person.at_tasks()
+            tasks = [] if person.erased else person.at_tasks()
             people.append({
                 "code": code, "status": person.status, "stage": cohort.stages[person.at].name,
                 "number": person.at + 1, "condition": person.condition, "connected": self.connected(code),
                 "seconds": round(now - person.entered) if person.status == HERE else None,
-                "steps": tasks[-1].seen()["steps"] if tasks else None, "simulated": person.simulated,
-                "erased": person.erased, "excluded": person.excluded,
+                "steps": tasks[-1].seen(code)["steps"] if tasks else None, "simulated": person.simulated,
+                "erased": person.erased, "excluded": person.excluded, "group": person.group,
             })  # fmt: skip
         counts, policies = cohort.counts(), {one.name: one.policy for one in study.conditions}
         return {

@@ -4,8 +4,8 @@ import { Refused, ask, askJson } from "../../pages/connection.js";
 
 const at = (id) => document.getElementById(id);
 const BETWEEN = 2000; // milliseconds between two updates
-const LEFT = ["gone", "withdrew", "declined", "full"];
-const STATES = { done: "completed", gone: "dropped out", withdrew: "withdrew", declined: "no consent", full: "study full" };
+const LEFT = ["gone", "withdrew", "declined", "full", "unmatched"];
+const STATES = { done: "completed", gone: "dropped out", withdrew: "withdrew", declined: "no consent", full: "study full", unmatched: "no group" };
 
 const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 
@@ -96,7 +96,7 @@ function show(study) {
     const state = STATES[one.status] ?? (one.connected ? "connected" : "not connected");
     return row([
       cell(one.code + (one.simulated ? " (simulated)" : "")), cell(state), cell(one.stage),
-      cell(one.seconds === null ? "" : clock(one.seconds), "count"), cell(one.condition), cell(one.steps, "count"),
+      cell(one.seconds === null ? "" : clock(one.seconds), "count"), cell(one.group === null ? one.condition : `${one.condition} (${one.group})`), cell(one.steps, "count"),
       cells(one.status === "here" ? [remover(one.code)] : [], one.erased ? [] : [eraser(one.code)]),
     ], one.status === "here" ? "" : "over");
   }));

@@ -107,6 +107,10 @@ const STAGES = {
   consent: () => text("Taking part", "consent", ["I agree and take part", null], ["I do not agree", () => send("withdraw", {})]),
   instructions: () => text("What you will do", "instructions", ["Continue", null]),
   questionnaire,
+  waiting: () => plain("Waiting for your group", "The task begins by itself when all are here. Please keep this page open."),
+  unmatched: (study) => {
+    plain("There is no group for you", "Not enough people came in time. Thank you for waiting.", `Your completion code: ${study.completion}`, "You can close this page.");
+  },
   thanks: ends,
   declined: () => plain("You chose not to take part", "Nothing more is recorded about you. You can close this page."),
   withdrew: () => plain("You have left the study", "Thank you for your time. You can close this page."),
@@ -130,7 +134,7 @@ function show() {
   if (view === null || form === null) return;
   const { study } = view;
   const leaves = new URLSearchParams(location.search).has("leave");
-  const under = !["thanks", "declined", "withdrew", "gone", "full"].includes(study.kind);
+  const under = !["thanks", "declined", "withdrew", "gone", "full", "unmatched"].includes(study.kind);
   if (TASKS.includes(study.kind) && !leaves) {
     location.replace(pageOf("join"));
     return;
@@ -146,6 +150,11 @@ function show() {
   at("stay").textContent = ended ? "Keep my data in the study" : "Stay";
   at("leaving").hidden = !(leaves && (under || ended));
   at("stage").hidden = leaves && (under || ended);
+  if (study.waiting) {
+    at("said").textContent = at("progress-word").textContent = `${study.waiting.here} of ${study.waiting.of} are here`;
+    at("progress").max = study.waiting.of;
+    at("progress").value = study.waiting.here;
+  }
   for (const button of document.querySelectorAll("main .buttons button")) button.disabled = outbox.busy;
   if (shown === key(study) && !(leaves && under)) return;
   const first = shown === null;

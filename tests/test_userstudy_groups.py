@@ -1,0 +1,270 @@
+"""User studies in which several participants share one robot: they wait for each other, and are analysed as groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import KITTING
+from scipy import stats
+from serving import served
+from test_live_pages import CHROMIUM, chromium, violations
+from userstudies import PLAN, Part, written
+
+from assist.live.live_task import InapplicableError
+from assist.reports.userstudy_report import _sections
+from assist.reports.userstudy_summary import measures, summarise
+from assist.userstudy.plan import read
+from assist.userstudy.session import JOURNAL, StudySession
+from assist.userstudy.tables import tables
+from planner import Table
+from planner.system.errors import InputFileError
+
+__all__ = ["chromium"]
+GROUPS = (
+    PLAN.replace("simulated = 2\n", "")
+    .replace("[setting]", "[group]\nsize = 3\nwait = 5\n\n[setting]")
+    .replace('name = "none"\npolicy = "none"', 'name = "none"\npolicy = "attention"')
+)
+EAGER = GROUPS.replace("wait = 5", 'wait = 5\nthen = "start"')
+Open = Callable[..., StudySession]
+
+
+@pytest.fixture
+def opened(tiny: Table, tmp_path: Path) -> Iterator[Open]:
+    held: list[StudySession] = []
+
+    def open_it(text: str = GROUPS) -> StudySession:
+        study = read(written(tmp_path / "study.toml", text))
+        held.append(StudySession(study, {"tiny": tiny, "practice": tiny}, tmp_path / "data"))
+        return held[-1]
+
+    yield open_it
+    for session in held:
+        session.close()
+
+
+def waiting(session: StudySession, *names: str) -> list[Part]:
+    """Return participants who have come to the waiting page, or whose group began when they came."""
+    parts = [Part(session, name) for name in names]
+    for part in parts:
+        part.come()
+        part.to("practice")
+        part.finish()
+        part.onward()
+    return parts
+
+
+def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> None:
+    session = opened()
+    ann, bob = waiting(session, "ann", "bob")
+    assert session.person("ann")["study"]["waiting"] == {"here": 2, "of": 3}
+    assert session.person("ann")["seq"] == session.person("bob")["seq"]  # the page shows who came
+    with pytest.raises(InapplicableError, match="the task begins when the group is complete"):
+        ann.onward()
+    bob.report("left")
+    assert session.person("ann")["study"]["waiting"] == {"here": 1, "of": 3}
+    changed: set[str] = set()
+    session.changed = changed.update
+    (cyd,) = waiting(session, "cyd")
+    assert ann.stage == "waiting"
+    changed.clear()
+    bob.report("returned")
+    assert {part.stage for part in (ann, bob, cyd)} == {"task tiny"}
+    assert changed == {"ann", "bob", "cyd"}
+    who = session.cohort.participants
+    assert len({who[name].condition for name in who}) == 1
+    assert session.cohort.counts()[who["ann"].condition or ""] == 1  # a group, not three people
+    told = set()
+    for _ in range(3):
+        for part in (ann, bob, cyd):
+            part.errs()
+            asked = [name for name in who if session.person(name)["suggestion"] is not None]
+            told |= set(asked)
+    assert told == {"ann", "bob", "cyd"}  # the robot attends to one after the other
+    (group,) = session.cohort.groups.values()
+    assert {advice.person for advice in group.team.course.advices} <= {"ann", "bob", "cyd", None}
+    assert all(session.person(name)["steps"] == 3 for name in who)
+
+
+@pytest.mark.parametrize("goes", ["left", "withdrew", "expired"])
+def test_a_member_who_leaves_does_not_stop_the_others(opened: Open, goes: str) -> None:
+    session = opened()
+    ann, bob, cyd = waiting(session, "ann", "bob", "cyd")
+    bob.errs()
+    bob.report(goes)
+    for part in (ann, cyd):
+        for _ in range(2):
+            part.errs()
+            assert session.cohort.groups["G1"].team.course.advices[0].person in (ann.name, cyd.name, None)
+        part.finish()
+    views = {part.name: session.person(part.name) for part in (ann, bob, cyd)}
+    session.close()
+    again = opened()
+    assert {name: again.person(name) for name in views} == views
+    bob, ann = Part(again, "bob"), Part(again, "ann")
+    if goes == "left":
+        bob.report("returned")
+        assert again.person("bob")["steps"] == 1
+        bob.finish()
+    if goes != "withdrew":
+        bob.to("thanks")
+    ann.to("thanks")
+    found = tables(again.study, again.folder / JOURNAL)
+    assert {row["group"] for row in found.participants} == {"G1"}
+    assert {row["participant"]: row["finished"] for row in found.tasks}["ann"]
+
+
+def test_nobody_comes_in_time(opened: Open) -> None:
+    session = opened()
+    (ann,) = waiting(session, "ann")
+    ann.report("expired")
+    seen = session.person("ann")["study"]
+    assert (seen["kind"], len(seen["completion"])) == ("unmatched", 8)
+    bob, cyd = waiting(session, "bob", "cyd")
+    assert bob.stage == cyd.stage == "waiting"  # ann no longer counts
+    found = tables(session.study, session.folder / JOURNAL)
+    (row,) = (row for row in found.participants if row["participant"] == "ann")
+    assert (row["status"], row["group"], row["completion_code"]) == ("unmatched", None, seen["completion"])
+    ann.report("withdrew")
+    assert ann.kind == "withdrew"
+
+
+def test_after_the_time_a_smaller_group_may_start(opened: Open) -> None:
+    session = opened(EAGER)
+    ann, bob = waiting(session, "ann", "bob")
+    ann.report("expired")
+    assert ann.stage == bob.stage == "task tiny"
+    assert not session.person("ann")["study"]["over"]
+    for part in (ann, bob):
+        part.to("thanks")
+    (cyd,) = waiting(session, "cyd")
+    assert cyd.stage == "waiting"
+    before = {name: session.person(name) for name in ("ann", "bob", "cyd")}
+    session.close()
+    again = opened(EAGER)
+    assert {name: again.person(name) for name in before} == before
+    found = summarise(again.study, tables(again.study, again.folder / JOURNAL))
+    assert found["groups"] == {"size": 3, "began": 1, "smaller": 1, "unmatched": 0}
+
+
+@pytest.mark.parametrize("erased", ["ann", "cyd"])  # the first to come; and the last, whose event began the group
+def test_a_member_is_erased_and_the_others_are_as_before(opened: Open, erased: str) -> None:
+    session = opened()
+    parts = waiting(session, "ann", "bob", "cyd")
+    for _ in range(3):
+        for part in parts:
+            part.errs()
+    stay = [part for part in parts if part.name != erased]
+    stay[0].finish()
+    Part(session, erased).report("withdrew")  # after this, erasing changes no view
+    views = {part.name: session.person(part.name) for part in stay}
+    beliefs = session.cohort.beliefs()
+    session.erase(erased, "asked for it")
+    assert {part.name: session.person(part.name) for part in stay} == views
+    assert {name: session.cohort.beliefs()[name] for name in views} == {name: beliefs[name] for name in views}
+    session.close()
+    again = opened()
+    assert {part.name: again.person(part.name) for part in stay} == views
+    assert not any(erased.encode() in file.read_bytes() for file in again.folder.glob("journal*"))
+    Part(again, stay[1].name).finish()
+    found = tables(again.study, again.folder / JOURNAL)
+    assert {row["participant"] for row in found.tasks} == {part.name for part in stay}
+    assert sorted(row["group"] for row in found.participants) == ["G1"] * 3
+
+
+def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
+    session = opened(GROUPS.replace("size = 3", "size = 2"))
+    for number in range(6):
+        pair = waiting(session, f"a{number}", f"b{number}")
+        for _ in range(number + 1):
+            pair[0].errs()
+        for part in pair:
+            part.to("thanks")
+    study, found = session.study, tables(session.study, session.folder / JOURNAL)
+    actions = {row["participant"]: row["actions"] for row in found.tasks}
+    (measure,) = (one for one in measures(study, found) if one.name == "actions")
+    who = session.cohort.participants
+    for number in range(6):
+        own = measure.values[who[f"a{number}"].condition or ""]
+        assert own[who[f"a{number}"].group or ""] == (actions[f"a{number}"] + actions[f"b{number}"]) / 2
+    summary = summarise(study, found) | {"preregistration": None}
+    (row,) = (one for one in summary["measures"] if one["measure"] == "actions")
+    assert [cell["n"] for cell in row["cells"]] == [3, 3]
+    values = [list(own.values()) for own in measure.values.values()]
+    assert row["differences"][0]["p"] == pytest.approx(stats.ttest_ind(*values, equal_var=False).pvalue)
+    text = "\n".join(_sections(study, summary, {}))
+    assert "**The unit of analysis is the group**" in text
+    assert "Groups: none 3, attention 3." in text
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "message"),
+    [
+        ("size = 3", "size = 1", "group.size: 1; expected a whole number from 2 to 20"),
+        ("wait = 5", 'then = "alone"', "group.then: 'alone'; expected"),
+        ("seed = 3", "seed = 3\nsimulated = 1", "simulated: 1; expected 0 in a study with groups"),
+        ("seed = 3", "seed = 3\nparticipants = 4", "participants: 4; expected a multiple of 3"),
+        ("seed = 3", 'seed = 3\ndesign = "within"', "design: 'within'; expected 'between' in a study with groups"),
+    ],
+)
+def test_a_group_that_cannot_be_is_refused(tmp_path: Path, right: str, wrong: str, message: str) -> None:
+    with pytest.raises(InputFileError) as refused:
+        read(written(tmp_path / "study.toml", GROUPS.replace(right, wrong, 1)))
+    assert message in str(refused.value)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+@pytest.mark.slow
+def test_three_people_in_three_browsers_share_one_robot(chromium: Any, tmp_path: Path) -> None:
+    text = GROUPS.replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("seed = 3", "seed = 3\ntick = 0.5")
+    faults: list[str] = []
+    with served("--study", written(tmp_path / "study.toml", text), "--data", tmp_path / "data", instance=None) as study:
+        contexts = [chromium.new_context(viewport={"width": 360, "height": 740}) for _ in range(3)]
+        pages = [context.new_page() for context in contexts]
+        for number, page in enumerate(pages, start=1):
+            page.set_default_timeout(60_000)
+            page.on("pageerror", lambda error: faults.append(str(error)))
+            page.goto(study.links["everybody"])
+            page.click("text=I agree and take part")
+            page.click('h2:text("What you will do") ~ form >> button')
+            if number < 3:
+                page.wait_for_selector('h2:text("Waiting for your group")')
+                page.wait_for_selector(f'#progress-word:text("{number} of 3 are here")')
+        pages[0].wait_for_selector('h1:text("Your task")')
+        told = set()
+        for round_ in range(30):
+            for number, page in enumerate(pages):
+                page.wait_for_selector("#actions button:not([disabled])")
+                if page.is_visible("#offer"):
+                    told.add(number)
+                steps = int(page.inner_text("#steps"))
+                page.locator("#actions button:not([disabled])").nth(round_ % 2).click()
+                page.wait_for_function(f"() => document.getElementById('steps').textContent === '{steps + 1}'")
+            if len(told) == 3:
+                break
+        assert told == {0, 1, 2}
+        pages[1].click('#leave:not([hidden]) a[href*="?leave"]')
+        pages[1].click("#leave-now")
+        pages[1].wait_for_selector('h2:text("You have left the study")')
+        steps = int(pages[2].inner_text("#steps"))
+        pages[2].locator("#actions button:not([disabled])").nth(0).click()
+        pages[2].wait_for_function(f"() => document.getElementById('steps').textContent === '{steps + 1}'")
+        pages[0].goto(study.operator)
+        pages[0].wait_for_selector('#people td:text("(G1)")')
+        assert pages[0].locator('#people td:text("(G1)")').count() == 3
+        late = contexts[1].new_page()
+        late.goto(study.links["everybody"])
+        late.click('button:text("Begin as the next participant")')
+        late.click("text=I agree and take part")
+        late.click('h2:text("What you will do") ~ form >> button')
+        late.wait_for_selector('#progress-word:text("1 of 3 are here")')
+        for dark in (True, False):
+            assert violations(late, dark=dark) == []
+        late.screenshot(path=str(tmp_path / "waiting.png"))
+    assert faults == []
+    for context in contexts:
+        context.close()
