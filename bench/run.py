@@ -57,6 +57,8 @@ CASES = {
     ),
     "trust": ("", "--fixed"),
     "ignored": ("", "--people 2"),
+    "unreliable returns": ("--episodes 100", "--instance kitting/tiny --episodes 10 --humans 1 --pool 1"),
+    "unreliable latency": ("--people 20", "--instance kitting/tiny --people 2 --actions 2 --policy attention"),
     "trust_study": ("--pools 2 --people 2", "--pools 2 --people 1 --instance kitting/tiny"),
     "trust_recovery coverage": (
         "--populations 4",

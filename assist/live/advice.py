@@ -179,6 +179,8 @@ class PersonState:
         Probability of each pair of beta and theta, or of each goal and pair if there are several goals.
     goals : mapping of str to float
         Probability of each goal, if the person pursues one of several.
+    states : mapping of int to float
+        Probability of each possible task state, if actions are uncertain; `state` is then the most probable one.
     """
 
     person: str
@@ -192,6 +194,7 @@ class PersonState:
     grid: Grid
     belief: Floats
     goals: Mapping[str, float] = field(default_factory=dict)
+    states: Mapping[int, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.belief.flags.writeable = False

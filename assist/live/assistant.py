@@ -37,16 +37,18 @@ from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..people.spread import Spread
 from ..person.belief_filter import update
+from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..team.action_check import check
 from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
-from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
+from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState, worth_of_actions
 from ..team.travel import Travel
 from .advice import Advice, PersonState, Reason
 from .decision_point import DecisionPoint
 from .live_task import InapplicableError, LiveTask, UnknownError, digest, population_of
 from .roster import Roster, RosterEntry, Step
+from .uncertain_actions import joint_after, seen_of
 
 FORMAT = "kitassist team 1"
 """Format identifier of saved teams."""
@@ -109,7 +111,6 @@ class Assistant:
         self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
         if robots is not None:
             self.setting = replace(self.setting, robots=robots)
-        self.setting.require_all_seen("a live team")
         if self.setting.execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy
@@ -227,7 +228,7 @@ class Assistant:
         if part.choices.goals is not None and part.choices.goal_count > 1:  # the next task has a goal of its own
             person_alone = belief.reshape(-1, *there.shape).sum(axis=0)
             belief[:] = np.concatenate([share * person_alone for share in part.choices.goals.values()])
-        record.problem, record.before, record.steps = problem, belief.copy(), []
+        record.problem, record.before, record.steps, record.joint = problem, belief.copy(), [], None
         self._team.put(record, part, row)
         self._advice = None
 
@@ -237,30 +238,51 @@ class Assistant:
             raise ValueError("there is no task; expected one for the team, or for each person")
         key = (id(task), population)
         if key not in self._problems:
-            self._problems[key] = LiveTask(task, self.setting, population)
+            self._problems[key] = made = LiveTask(task, self.setting, population)
+            if self.setting.observation is not None:
+                made.policy.require_enumerated("observation")
             if isinstance(self.policy, str):  # the team policy is then built again
                 self._made = None
         return self._problems[key]
 
     # Observations.
 
-    def observe(self, person: str, action: str, *, heard: bool = True) -> None:
-        """Record a person's action.
+    def observe(
+        self,
+        person: str,
+        action: str | None = None,
+        *,
+        heard: bool = True,
+        likelihoods: Mapping[str, float] | None = None,
+        missed: float | None = None,
+    ) -> None:
+        """Record a person's action: as it was seen, or what is known of it.
+
+        With an observation model in the setting, `action` is what was seen, right or wrong, and earlier actions may
+        have been missed. After uncertain actions, the belief is over task states, too (`assist.person.JointBelief`).
 
         Parameters
         ----------
         person : str
-        action : str
+        action : str, optional
             In PDDL notation, `(name argument ...)`, in any case.
         heard : bool
             Whether they had seen the open suggestion, if there is one.
+        likelihoods : mapping of str to float, optional
+            In place of `action`, the likelihood of what a sensor has seen under each action; 0 for others. Only their
+            ratios matter.
+        missed : float, optional
+            In place of `action`, the probability that the person has acted in this time step, and nothing was seen. The
+            suggestion stays open if it is below 1/2.
 
         Raises
         ------
+        ValueError
+            Not one of these is given, or the numbers are no likelihoods.
         UnknownError
             There is no such person, or no such action in their task.
         InapplicableError
-            It is not applicable now; the message says which actions are.
+            It is not applicable now, or in no probable state; the message says which actions are.
         LimitError
             The successor could not be evaluated. Nothing has changed after any of these errors.
         """
@@ -269,25 +291,42 @@ class Assistant:
         part, row = self._team.part(record)
         if self._team.stopped(record):
             raise InapplicableError(f"{person} has reached the goal; expected `begin` before another action")
-        slot = problem.slot(part, row, action)
-        to = problem.after(part, row, slot)
         robot = int(self._team.robot[k]) if heard else 0
-        named = part.choices.name(row, slot), part.policy.pomdp.suggestion(row, robot)
-        step = Step(problem.place(part, row), robot, slot, *named)
-        erred = self._believe(record, step)
+        suggestion, still = part.policy.pomdp.suggestion(row, robot), 0
+        seen = seen_of(problem, self.setting, action, likelihoods, missed)
+        if seen is None and not self._uncertain(record):
+            slot = problem.slot(part, row, action or "")
+            to = problem.after(part, row, slot)
+            step = Step(problem.place(part, row), robot, slot, part.choices.name(row, slot), suggestion)
+            erred = self._believe(record, step)
+        else:
+            if seen is not None and likelihoods is not None:
+                action = max(seen["likelihoods"], key=seen["likelihoods"].get)
+            elif action is not None:
+                action = problem.named(action)
+            step = Step(problem.place(part, row), robot, NOTHING, action, suggestion, seen)
+            erred = self._believe(record, step)
+            likeliest = self._team.joint(k).likeliest
+            if missed is not None and missed < 1 / 2:
+                still = int(same_suggestions(part.policy.pomdp, np.array([row]), np.array([likeliest]))[0, robot])
+            to = problem.at(likeliest)
         record.steps.append(step)
-        self._team.put(record, *to, erred=erred)
+        self._team.put(record, *to, erred=erred, robot=still)
         self._advice = None
 
-    def undo(self, person: str) -> str:
+    def _uncertain(self, record: RosterEntry) -> bool:
+        """Return whether the state of a person's task is uncertain."""
+        return record.joint is not None or self.setting.observation is not None
+
+    def undo(self, person: str) -> str | None:
         """Take back a person's last action, as if it had not been observed, and return it.
 
         The suggestion before it, if they had seen it, is open again. The robot stays where it is.
 
         Returns
         -------
-        str
-            The action.
+        str or None
+            The action; None if it was one that perhaps was missed.
 
         Raises
         ------
@@ -298,7 +337,7 @@ class Assistant:
         if not record.steps:
             raise InapplicableError(f"{person} has done nothing yet that could be taken back")
         last = record.steps.pop()
-        self._team.belief[record.place] = record.before
+        self._team.belief[record.place], record.joint = record.before, None
         erred = False
         for step in record.steps:
             erred = self._believe(record, step)
@@ -311,7 +350,11 @@ class Assistant:
         return bool(self._team.erred[self._team.known(person).place])
 
     def _believe(self, record: RosterEntry, step: Step) -> bool:
-        """Update the belief in a person by a step, and return whether it was not an optimal choice."""
+        """Update the belief in a person by a step, and return whether it was (probably) not an optimal choice."""
+        if step.seen is not None or self._uncertain(record):
+            record.joint = joint_after(record, self._team.belief[record.place], step, self.setting.observation)
+            self._team.belief[record.place] = record.joint.belief
+            return record.joint.erred > 1 / 2
         part, row = record.problem.at(step.place)
         belief, choices = self._team.belief[record.place], part.choices
         update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
@@ -508,11 +551,12 @@ class Assistant:
 
     def _reason(self, k: int, robot: int, moving: float) -> Reason:
         policy, belief = self._team.parts[self._team.model[k]].policy, self._team.belief[k]
-        q = policy.q_values(self._team.x[k : k + 1], belief[None])[0]
+        q = self._team.answers_about(worth_of_actions, int(self._team.model[k]), np.array([k]))[0]
         saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0])
         beta, theta = policy.pomdp.grid.spreads(belief)
         follow = self._follow(k, robot or 1 + int(q[1:].argmax()))
-        answered = [step for step in self._team.records[k].steps if step.suggestion is not None]
+        steps = self._team.records[k].steps
+        answered = [step for step in steps if step.suggestion is not None and step.action is not None]
         return Reason(
             saving, moving, saving - moving, beta.mean, (beta.low, beta.high), theta.mean, (theta.low, theta.high),
             len(answered), sum(step.suggestion == step.action for step in answered), follow.mean,
@@ -553,6 +597,7 @@ class Assistant:
             person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names,
             self._suggestion(record), self.cost_to_go(person), len(record.steps), part.policy.pomdp.grid,
             self._team.belief[k].copy(), self._goals(k),
+            {} if record.joint is None else record.joint.states(choices),
         )  # fmt: skip
 
     def cost_to_go(self, person: str) -> float:
@@ -585,7 +630,9 @@ class Assistant:
         rows = []
         for record in self._team.records:
             for number, (_, steps) in enumerate(record.episodes(), start=1):
-                for count, step in enumerate(steps):
+                known = [{**step} for step in steps if step["action"] is not None]
+                for count, step in enumerate(known):
+                    step.pop("likelihoods", None)
                     rows.append({"person": record.name, "episode": str(number), "step": count, **step})
         return rows
 
@@ -677,7 +724,8 @@ class Assistant:
                 record = self._team.by_name[one["person"]]
                 for step in episode["steps"]:
                     self._suggest(record, step["suggestion"])
-                    self.observe(record.name, step["action"])
+                    seen = {kind: step[kind] for kind in ("likelihoods", "missed") if kind in step}
+                    self.observe(record.name, None if seen else step["action"], **seen)
             self._suggest(record, one["suggestion"])
             self._team.present[record.place] = one["present"]
         one, advice = self.setting.robots == 1, saved["advice"]

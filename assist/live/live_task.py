@@ -25,7 +25,7 @@ from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.action_names import Matcher, UnmatchedError, words_of
 from ..people.arguments import require_goal
-from ..people.choices import Choices
+from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.goals import Goals
 from ..people.human import Population
 from ..people.memory import choices_of
@@ -148,6 +148,30 @@ class LiveTask:
         except UnmatchedError as error:
             kind = InapplicableError if self.matcher.unknown(words) is None else UnknownError
             raise kind(str(error)) from None
+
+    def ground(self, action: str) -> int:
+        """Return the number of a ground action of the task, applicable now or not; `WAIT` for waiting.
+
+        Raises
+        ------
+        UnknownError
+            The task has no such action.
+        """
+        try:
+            words = words_of(action)
+        except UnmatchedError as error:
+            raise UnknownError(str(error)) from None
+        if words == (STAND_STILL[1:-1],):
+            return WAIT
+        if words not in self.matcher.number:
+            raise UnknownError(
+                self.matcher.unknown(words) or f"{action}: expected all arguments of an uncertain action"
+            )
+        return self.matcher.number[words]
+
+    def named(self, action: str) -> str:
+        """Return an action of the task in PDDL notation; errors as in `ground`."""
+        return self.at(self.initial)[0].choices.action_name(self.ground(action))
 
     def robot(self, part: TaskPart, row: int, suggestion: str | None) -> int:
         """Return the robot action that suggests an action; 0 for None."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -12,28 +12,33 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
 from ..people.goals import goal_shares
+from ..person.joint_belief import JointBelief
+from ..team.hidden_states import expected_answers
 from ..team.state import Ask, by_model
 from .live_task import LiveTask, TaskPart, UnknownError
 
-Named = dict[str, str | None]
-"""An action and a suggestion, in PDDL notation."""
+Named = dict[str, Any]
+"""An action and a suggestion, in PDDL notation, and what was seen if the action is uncertain."""
 
 
 class Step(NamedTuple):
     """A person's action: where it was taken, the robot action before it, its slot, and both actions in PDDL notation.
 
-    `place` is a place of `LiveTask`. The suggestion is None if the robot action was none.
+    `place` is a place of `LiveTask`. The suggestion is None if the robot action was none. `seen` is what was seen if
+    the action is uncertain: `likelihoods`, or the probability `missed` that one was missed. The action is then the
+    likeliest one, or None.
     """
 
     place: int
     robot: int
     slot: int
-    action: str
+    action: str | None
     suggestion: str | None
+    seen: Mapping[str, Any] | None = None
 
     def named(self) -> Named:
-        """Return the action and the suggestion in PDDL notation."""
-        return {"action": self.action, "suggestion": self.suggestion}
+        """Return the action and the suggestion in PDDL notation, and what was seen if the action is uncertain."""
+        return {"action": self.action, "suggestion": self.suggestion, **(self.seen or {})}
 
 
 Numbers = dict[str | None, int]
@@ -53,10 +58,13 @@ class FinishedTasks:
         self._numbers = numbers
         self._problems: list[LiveTask] = []
         self._ends, self._done = array("q"), array("i")  # action and suggestion of each step alternate
+        self._seen: dict[int, Mapping[str, Any]] = {}  # what was seen, by the position of the action
 
     def add(self, problem: LiveTask, steps: list[Step]) -> None:
         """Append a task that was finished or left, with its steps."""
         for step in steps:
+            if step.seen is not None:
+                self._seen[len(self._done)] = step.seen
             for name in step.action, step.suggestion:
                 self._done.append(self._numbers.setdefault(name, len(self._numbers)))
         self._problems.append(problem)
@@ -69,7 +77,11 @@ class FinishedTasks:
             yield (
                 problem,
                 [
-                    {"action": names[self._done[at]], "suggestion": names[self._done[at + 1]]}
+                    {
+                        "action": names[self._done[at]],
+                        "suggestion": names[self._done[at + 1]],
+                        **self._seen.get(at, {}),
+                    }
                     for at in range(begin, end, 2)
                 ],
             )
@@ -80,7 +92,8 @@ class FinishedTasks:
 class RosterEntry:
     """A person's current task, the steps in it, and the belief about the person at its beginning.
 
-    `carried` is the belief with which the person joined, or None if it was the prior.
+    `carried` is the belief with which the person joined, or None if it was the prior. `joint` is the belief over task
+    states and types, or None if all actions of this task were certain.
     """
 
     name: str
@@ -90,6 +103,7 @@ class RosterEntry:
     past: FinishedTasks
     steps: list[Step] = field(default_factory=list)
     carried: Floats | None = None
+    joint: JointBelief | None = None
 
     def episodes(self) -> list[tuple[LiveTask, list[Named]]]:
         """Return all tasks of the person, with their steps."""
@@ -207,6 +221,10 @@ class Roster:
         self._people[self.model[k]] += 1
         rows = part.choices.of_goals(np.array([row]))[:, 0]
         reached = part.choices.goal[rows]
+        if record.joint is not None:
+            self.ended[k] = record.joint.finished(part.choices) > 1 / 2
+            self._change[k] += 1
+            return
         # With several goals, whether they have reached theirs is only more or less probable.
         self.ended[k] = reached[0] if len(rows) == 1 else goal_shares(self.belief[k], len(rows))[reached].sum() > 1 / 2
         self._change[k] += 1
@@ -214,6 +232,8 @@ class Roster:
     def stopped(self, record: RosterEntry) -> bool:
         """Return whether a person has certainly reached their goal, since every possible one is reached."""
         part, row = self.part(record)
+        if record.joint is not None:
+            return record.joint.finished(part.choices) > 1 - 1e-9
         return bool(part.choices.goal[part.choices.of_goals(np.array([row]))].all())
 
     def _numbered(self, part: TaskPart) -> int:
@@ -239,7 +259,7 @@ class Roster:
         kept = self._answers.setdefault(ask, _Answers(np.full((len(self), 1), -np.inf), np.full(len(self), -1)))
         rows = np.flatnonzero((kept.change != self._change) & active)
         for number, mine in by_model(self.model, rows, len(self.parts)):
-            values = ask(self.parts[number].policy, self.x[mine], self.belief[mine])
+            values = self.answers_about(ask, number, mine)
             wider = values.shape[1] - kept.values.shape[1]
             if wider > 0:
                 kept.values = np.pad(kept.values, ((0, 0), (0, wider)), constant_values=-np.inf)
@@ -247,6 +267,17 @@ class Roster:
             kept.values[mine, : values.shape[1]] = values
         kept.change[rows] = self._change[rows]
         return kept.values
+
+    def answers_about(self, ask: Ask, number: int, places: NDArray[np.int64]) -> Floats:
+        """Return the answers about people of one part, given by their places, shape (N, W)."""
+        policy, x = self.parts[number].policy, self.x[places]
+        if all(self.records[k].joint is None for k in places.tolist()):
+            return ask(policy, x, self.belief[places])
+        return expected_answers(ask, policy, x, [self.joint(k) for k in places.tolist()])
+
+    def joint(self, place: int) -> JointBelief:
+        """Return the belief over task states and types of the person at a place."""
+        return self.records[place].joint or JointBelief.at(int(self.x[place]), self.belief[place])
 
 
 def _distribution(name: str, belief: ArrayLike, shape: tuple[int, ...]) -> Floats:

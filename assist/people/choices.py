@@ -209,5 +209,8 @@ class Choices:
 
     def name(self, state: int, slot: int) -> str:
         """Return the ground action in a slot of a state, in PDDL notation."""
-        action = int(self.actions[state, slot])
+        return self.action_name(int(self.actions[state, slot]))
+
+    def action_name(self, action: int) -> str:
+        """Return a ground action in PDDL notation."""
         return STAND_STILL if action == WAIT else self.names[action]

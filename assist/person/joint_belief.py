@@ -6,6 +6,7 @@ each of them; improbable ones are left out, and their probability is reported.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -39,12 +40,15 @@ class JointBelief:
         Probability that the last action was not an optimal choice.
     pruned : float
         Sum of the probabilities that were left out so far.
+    evidence : float
+        Probability of what was seen last, before it was seen.
     """
 
     x: Ints
     joint: Floats
     erred: float = 0.0
     pruned: float = 0.0
+    evidence: float = 1.0
 
     @classmethod
     def at(cls, x: int, belief: Floats) -> JointBelief:
@@ -97,13 +101,57 @@ class JointBelief:
         x, joint, erred = _advance(
             self.x, self.joint, suggestion, *evidence, choices.actions, choices.optimal, m, works
         )
-        each = joint.sum(axis=(1, 2))
-        total = each.sum()
+        total = float(joint.sum())
         if not total > 0:
             raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
-        keep = each >= least * total
-        kept = each[keep].sum()
-        return JointBelief(x[keep], joint[keep] / kept, float(erred / total), self.pruned + float(1 - kept / total))
+        return JointBelief(x, joint / total, float(erred / total), self.pruned, total).without(least)
+
+    def after_some(
+        self, evidence: Evidence, suggestion: int, choices: Choices, m: ProblemArrays, *, miss: float,
+        least: float = 1e-6,
+    ) -> JointBelief:  # fmt: skip
+        """Return the belief after something was seen, before which the person may have acted unseen.
+
+        Each action is missed with probability `miss`, so that the number of unseen ones is geometric. The first action
+        answers the suggestion. Other arguments are as in `after`.
+
+        Raises
+        ------
+        ImpossibleObservationError
+            What was seen has probability zero.
+        """
+        before, share, found, total = self, 1.0, list[JointBelief](), 0.0
+        while share >= least:
+            with suppress(ImpossibleObservationError):
+                seen = before.after(evidence, suggestion, choices, m, least=least)
+                total += share * seen.evidence
+                found = [found[0].mixed(seen, share * seen.evidence / total)] if found else [seen]
+            before = before.after(Evidence.none(choices), suggestion, choices, m, least=least)
+            share, suggestion = share * miss, NOTHING
+        if not found:
+            raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
+        return replace(found[0].without(least), evidence=total * (1 - miss))
+
+    def without(self, least: float) -> JointBelief:
+        """Return the belief without states of a probability below `least`."""
+        keep = self.probability >= least
+        if keep.all():
+            return self
+        kept = self.probability[keep].sum()
+        return replace(self, x=self.x[keep], joint=self.joint[keep] / kept, pruned=self.pruned + float(1 - kept))
+
+    def states(self, choices: Choices) -> dict[int, float]:
+        """Return the probability of each possible task state."""
+        found: dict[int, float] = {}
+        for x, probability in zip(self.x.tolist(), self.probability.tolist(), strict=True):
+            state = choices.task_state(x)
+            found[state] = found.get(state, 0.0) + probability
+        return found
+
+    def finished(self, choices: Choices) -> float:
+        """Return the probability that the person has reached their goal."""
+        reached = choices.goal[choices.of_goals(self.x).T]
+        return float(self.joint.reshape(*reached.shape, -1).sum(axis=2)[reached].sum())
 
     def mixed(self, other: JointBelief, share: float) -> JointBelief:
         """Return the mixture of this belief and another one of weight `share`."""
@@ -112,19 +160,6 @@ class JointBelief:
         np.add.at(joint, row, np.concatenate([(1 - share) * self.joint, share * other.joint]))
         pruned = (1 - share) * self.pruned + share * other.pruned
         return JointBelief(x, joint, (1 - share) * self.erred + share * other.erred, pruned)
-
-    def known_at(self, x: int) -> JointBelief:
-        """Return the belief after it was learned in which state the person is.
-
-        Raises
-        ------
-        ImpossibleObservationError
-            The state is not among the probable ones.
-        """
-        at = np.flatnonzero(self.x == x)
-        if not len(at):
-            raise ImpossibleObservationError("the state is not among those that have been probable")
-        return replace(self, x=self.x[at], joint=self.joint[at] / self.probability[at[0]])
 
 
 def same_suggestions(pomdp: AssistPOMDP, of: Ints, there: Ints) -> Ints:

@@ -41,6 +41,13 @@ class Evidence(NamedTuple):
         """Return the evidence of a step in which nothing was seen."""
         return cls(np.ones(len(choices.names) + 1), unseen=True)
 
+    @classmethod
+    def of(cls, choices: Choices, likelihoods: Mapping[int, float]) -> Evidence:
+        """Return the evidence with a likelihood for each of some ground actions, and 0 for the others."""
+        each = np.zeros(len(choices.names) + 1)
+        each[list(likelihoods)] = list(likelihoods.values())
+        return cls(each)
+
 
 @dataclass(frozen=True)
 class ObservationModel:
@@ -99,9 +106,9 @@ class ObservationModel:
         if not isinstance(self.confusion, Mapping):
             return Evidence(np.empty(0), seen, self.confusion)
         likelihood, number_of = np.zeros(len(choices.names) + 1), _numbers(choices, self.confusion)
-        likelihood[seen] = 1 - _total(self.confusion.get(_name(choices, seen), {}))
+        likelihood[seen] = 1 - _total(self.confusion.get(choices.action_name(seen), {}))
         for action, row in self.confusion.items():
-            likelihood[number_of[action]] += row.get(_name(choices, seen), 0.0)
+            likelihood[number_of[action]] += row.get(choices.action_name(seen), 0.0)
         return Evidence(likelihood)
 
     def draw(self, choices: Choices, x: int, slot: int, uniform: Sequence[float] | Floats) -> int | None:
@@ -119,7 +126,7 @@ class ObservationModel:
             return None
         action, remaining = int(choices.actions[x, slot]), uniform[1]
         if isinstance(self.confusion, Mapping):
-            for seen, p in self.confusion.get(_name(choices, action), {}).items():
+            for seen, p in self.confusion.get(choices.action_name(action), {}).items():
                 if remaining < p:
                     return _numbers(choices, self.confusion)[seen]
                 remaining -= p
@@ -129,10 +136,6 @@ class ObservationModel:
             return action
         other = min(int(remaining / self.confusion * others), others - 1)
         return int(choices.actions[x, other + (other >= slot)])
-
-
-def _name(choices: Choices, action: int) -> str:
-    return STAND_STILL if action == WAIT else choices.names[action]
 
 
 def _numbers(choices: Choices, table: Table) -> dict[str, int]:

@@ -1,0 +1,129 @@
+"""Live people whose actions are seen with some doubt."""
+
+from __future__ import annotations
+
+import json
+from itertools import product
+
+import numpy as np
+import pytest
+from conftest import kit
+from test_unreliable_observations import by_enumeration, problem
+
+from assist.live import Assistant, InapplicableError
+from assist.person import QMDP, ObservationModel, qmdp
+from assist.team import Setting
+
+FETCH, OTHER = "(fetch box-a)", "(fetch box-b)"
+SURE = Setting(c_suggest=0.05, suggestions="all")
+NOISY = Setting(c_suggest=0.05, observation=ObservationModel(0.05, 0.1))
+
+
+def desk(setting: Setting = NOISY, policy: str = "priority") -> Assistant:
+    return Assistant(kit("paper-fixed"), ["ann"], setting=setting, policy=policy)
+
+
+def walk(team: Assistant, seed: int, steps: int) -> None:
+    """Let a person take some actions that are applicable in the most probable state."""
+    rng = np.random.default_rng(seed)
+    for _ in range(steps):
+        team.recommend()
+        team.observe("ann", str(rng.choice(team.person("ann").applicable)))
+
+
+def test_a_certain_likelihood_is_an_action() -> None:
+    plain, given = desk(SURE), desk(SURE)
+    rng = np.random.default_rng(2)
+    for _ in range(6):
+        assert plain.recommend() == given.recommend() or plain.recommend().suggestion == given.recommend().suggestion
+        action = str(rng.choice(plain.person("ann").applicable))
+        plain.observe("ann", action)
+        given.observe("ann", likelihoods={action.upper(): 3.0})
+        one, other = plain.person("ann"), given.person("ann")
+        assert (one.state, one.applicable, one.steps) == (other.state, other.applicable, other.steps)
+        np.testing.assert_allclose(other.belief, one.belief, rtol=0, atol=1e-12)
+    assert [row["action"] for row in plain.log()] == [row["action"] for row in given.log()]
+
+
+def test_actions_that_were_missed_before_one_that_was_seen_are_enumerated() -> None:
+    """Two actions are seen; before each, up to three may have been missed. More have a probability of 1e-5."""
+    policy: QMDP = qmdp(problem(several=False))
+    model = NOISY.observation
+    assert model is not None
+    team = Assistant(policy, ["ann"], setting=NOISY, policy="none")
+    seen = [policy.pomdp.model.choices.name(policy.pomdp.model.choices.initial, 0)]
+    team.observe("ann", seen[0])
+    seen.append(team.person("ann").applicable[-1])
+    team.observe("ann", seen[1])
+    unseen, total = (model, None, None), np.zeros(1)
+    for counts in product(range(4), repeat=2):
+        first, second = ([unseen] * count for count in counts)
+        steps = [*first, (model, None, seen[0]), *second, (model, None, seen[1])]
+        total = total + by_enumeration(policy.pomdp, steps, works=False)
+    np.testing.assert_allclose(team.person("ann").belief, total.sum(axis=(0, 1)) / total.sum(), rtol=0, atol=1e-4)
+    assert team.person("ann").state == total.sum(axis=(1, 2, 3)).argmax()
+
+
+@pytest.mark.parametrize("policy", ["reactive", "attention", "priority"])
+def test_a_wrong_observation_is_survived_taken_back_and_saved(policy: str) -> None:
+    team = desk(policy=policy)
+    walk(team, 1, 3)
+    before = team.person("ann")
+    team.observe("ann", before.applicable[0])
+    assert team.undo("ann") == before.applicable[0]
+    np.testing.assert_array_equal(team.person("ann").belief, before.belief)
+    team.observe("ann", likelihoods=dict.fromkeys(before.applicable, 1.0))
+    team.recommend()
+    team.observe("ann", missed=0.3)
+    walk(team, 4, 3)
+    team.begin("ann")
+    walk(team, 5, 2)
+    again = Assistant.from_json(team.to_json(), kit("paper-fixed"))
+    np.testing.assert_array_equal(again.person("ann").belief, team.person("ann").belief)
+    assert again.person("ann").state == team.person("ann").state
+    assert again.recommend() == team.recommend()
+    assert len(team.log()) == 3 + 1 + 3 + 2  # an action that perhaps was missed is in no log
+    assert json.loads(again.to_json()) == json.loads(team.to_json())
+
+
+def test_a_suggestion_stays_open_while_nothing_was_probably_missed() -> None:
+    team = desk(policy="attention")
+    while team.recommend().suggestion is None:
+        walk(team, 3, 1)
+    said = team.person("ann").suggestion
+    team.observe("ann", missed=0.1)
+    assert team.person("ann").suggestion == said
+    team.observe("ann", missed=0.9)
+    assert team.person("ann").suggestion is None
+    assert team.undo("ann") is None
+
+
+def test_people_who_have_probably_finished_get_no_advice() -> None:
+    team = desk()
+    for action in kit("paper-fixed").optimal_plan():
+        assert not team.finished
+        team.observe("ann", action)
+    assert team.finished
+    assert team.recommend().person is None
+
+
+def test_what_is_no_observation_is_refused_and_changes_nothing() -> None:
+    team = desk()
+    before = team.to_json()
+    for wrong, message in (
+        ({}, "expected an action, its likelihoods, or the probability"),
+        ({"action": FETCH, "missed": 0.1}, "expected an action, its likelihoods, or the probability"),
+        ({"missed": 2.0}, "missed 2: expected a probability"),
+        ({"likelihoods": {FETCH: -1.0}}, "likelihoods: expected finite numbers"),
+        ({"likelihoods": {}}, "likelihoods: expected finite numbers"),
+        ({"action": "(fly away)"}, "fly"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            team.observe("ann", **wrong)  # type: ignore[arg-type]
+    certain = desk(SURE)
+    certain.observe("ann", likelihoods={FETCH: 1.0})
+    with pytest.raises(InapplicableError, match="in no probable state of ann; in the most probable one there are: "):
+        certain.observe("ann", FETCH)
+    with pytest.raises(ValueError, match="an uncertain action: expected a setting with an observation model"):
+        desk(Setting()).observe("ann", missed=0.1)
+    assert team.to_json() == before
