@@ -127,8 +127,8 @@ def latency(instance: str, people: int, actions: int, policies: tuple[str, ...],
                 states.append(max(1, len(desk.person(name).states)))
             row: dict[str, Any] = {
                 "task": instance, "policy": policy, "people": people, "miss": miss, "confusion": confusion,
-                "processor": np.median(processor), "states": np.median(states), "most": max(states), "median": np.median(times),
-                "high": np.percentile(times, 95), "largest": max(times),
+                "states": np.median(states), "most": max(states), "median": np.median(times),
+                "high": np.percentile(times, 95), "largest": max(times), "processor": np.median(processor),
             }  # fmt: skip
             rows.append(row)
             print(" | ".join(show(row) for show in LATENCY.values()), flush=True)

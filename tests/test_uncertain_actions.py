@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import kit
 from test_unreliable_observations import by_enumeration, problem
 
-from assist.live import Assistant, InapplicableError
+from assist.live import Assistant, InapplicableError, Session
 from assist.person import QMDP, ObservationModel, qmdp
 from assist.team import Setting
 
@@ -84,6 +85,23 @@ def test_a_wrong_observation_is_survived_taken_back_and_saved(policy: str) -> No
     assert again.recommend() == team.recommend()
     assert len(team.log()) == 3 + 1 + 3 + 2  # an action that perhaps was missed is in no log
     assert json.loads(again.to_json()) == json.loads(team.to_json())
+
+
+def test_a_session_of_noisy_observations_resumes_with_its_beliefs(tmp_path: Path) -> None:
+    def opened() -> Session:
+        return Session(kit("tiny"), tmp_path / "journal.sqlite", setting=NOISY)
+
+    session = opened()
+    session.join("ann")
+    action = session.person("ann")["applicable"][0]
+    session.observe("ann", action)
+    session.observe("ann", action)  # seen twice, though it is applicable once
+    believed, view = session.beliefs(), session.person("ann")
+    session.close()
+    session = opened()
+    assert session.beliefs() == believed
+    assert session.person("ann") == view
+    session.close()
 
 
 def test_a_suggestion_stays_open_while_nothing_was_probably_missed() -> None:
