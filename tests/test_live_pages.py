@@ -453,6 +453,25 @@ def test_an_animation_is_a_page_that_everybody_can_use(chromium: Any, artist: Ar
 
 
 @pytest.mark.slow
+def test_the_operator_sees_which_goals_are_probable(chromium: Any, tmp_path: Path) -> None:
+    from serving import served
+
+    kits = ROOT / "docs" / "examples" / "kits"
+    with served("--goals", kits, "--humans", 2, "--data", tmp_path, instance=kits / "travel.pddl") as running:
+        page, seat = chromium.new_page(), chromium.new_page()
+        page.goto(running.operator)
+        shown = page.locator('.card:has-text("person-1") .plot[aria-label^="Goal"]')
+        shown.wait_for()
+        assert shown.get_attribute("aria-label") == "Goal: travel 33 %, mend 33 %, mount 33 %"
+        seat.goto(running.links["person-1"])
+        assert violations(seat) == []
+        assert seat.locator("#goal-word").is_hidden()
+        seat.click('#actions button:has-text("fetch box-c")')
+        page.wait_for_selector('.plot[aria-label^="Goal"]:not([aria-label*="travel 33 %"])')
+        assert violations(page) == []
+
+
+@pytest.mark.slow
 def test_two_robots_serve_six_people_and_the_page_shows_both(chromium: Any, tmp_path: Path) -> None:
     from serving import served
 

@@ -6,10 +6,31 @@ import json
 import signal
 from pathlib import Path
 
+import pytest
+from conftest import ROOT, invoke
 from serving import served
 
 from assist import fit, read_log
 from planner import Table
+
+KITS = ROOT / "docs" / "examples" / "kits"
+
+
+def test_the_goals_of_people_are_inferred() -> None:
+    given = ("--goals", KITS, "--goal-prior", "travel=.5,mend=.3,mount=.2", "--humans", 2)
+    with served(*given, "--simulate", 1, "--pace", 0.01, instance=KITS / "travel.pddl") as service:
+        view = "/api/people/person-1"
+        assert service.ask("GET", f"{view}/drawing", "person-1").json()["goal"] == []
+        entry = service.ask("GET", "/api/team").json()["people"][0]
+        assert entry["goals"] == pytest.approx({"travel": 0.5, "mend": 0.3, "mount": 0.2})
+        for action in ("(fetch box-c)", "(place tape slot-2 box-c)"):
+            service.ask("POST", f"{view}/actions", "person-1", json={"action": action})
+        team = service.ask("GET", "/api/team").json()
+        assert team["people"][0]["goals"]["travel"] > 0.8
+        assert team["people"][1]["steps"] > 0
+        assert "goals" not in service.ask("GET", view, "person-1").json()
+    result = invoke("serve", KITS / "travel.pddl", KITS / "mend.pddl", "--goals", KITS, "--humans", 1)
+    assert (result.exit_code, "expected one INSTANCE, which has the first goal" in result.stderr) == (2, True)
 
 
 def test_people_act_the_service_ends_and_goes_on_where_it_was(tmp_path: Path, tiny: Table) -> None:

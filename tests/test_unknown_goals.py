@@ -350,7 +350,7 @@ def test_a_session_keeps_goals(tmp_path: Path) -> None:
         assert set(entry["goals"]) == set(PRIOR)
         assert np.shape(entry["belief"]) == tuple(len(values) for values in entry["grid"].values())
         assert np.sum(entry["belief"]) == pytest.approx(1)
-        assert session.place("ann")[0] is TASKS["tiny"].tables["a"]
+        assert session.place("ann")[0] is TASKS["tiny"]
         session.close()
     assert seen[0] | {"history": None} == seen[1] | {"history": None}
     other = replace(TASKS["tiny"], prior={"a": 0.2, "b": 0.2, "c": 0.6})

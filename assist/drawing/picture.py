@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
@@ -84,6 +84,8 @@ class Artist:
     profile : Profile, optional
         The appearance of drawings. Read from `drawing.toml` in the domain's folder, or inferred from the task, unless
         given.
+    goal : bool
+        Whether drawings show the task's goal; not if people may pursue another one.
 
     Raises
     ------
@@ -91,8 +93,9 @@ class Artist:
         The domain's `drawing.toml` is invalid.
     """
 
-    def __init__(self, task: Task, profile: Profile | None = None) -> None:
-        self.subject = Subject.of(task)
+    def __init__(self, task: Task, profile: Profile | None = None, *, goal: bool = True) -> None:
+        subject = Subject.of(task)
+        self.subject = subject if goal else replace(subject, goal=())
         self.profile = Profile.of(self.subject) if profile is None else profile
         self._arranger = Arranger({} if self.profile.guessed else self._room())
         self._placed = lru_cache(maxsize=256)(self._lay_out)
@@ -146,7 +149,7 @@ class Artist:
         done = [text for text, so in scene.goal if so]
         left = [text for text, so in scene.goal if not so]
         words = [f"{'; '.join([*scene.said, *scene.also])}." if scene.said or scene.also else ""]
-        words.append(f"Goal: {len(done)} of {len(scene.goal)} done.")
+        words += [f"Goal: {len(done)} of {len(scene.goal)} done."] if scene.goal else []
         if left:
             words.append(f"Open: {'; '.join(left)}.")
         return " ".join(filter(None, words))

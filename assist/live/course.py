@@ -25,7 +25,7 @@ from planner import CostToGo
 
 from ..explain.explanation import Explanation, WhyNothing
 from ..people.decision import Floats
-from ..people.goals import Goals, first_of
+from ..people.goals import Goals
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..team.settings import Setting
@@ -376,9 +376,9 @@ class Course:
         """The people who are present, in the order of their first arrival."""
         return self.desk.people
 
-    def place(self, person: str) -> tuple[CostToGo, int]:
+    def place(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
-        return first_of(self.tasks[self._notes[person].task]), self._state(person).state
+        return self.tasks[self._notes[person].task], self._state(person).state
 
     def person(self, person: str) -> dict[str, Any]:
         """Return a person's view, as JSON."""

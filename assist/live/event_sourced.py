@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from planner import CostToGo
 
+from ..people.goals import Goals
 from .advice import Advice
 from .events import Event
 from .store import Change
@@ -76,7 +77,7 @@ class EventSourced(Protocol):
         """Return the operator's view of a person."""
         ...
 
-    def place(self, person: str) -> tuple[CostToGo, int]:
+    def place(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
         ...
 

@@ -470,7 +470,7 @@ class Session:
         with self.lock:
             return self._course.log(task)
 
-    def place(self, person: str) -> tuple[CostToGo, int]:
+    def place(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
         with self.lock:
             self._course.require(person)

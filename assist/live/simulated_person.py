@@ -11,6 +11,7 @@ from planner import CostToGo, Table, optimal_choices
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, choice, influence
+from ..people.goals import Goals
 from ..people.human import Human, Population
 from ..people.misconception import perceived_cost_to_go
 from ..people.mixture import Mixture
@@ -57,6 +58,13 @@ class SimulatedPerson:
         self._last: _Step | None = None
         self._words: dict[int, tuple[CostToGo, Vocabulary]] = {}
         self._own: dict[int, tuple[CostToGo, Choices, Floats, Floats]] = {}
+
+    def pursued(self, task: CostToGo | Goals) -> CostToGo:
+        """Return the task with the goal that the person pursues; of several goals, it is drawn from their prior."""
+        if not isinstance(task, Goals):
+            return task
+        own = np.random.default_rng([self._seed, len(task.tables)])  # so that no other draw depends on the goals
+        return list(task.tables.values())[int(own.choice(len(task.tables), p=list(task.prior.values())))]
 
     def act(self, task: CostToGo, state: int, applicable: Sequence[str], suggestion: str | None) -> str:
         """Return the chosen action (equations 5 and 6), and update theta after a suggestion (equation 7, or the rule).

@@ -192,6 +192,7 @@ class Robot(BaseModel):
 class Member(Person):
     """The operator's view of a person: interval and mean of beta and theta, and the whole belief.
 
+    `goals` has the probability of each goal, if the person pursues one of several.
     Participants of a user study are in teams of their own; for them the fields of the belief are omitted.
     """
 
@@ -202,6 +203,7 @@ class Member(Person):
     belief: list[list[float]] | None = None
     connected: bool
     simulated: bool
+    goals: dict[str, float] | None = None
     join: str
 
 

@@ -27,6 +27,7 @@ from ..live.people_store import PeopleStore
 from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson
 from ..live.store import JournalError
+from ..people.goals import Goals
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..team.settings import Setting
@@ -97,11 +98,12 @@ class SimulatedSeats:
 
 
 def _chosen(session: Session, name: str, person: SimulatedPerson) -> str | None:
-    """Return a simulated person's next action, or None if the person has finished."""
+    """Return a simulated person's next action, or None if the person has reached their own goal."""
     with session.lock:  # tasks solved on demand are not thread-safe
         seen = session.person(name)
         task, state = session.place(name)
-        if seen["finished"]:
+        task = person.pursued(task)
+        if task.is_goal([state])[0]:
             return None
         return person.act(task, state, seen["applicable"], None if seen["paused"] else seen["suggestion"])
 
@@ -171,7 +173,7 @@ class ServedTeam:
 
     Attributes
     ----------
-    tasks : mapping of str to CostToGo
+    tasks : mapping of str to CostToGo or Goals
     folder : Path
         Folder of the session: its journal, and the secret of the links.
     people : mapping of str to str
@@ -199,7 +201,7 @@ class ServedTeam:
         Proxies that report the client's address, as `networks` returns them.
     """
 
-    tasks: Mapping[str, CostToGo]
+    tasks: Mapping[str, CostToGo | Goals]
     folder: Path
     people: Mapping[str, str]
     policy: str | TeamPolicy

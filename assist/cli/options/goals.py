@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from planner import Cache, CostToGo, Instance, LimitError, Limits, OnDemand, find_instances, load, sweep_goals
+from planner.batch.solve_instance import SolveOptions
 from planner.costtogo.goals import require_same_states
 from planner.system.machine import processors
 from planner.system.progress import stages
@@ -79,7 +80,12 @@ goal_knowledge_option = click.option(
 
 
 def several_goals(
-    instance: str, problems: Sequence[str], prior: Sequence[str], *, domain: str | None, max_states: int
+    instance: str,
+    problems: Sequence[str],
+    prior: Sequence[str],
+    *,
+    domain: str | None,
+    max_states: int = SolveOptions.max_states,
 ) -> Goals | None:
     """Return the goals of INSTANCE and of further problems; None if there is one only."""
     from ...people.goals import Goals

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from planner import Instance, InstanceError, find_instances
+from planner import CostToGo, Instance, InstanceError, find_instances
 from planner.batch.solve_instance import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
 from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
 from .config import read_config
+from .goals import goal_list_options, several_goals
 from .person import model_options
 from .policies import CHOICES, PolicyName, policies_of
 from .population import people_option, population_of, population_options, with_rule_of
@@ -27,6 +28,7 @@ from .travel import travel_of, travel_options
 if TYPE_CHECKING:
     from ...live.events import Event
     from ...live.session import Session
+    from ...people.goals import Goals
     from ...web.server import ServedTeam
     from ...web.service import Bridge
 
@@ -80,6 +82,7 @@ def live_options(command: Command) -> Command:
             show_default=True,
             help="Seconds without an event after which the robot decides again.",
         ),
+        goal_list_options,
         *model_options(),
         travel_options,
         population_options(real=True),
@@ -92,10 +95,12 @@ def live_options(command: Command) -> Command:
 def plan_of(
     instances: tuple[str, ...], *, humans: int, simulate: int, pace: float, seed: int, data: Path | None, policy: str,
     tick: float, people_store: Path | None, keep_people: float, domain: str | None, distances: Path | None,
-    beta: Range, theta: Range | None, sigma: Range, population_file: Path | None, people: str | None, **options: Any,
+    beta: Range, theta: Range | None, sigma: Range, population_file: Path | None, people: str | None,
+    problems: Sequence[str], goal_prior: Sequence[str], **options: Any,
 ) -> ServedTeam:  # fmt: skip
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
+    from ...people.goals import first_of
     from ...team.settings import Setting
     from ...web.server import ServedTeam
 
@@ -109,11 +114,17 @@ def plan_of(
             raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")
         distance = None if distances is None else travel_of(setting, humans, distances).distance
         found = _named(find_instances(instances, domain))
-        tasks = {
-            name: costs_of(one, max_states=SolveOptions.max_states, memory_limit_mb=None) for name, one in found.items()
+        if problems and len(found) > 1:
+            raise click.UsageError(
+                f"--goals with {len(found)} instances: expected one INSTANCE, which has the first goal"
+            )
+        goals = several_goals(str(next(iter(found.values())).problem), problems, goal_prior, domain=domain)
+        tasks: dict[str, CostToGo | Goals] = {
+            name: goals or costs_of(one, max_states=SolveOptions.max_states, memory_limit_mb=None)
+            for name, one in found.items()
         }
         for task in tasks.values():
-            Artist(task.task)  # reports faults in a `drawing.toml` before a page is served
+            Artist(first_of(task).task)  # reports faults in a `drawing.toml` before a page is served
     except InstanceError:
         raise
     except ValueError as error:

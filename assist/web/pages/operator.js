@@ -92,6 +92,19 @@ function beliefOf(name, values, shares) {
   return [drawn, mean];
 }
 
+/** Bars of the probabilities of the most probable goals. */
+function goalsOf(goals) {
+  const most = Object.entries(goals).sort((a, b) => b[1] - a[1]).slice(0, 5);
+  const percent = (share) => `${Math.round(100 * share)} %`;
+  const drawn = plot(`Goal: ${most.map(([name, share]) => `${name} ${percent(share)}`).join(", ")}`, WIDTH, 16 * most.length);
+  most.forEach(([name, share], number) => {
+    const y = 16 * number;
+    drawn.append(shape("rect", { class: "column", x: WIDTH / 2, y: y + 2, width: (share * (WIDTH / 2 - 40)).toFixed(1), height: 11 }));
+    drawn.append(label(0, y + 12, name.length > 24 ? `${name.slice(0, 23)}…` : name), label(WIDTH, y + 12, percent(share), "end"));
+  });
+  return figureOf(drawn, `Probable goals${Object.keys(goals).length > most.length ? ` (${most.length} of ${Object.keys(goals).length})` : ""}`);
+}
+
 function figureOf(drawn, caption) {
   return element("figure", {}, drawn, element("figcaption", {}, caption));
 }
@@ -117,6 +130,7 @@ function card(person) {
     element("div", { class: "pair" },
       figureOf(betas, `Expertise β: ${betaMean.toFixed(2)}`),
       figureOf(thetas, `Influence θ: ${thetaMean.toFixed(2)}`)),
+    person.goals ? goalsOf(person.goals) : null,
     join ? element("p", { class: "link" }, element("input", { readonly: true, value: join, "aria-label": `Link for ${person.person}`, "data-key": `link ${person.person}` })) : null,
     element("p", { class: "buttons" },
       element("button", { type: "button", "data-key": `undo ${person.person}`, disabled: person.steps === 0, "aria-label": `Undo the last step of ${person.person}`, click: () => tell(pathOf(person.person, "/undo"), { method: "POST", body: { id: newId() } }, `The last step of ${person.person} is undone.`) }, "Undo last step"),

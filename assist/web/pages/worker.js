@@ -210,6 +210,7 @@ function showDrawing() {
   at("goal").max = Math.max(1, drawn.goal.length);
   at("goal").value = done;
   at("goal").textContent = at("wanted-count").textContent = `${done} of ${drawn.goal.length}`;
+  at("goal").parentElement.hidden = at("wanted").parentElement.hidden = !drawn.goal.length; // unknown to the server
   at("goal-word").textContent = `Goal ${done} of ${drawn.goal.length}`;
   fill(at("wanted"), drawn.goal.map((one) => {
     const line = document.createElement("li");
