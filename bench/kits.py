@@ -1,12 +1,11 @@
-"""What it is worth to know which kit people assemble: robots that are told, that infer it, that assume the likeliest.
+"""What it is worth to know which kit people assemble: robots that are told, that infer it, that ask.
 
     python bench/kits.py [--goals G]... [--episodes N] [--record FILE]
 
 A kit of `docs/examples/kits` has one item in each of two slots, so that four items make twelve kits. Each person
 assembles one of the first G of them, in a random order, with equal probability. All robots see the same people, goals
 and random numbers. Gains are differences of the discounted return from that without a robot, with standard errors of
-the paired differences. The price of an answer is the gain of a robot that is told, minus that of one that infers the
-goals, per person. A question before the work that costs less would pay, if it is answered truthfully.
+the paired differences. A robot that asks also infers; `--sharpness 1` averages over the posterior.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import itertools
 import math
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,9 @@ COLUMNS: Columns = {
     "suggestions, told": cell("known_suggestions", ".2f"),
     "suggestions, inferred": cell("inferred_suggestions", ".2f"),
     "suggestions, likeliest": cell("likeliest_suggestions", ".2f"),
-    "price of an answer": cell("answer", ".2f", "answer_error"),
+    "gain, asking": cell("asking", ".2f", "asking_error"),
+    "gain by asking": cell("asked", ".2f", "asked_error"),
+    "questions": cell("questions", ".2f"),
 }
 
 
@@ -61,20 +63,26 @@ def goals_of(texts: list[str]) -> Goals:
 
 
 def compared(
-    count: int, *, c_suggest: float, episodes: int, humans: int, size: int, seed: int
+    count: int, *, c_suggest: float, c_ask: float, sharpness: float, episodes: int, humans: int, size: int, seed: int
 ) -> Iterator[dict[str, Any]]:
     """Yield a row for each policy with `count` possible kits."""
-    pool = Pool.sample(goals_of(kits(seed)[:count]), size, seed=seed, setting=Setting(c_suggest=c_suggest))
+    goals = replace(goals_of(kits(seed)[:count]), sharpness=sharpness)
+    pool = Pool.sample(goals, size, seed=seed, setting=Setting(c_suggest=c_suggest))
+    asks = replace(pool, setting=replace(pool.setting, c_ask=c_ask))
     options: dict[str, Any] = {"humans": humans, "episodes": episodes, "seed": seed, "explain": False}
     alone = simulate(pool, "none", **options).discounted_return
     for policy in ("attention", "priority"):
         row: dict[str, Any] = {"kits": count, "policy": policy}
         gains = {}
-        for knows in ("known", "inferred", "likeliest"):
-            found = simulate(pool, policy, goals=knows, **options)
+        for knows in ("known", "inferred", "likeliest", "asking"):
+            if knows == "asking":
+                found = simulate(asks, policy, **options)
+                row["questions"] = found.questions.mean() / humans
+            else:
+                found = simulate(pool, policy, goals=knows, **options)
             gains[knows] = found.discounted_return - alone
             row[f"{knows}_suggestions"] = found.interventions.mean() / humans
-        for name, values in {**gains, "answer": (gains["known"] - gains["inferred"]) / humans}.items():
+        for name, values in {**gains, "asked": gains["asking"] - gains["inferred"]}.items():
             row[name], row[f"{name}_error"] = values.mean(), values.std(ddof=1) / math.sqrt(episodes)
         yield row
 
@@ -82,13 +90,15 @@ def compared(
 @click.command()
 @click.option("--goals", "counts", type=click.IntRange(2, 12), multiple=True, default=(2, 4, 8), show_default=True)
 @click.option("--c-suggest", type=float, default=0.2, show_default=True, help="Cost of a suggestion.")
+@click.option("--c-ask", type=float, default=0.2, show_default=True, help="Cost of a question.")
+@click.option("--sharpness", type=float, default=5.0, show_default=True, help="As in `assist.people.Goals`.")
 @click.option("--episodes", type=click.IntRange(min=2), default=1000, show_default=True)
 @click.option("--humans", type=click.IntRange(min=1), default=3, show_default=True)
 @click.option("--pool", "size", type=click.IntRange(min=1), default=6, show_default=True)
 @click.option("--seed", type=int, default=1, show_default=True)
 @record_option
 def main(counts: tuple[int, ...], record: Path | None, **options: Any) -> None:
-    """Compare robots that are told people's goals, that infer them, and that assume the likeliest."""
+    """Compare robots that are told people's goals, that infer them, that assume the likeliest, and that ask."""
     rows = []
     for count in counts:
         for row in compared(count, **options):

@@ -44,7 +44,8 @@ ROOMS = {
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
         fit joint_states goals comparison rule_families trust_log influence_population rule_search trust_fit
         trust_comparison""",
-    "assist.team": """by_policy travel state hidden_states action_check settings assignment attention time_expansion
+    "assist.team": """by_policy travel state hidden_states action_check settings assignment attention questions
+        time_expansion
         memory_needed subproblem_frontier attention_subproblem priority whittle policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
@@ -72,7 +73,7 @@ ROOMS = {
     "assist.bridges": """messages ordering session_client team_watch mqtt_settings mqtt opcua_settings opcua
         ros2_settings ros2 behaviour_tree""",
     "assist.cli.terminal": "interrupts console",
-    "assist.cli.options": "common config task population person travel team policies help live log goals trust",
+    "assist.cli.options": "common config task population person travel team policies help goals live log trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
         people_estimates trust_estimates goal_posteriors""",
     "assist.cli": """domains solve simulate policy bound export draw fit infer study user_study serve study_prepare

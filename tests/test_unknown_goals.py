@@ -19,11 +19,12 @@ from assist.certify import upper_bound
 from assist.learning import Log, infer_goals
 from assist.live import Assistant, Session
 from assist.people import Goals, HumanModel, Population
-from assist.people.goals import given_likeliest
+from assist.people.goals import given_likeliest, sharpened
 from assist.person import AssistPOMDP, qmdp, solve
 from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team import Setting
+from assist.team.questions import Questions, answered, benefit
 from planner import Table, sweep, sweep_goals
 from planner.system.errors import ResultsExistError
 
@@ -43,7 +44,7 @@ def three_goals(name: str) -> Goals:
         if [value for _, value in facts] != first and facts not in goals:
             goals.append(facts)
     tables = sweep_goals([replace(task, goal=goal) for goal in goals])
-    return Goals(dict(zip("abc", tables, strict=True)), PRIOR)
+    return Goals(dict(zip("abc", tables, strict=True)), PRIOR, sharpness=1)
 
 
 TASKS = {name: three_goals(name) for name in ("tiny", "sealed")}
@@ -383,6 +384,62 @@ def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:
         desk.begin("ann", goals)
 
 
+@pytest.mark.parametrize("error", [0.0, 0.2])
+def test_an_answer_is_a_bayesian_update_and_worth_what_it_changes(error: float) -> None:
+    policy, rng = qmdp(problem_of(TASKS["tiny"])), np.random.default_rng(2)
+    belief = rng.random((4, *policy.pomdp.prior.shape))
+    belief /= belief.sum(axis=(1, 2), keepdims=True)
+    x, ask = np.arange(4), Questions([policy], 0.0, error)
+    goal, worth = ask.best(policy, x, belief, np.ones(4))
+
+    def reached(b: np.ndarray, at: int) -> float:
+        rows = policy.pomdp.model.choices.of_goals(x[at : at + 1])[:, 0]
+        each = [(b.reshape(3, -1)[g] * benefit(policy)[row]).sum() for g, row in enumerate(rows)]
+        return float(max(each))
+
+    for at, one in enumerate(belief):
+        shares, found = one.reshape(3, -1).sum(axis=1), []
+        for g in range(3):
+            yes = (1 - error) * shares[g] + error * (1 - shares[g])
+            after = [reached(answered(one, g, 3, said, error), at) for said in (True, False)]
+            assert answered(one, g, 3, True, error).reshape(3, -1).sum(axis=1)[g] == pytest.approx(
+                (1 - error) * shares[g] / yes
+            )
+            found.append(yes * after[0] + (1 - yes) * after[1] - reached(one, at))
+        assert worth[at] == pytest.approx(max(found))
+        assert found[goal[at]] == pytest.approx(max(found))
+    cost = Questions([policy], 0.3, error).best(policy, x, belief, np.full(4, 0.5))[1]
+    np.testing.assert_allclose(cost, worth / 2 - 0.3)
+
+
+def test_questions_are_asked_where_they_are_worth_their_cost(tiny: Table) -> None:
+    options: dict[str, Any] = {"humans": 2, "episodes": 200, "seed": 5}
+    found = {}
+    for cost in (None, 0.01, 100.0):
+        setting = Setting(c_suggest=0.05, c_move=0.0, knowledge="exact", c_ask=cost, ask_error=0.1)
+        found[cost] = simulate(Pool.sample(TASKS["tiny"], 4, seed=2, setting=setting), "attention", **options)
+        one = simulate(Pool.sample(tiny, 4, seed=2, setting=setting), "attention", **options)
+        assert one.questions is None
+    assert found[None].questions is None
+    assert not found[100.0].questions.any()
+    assert found[0.01].questions.mean() > 0.5
+    np.testing.assert_array_equal(found[None].discounted_return, found[100.0].discounted_return)
+    assert found[0.01].discounted_return.mean() > found[None].discounted_return.mean()
+    assert Setting(**setting.as_dict()) == setting
+    with pytest.raises(ValueError, match=r"ask_error 0\.7: expected 0 <= ask_error < 0.5"):
+        Setting(c_ask=1, ask_error=0.7)
+
+
+def test_sharper_probabilities_lie_between_the_posterior_and_the_likeliest_goal() -> None:
+    belief = problem_of(TASKS["tiny"]).prior[None]
+    assert sharpened(belief, 3, 1) is belief
+    square = sharpened(belief, 3, 2).reshape(3, -1).sum(axis=1)
+    np.testing.assert_allclose(square, np.array([0.25, 0.04, 0.09]) / 0.38)
+    np.testing.assert_allclose(sharpened(belief, 3, 200), given_likeliest(belief, 3), atol=1e-12)
+    with pytest.raises(ValueError, match="sharpness 0: expected a number from 1 upwards"):
+        replace(TASKS["tiny"], sharpness=0)
+
+
 def test_the_command(tmp_path: Path) -> None:
     given = ["simulate", KITS / "travel.pddl", "--goals", KITS, "--humans", "2", "--pool", "2", "--episodes", "20"]
     results = {}
@@ -399,5 +456,9 @@ def test_the_command(tmp_path: Path) -> None:
     assert (result.exit_code, "expected people whose goal is known" in result.stderr) == (1, True)
     result = invoke(*given[:2], *given[4:], "--goal-prior", "travel=1")
     assert (result.exit_code, "--goal-prior: expected --goals, too" in result.stderr) == (2, True)
+    asks = invoke(*given, "--ask", "0.1", "--json")
+    assert json.loads(asks.stdout)["policies"][0]["questions"] > 0
+    result = invoke(*given[:2], *given[4:], "--ask", "1")
+    assert (result.exit_code, "--ask: expected --goals, too" in result.stderr) == (2, True)
     result = invoke(*given, "--max-states", "10")
     assert (result.exit_code, "expected a table of all states" in result.stderr) == (2, True)

@@ -12,7 +12,7 @@ from planner.system import files
 from planner.system.progress import stages
 
 from .options.common import OUTPUT_FILE, instance_argument, json_option, separate_files
-from .options.goals import goal_knowledge_option, goal_list_options, several_goals
+from .options.goals import goal_knowledge_option, goal_list_options, question_options, questions_of, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
@@ -48,11 +48,12 @@ from .terminal.console import print_json
 @team_options
 @goal_list_options
 @goal_knowledge_option
+@question_options
 @json_option
 def simulate(
     instance: str, names: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
     figure: Path | None, as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...], goal_knowledge: str,
-    miss: float, confusion: float, **team: Any,
+    miss: float, confusion: float, ask: float | None, ask_error: float, **team: Any,
 ) -> None:  # fmt: skip
     """Simulate a team of people and a robot that assists them, and compare policies."""
     from ..person.observation_model import ObservationModel
@@ -63,6 +64,7 @@ def simulate(
     from .output.episode_summaries import show_summaries
 
     size = size or max(12, team["humans"])
+    team |= questions_of(ask, ask_error, problems)
     team["observation"] = ObservationModel(miss, confusion)
     separate_files({"--out": out, "--trace": trace, "--figure": figure}, {"--population": team["population_file"]})
     if figure:

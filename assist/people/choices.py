@@ -64,6 +64,8 @@ class Choices:
         (`goals.Goals`). None if the goal is known.
     assume_likeliest : bool
         Whether the robot acts as if the most probable goal were certain.
+    sharpness : float
+        Power of the goals' probabilities on which the robot acts (`goals.Goals`).
     """
 
     h: NDArray[np.float64]
@@ -81,6 +83,7 @@ class Choices:
     key: NDArray[np.uint64] | None = None
     goals: Mapping[str, float] | None = None
     assume_likeliest: bool = False
+    sharpness: float = 1.0
 
     __repr__ = outline
 

@@ -73,6 +73,17 @@ def given_likeliest(belief: Floats, goals: int) -> Floats:
     return np.where(best, parts / np.where(best, share, 1.0), 0.0).reshape(belief.shape)
 
 
+def sharpened(belief: Floats, goals: int, power: float) -> Floats:
+    """Return beliefs with the probability of each goal raised to a power; other arguments as in `goal_shares`."""
+    if power == 1:
+        return belief
+    share = goal_shares(belief, goals)
+    weight = (share / share.max(axis=-1, keepdims=True)) ** power
+    factor = weight / weight.sum(axis=-1, keepdims=True) / np.where(share > 0, share, 1.0)
+    parts = belief.reshape(*belief.shape[:-2], goals, -1, belief.shape[-1])
+    return np.asarray(parts * factor[..., None, None]).reshape(belief.shape)
+
+
 def first_of(task: Task | Goals) -> Task | Table:
     """Return the task of the first of several goals, and any other task as it is."""
     return next(iter(task.tables.values())) if isinstance(task, Goals) else task
@@ -80,7 +91,9 @@ def first_of(task: Task | Goals) -> Task | Table:
 
 def acting_belief(choices: Choices, belief: Floats) -> Floats:
     """Return the beliefs, shape (..., G * B, T), on which the robot acts."""
-    return given_likeliest(belief, choices.goal_count) if choices.assume_likeliest else belief
+    if choices.assume_likeliest:
+        return given_likeliest(belief, choices.goal_count)
+    return belief if choices.goal_count == 1 else sharpened(belief, choices.goal_count, choices.sharpness)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +107,11 @@ class Goals:
     prior : mapping of str to float
         Probability of each goal at the beginning of a task; by default all are equal.
     assume_likeliest : bool
-        Whether the robot acts as if the most probable goal were certain. The default is the average over all goals.
+        Whether the robot acts as if the most probable goal were certain.
+    sharpness : float
+        Power to which the robot raises the goals' probabilities before it averages its values over the goals. QMDP
+        values count the goal as known from the next step on, so that waiting seems too good. Sharper probabilities
+        counter that: powers from 3 to 8 were best with four and eight kits. 1 stands for the average.
 
     Raises
     ------
@@ -105,8 +122,11 @@ class Goals:
     tables: Mapping[str, Table]
     prior: Mapping[str, float] = field(default_factory=dict)
     assume_likeliest: bool = False
+    sharpness: float = 5.0
 
     def __post_init__(self) -> None:
+        if not self.sharpness >= 1:
+            raise ValueError(f"sharpness {self.sharpness:g}: expected a number from 1 upwards")
         shares = prior_over(self.tables, self.prior or None)
         object.__setattr__(self, "prior", dict(zip(self.tables, shares.tolist(), strict=True)))
         first = next(iter(self.tables.values()))
@@ -149,7 +169,7 @@ class Goals:
             np.concatenate([one.targets + number * m for number, one in enumerate(each)]), costs, joined("optimal"),
             first.names, first.initial, state=np.tile(np.arange(m), count),
             key=None if first.key is None else np.tile(first.key, count), goals=self.prior,
-            assume_likeliest=self.assume_likeliest,
+            assume_likeliest=self.assume_likeliest, sharpness=self.sharpness,
         )  # fmt: skip
 
 

@@ -101,7 +101,7 @@ class QMDP(Policy):
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""
         choices = self.pomdp.model.choices
-        value, belief = self.value_mdp[choices.of_goals(x).T], acting_belief(choices, belief)
+        value = self.value_mdp[choices.of_goals(x).T]
         return np.einsum("nbt,nbt->n", value.reshape(belief.shape), belief)
 
 

@@ -22,14 +22,15 @@ class CommonRandomNumbers:
         self.row, self.places = numbers % BLOCK, places
         self.streams = [
             [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, kind, int(b)))) for b in blocks]
-            for kind in range(7)
+            for kind in range(8)
         ]
         self.drawn = np.empty((len(blocks), BLOCK, places))
 
     def draw(self, kind: int, rows: NDArray[np.int64]) -> Floats:
         """Return uniform numbers for some episodes.
 
-        Kind 0 is for people's types, 1 for choices, 2 for trust updates, 4 for goals, and 5 and 6 for observations.
+        Kind 0 is for people's types, 1 for choices, 2 for trust updates, 4 for goals, 5 and 6 for observations, and 7
+        for answers.
         """
         for block in np.unique(self.block[rows]):  # the streams of finished episodes need not advance
             self.streams[kind][block].random(out=self.drawn[block])

@@ -85,6 +85,8 @@ class Episodes:
         Whether a person had neither finished nor left at the step limit.
     suggestion_threshold : SuggestionThreshold or None
         Set if the policy weighs costs and made no suggestion.
+    questions : int array, shape (N,), or None
+        Number of questions about people's goals; None if the robot does not ask.
     pruned : float array, shape (N,), or None
         Probability of the task states that the robot left out, summed over steps and people; None if it sees all
         actions as they are.
@@ -108,6 +110,7 @@ class Episodes:
     cut_off: NDArray[np.bool_]
     suggestion_threshold: SuggestionThreshold | None = None
     pruned: Floats | None = None
+    questions: NDArray[np.int64] | None = None
 
     __repr__ = outline
 
@@ -133,6 +136,7 @@ class Episodes:
             cut_off=int(self.cut_off.sum()),
             suggestion_threshold=self.suggestion_threshold,
             pruned=None if self.pruned is None else float(self.pruned.mean()),
+            questions=None if self.questions is None else float(self.questions.mean()),
         )
 
     def to_frame(self) -> Any:
@@ -205,6 +209,8 @@ class Summary:
         Number of episodes in which a person had neither finished nor left at the step limit.
     suggestion_threshold : SuggestionThreshold or None
         Set if the policy weighs costs and made no suggestion.
+    questions : float or None
+        Mean number of questions per episode; None if the robot does not ask.
     pruned : float or None
         Mean of `Episodes.pruned`; None if the robot sees all actions as they are.
     """
@@ -220,6 +226,7 @@ class Summary:
     cut_off: int
     suggestion_threshold: SuggestionThreshold | None = None
     pruned: float | None = None
+    questions: float | None = None
 
     def record(self) -> dict[str, Any]:
         """Return the summary as plain data; an unknown standard error is None."""
@@ -233,6 +240,7 @@ class Summary:
             "cut_off": self.cut_off,
             "suggestion_threshold": self.suggestion_threshold and asdict(self.suggestion_threshold),
             **({} if self.pruned is None else {"pruned": self.pruned}),
+            **({} if self.questions is None else {"questions": self.questions}),
         }
 
     def __str__(self) -> str:

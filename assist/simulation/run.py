@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..people.decision import NOTHING, Floats
 from ..people.goals import drawn_goals, given_likeliest
 from ..team.action_check import check
+from ..team.questions import answered
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
@@ -115,6 +116,8 @@ class Run:
                 pool.setting.observation, visible, belief if self.belief is None else self.belief
             )
             self.belief = None
+        self.questions = parts.questions if self.belief is not None else None
+        self.asked = np.zeros(len(numbers), dtype=np.int64)
         self.actions = np.zeros(shape, dtype=np.int64)
         self.costs = np.zeros(shape)
         self.helped = np.zeros(shape, dtype=np.int64)
@@ -143,6 +146,7 @@ class Run:
             executed=self.executed, interventions=self.helped.sum(axis=1), moves=self.moves, steps=self.steps,
             discounted_return=self.discounted,
             cut_off=np.asarray((~self.finished & (self.presence.leaves > self.pool.setting.max_steps)).any(axis=1)),
+            questions=None if self.questions is None else self.asked,
             pruned=None if self.observed is None else self.observed.pruned.sum(axis=1),
         )  # fmt: skip
 
@@ -194,6 +198,30 @@ class Run:
     def watch(self, taken: StepTaken) -> None:
         """See each step that has been taken; a `TracedRun` writes it down."""
 
+    def _ask(self, teams: NDArray[np.int64], active: NDArray[np.bool_], x: NDArray[np.int64], charged: Floats) -> None:
+        """Ask the person in each team for whom it is worth most about their goal, if it is worth its cost."""
+        if self.questions is None or self.belief is None:
+            return
+        attention = np.minimum(1, self.robots / np.maximum(1, active.sum(axis=1)))
+        about, worth = np.zeros(x.shape, dtype=np.int64), np.full(x.shape, -np.inf)
+        for model, rows in by_model(self.model.reshape(-1), np.flatnonzero(active), len(self.pool.policies)):
+            at = np.unravel_index(rows, x.shape)
+            about[at], worth[at] = self.questions.best(
+                self.pool.policies[model], x[at], self.belief[at], attention[at[0]]
+            )
+        wrong = np.zeros(x.shape, dtype=bool)
+        if self.questions.error:
+            wrong[teams] = self.random_numbers.draw(7, teams)[..., :] < self.questions.error
+        person = worth[teams].argmax(axis=1)
+        asks = worth[teams, person] > 0
+        for team, k in zip(teams[asks].tolist(), person[asks].tolist(), strict=True):
+            yes = bool((self.goal[team, k] == about[team, k]) != wrong[team, k])
+            self.belief[team, k] = answered(
+                self.belief[team, k], int(about[team, k]), self.pool.goals, yes, self.questions.error
+            )
+            charged[team, k] += self.questions.cost
+            self.asked[team] += 1
+
     def _robot(
         self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: StepView
     ) -> tuple[NDArray[np.int64], Floats]:
@@ -209,6 +237,7 @@ class Run:
             visible, belief = self.observed.x, self.observed.beliefs
         elif self.pool.goals > 1:
             visible = view.x % self.states
+            self._ask(np.flatnonzero(active.any(axis=1)), active, visible, charged)
             if belief is not None and self.goals == "likeliest":
                 belief = given_likeliest(belief, self.pool.goals)
         if belief is not None and len(free) < len(self.x):
@@ -230,7 +259,7 @@ class Run:
         rows, number = np.nonzero(person != NOBODY)
         teams, to, does = free[rows], person[rows, number], does[rows, number]
         origin = self.location[teams, number]
-        charged[teams, to] = self.travel.c_move * self.travel.distance[origin, to]
+        charged[teams, to] += self.travel.c_move * self.travel.distance[origin, to]
         self.busy_until[teams, number] = step + self.travel.steps[origin, to]
         np.add.at(self.moves, teams, origin != to)
         self.location[teams, number] = to

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..person.policy import Policy
+from ..team.questions import Questions
 from .model_group import Ints, ModelGroup, World
 from .pool import Pool
 
@@ -47,10 +48,18 @@ class TaskParts:
     ----------
     pool : Pool
     world : World
+
+    Attributes
+    ----------
+    questions : Questions or None
+        None if the robot does not ask people about their goals.
     """
 
     def __init__(self, pool: Pool, world: World) -> None:
-        self.pool, self.world = pool, world
+        self.pool, self.world, setting = pool, world, pool.setting
+        self.questions: Questions | None = None
+        if setting.c_ask is not None and pool.goals > 1:
+            self.questions = Questions(pool.policies, setting.c_ask, setting.ask_error)
         self._kept: dict[int, CachedPart] = {}
         self._lock = threading.Lock()
 

@@ -122,7 +122,9 @@ class StudyTable(Struct, forbid_unknown_fields=True):
     reference: ReferenceTable | None = None
 
 
-SettingTable = partial_of(Setting, trust=str | AnyTable, believed_trust=str | AnyTable, observation=AnyTable)
+SettingTable = partial_of(
+    Setting, trust=str | AnyTable, believed_trust=str | AnyTable, observation=AnyTable, c_ask=float
+)
 
 
 def shipped() -> list[str]:

@@ -63,6 +63,11 @@ class Setting:
         it is the paper's for simulated people, and constant for real people (`live`), as data of real people support.
     believed_trust : str or TrustRule, optional
         How the robot believes that theta moves; the rule of `trust` unless given. Bounds hold for the robot's model.
+    c_ask : float, optional
+        Cost of asking a person who pursues one of several goals "is it this one?", in cost units. Unless given, the
+        robot does not ask.
+    ask_error : float
+        Probability that the answer is wrong.
     observation : ObservationModel, optional
         How reliably the robot sees people's actions; every action as it is, by default. Otherwise the robot may suggest
         any applicable action, as with `suggestions="all"`, since it may mistake the state of a task.
@@ -89,6 +94,8 @@ class Setting:
     believed_trust: str | TrustRule | None = None
     robots: int = 1
     observation: ObservationModel | None = None
+    c_ask: float | None = None
+    ask_error: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("gamma", "c_suggest", "c_move", "travel_time", "eta", "utility_scale", "lapse", "c_execute"):
@@ -99,7 +106,12 @@ class Setting:
             raise ValueError(f"lapse {self.lapse:g}: expected 0 <= lapse < 1")
         if not 1 / MOST <= self.utility_scale <= MOST:
             raise ValueError(f"utility_scale {self.utility_scale:g}: expected a number from {1 / MOST:g} to {MOST:g}")
-        for cost in ("c_suggest", "c_execute", "eta"):
+        if self.c_ask is not None:
+            object.__setattr__(self, "c_ask", number("c_ask", self.c_ask))
+        object.__setattr__(self, "ask_error", number("ask_error", self.ask_error))
+        if not 0 <= self.ask_error < 1 / 2:
+            raise ValueError(f"ask_error {self.ask_error:g}: expected 0 <= ask_error < 0.5")
+        for cost in ("c_suggest", "c_execute", "eta", *(() if self.c_ask is None else ("c_ask",))):
             if not 0 <= getattr(self, cost) <= MOST:
                 raise ValueError(f"{cost} {getattr(self, cost):g}: expected a number from 0 to {MOST:g}")
         for name, expected in (("knowledge", get_args(Knowledge)), ("suggestions", get_args(Suggestions))):
@@ -117,6 +129,8 @@ class Setting:
             raise ValueError(f"observation {seen!r}: expected an ObservationModel")  # noqa: TRY004
         if self.observation is not None and self.observation.is_perfect:
             object.__setattr__(self, "observation", None)
+        if self.observation is not None and self.c_ask is not None:
+            raise ValueError("c_ask: expected actions that are all seen as they are")
         if self.observation is not None and self.execute:
             raise ValueError("execute: expected actions that are all seen as they are")
         for name in RULES_OF:
@@ -146,8 +160,8 @@ class Setting:
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as plain data, from which `Setting` makes an equal one.
 
-        Trust rules and the observation model are included only if they are given, and the number of robots only if
-        there are several.
+        Trust rules, the observation model and the cost of questions are included only if they are given, and the number
+        of robots only if there are several.
 
         Raises
         ------
@@ -160,6 +174,8 @@ class Setting:
             plain["observation"] = self.observation.as_dict()
         if self.robots == 1:
             del plain["robots"]
+        if self.c_ask is None:
+            del plain["c_ask"], plain["ask_error"]
         for name in RULES_OF:
             rule = getattr(self, name)
             if rule is None:

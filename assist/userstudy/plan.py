@@ -113,7 +113,9 @@ class FileTable(Struct, forbid_unknown_fields=True):
     questionnaires: list[QuestionnaireTable] = []
 
 
-SettingTable = partial_of(Setting, trust=str | AnyTable, believed_trust=str | AnyTable, observation=AnyTable)
+SettingTable = partial_of(
+    Setting, trust=str | AnyTable, believed_trust=str | AnyTable, observation=AnyTable, c_ask=float
+)
 
 
 @dataclass(frozen=True)

@@ -79,6 +79,32 @@ goal_knowledge_option = click.option(
 )  # fmt: skip
 
 
+def question_options(command: Command) -> Command:
+    """Add the options for a robot that asks people about their goal. `questions_of` takes their values."""
+    return with_options(
+        command,
+        (
+            click.option(
+                "--ask", type=click.FloatRange(min=0), metavar="COST",
+                help="Let the robot ask people whether a goal is theirs, at this cost, in cost units.",
+            ),
+            click.option(
+                "--ask-error", type=click.FloatRange(0, 0.5, max_open=True), default=0.0, show_default=True,
+                help="Probability of a wrong answer.",
+            ),
+        ),
+    )  # fmt: skip
+
+
+def questions_of(ask: float | None, ask_error: float, problems: Sequence[str]) -> dict[str, float | None]:
+    """Return the fields of a setting that the options for questions set."""
+    if ask is not None and not problems:
+        raise click.UsageError("--ask: expected --goals, too")
+    if ask is None and ask_error:
+        raise click.UsageError("--ask-error: expected --ask, too")
+    return {"c_ask": ask, "ask_error": ask_error}
+
+
 def several_goals(
     instance: str,
     problems: Sequence[str],

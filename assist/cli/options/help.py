@@ -29,6 +29,7 @@ GROUPS = {
     "Robot": (
         "--robots", "--policy", "--knowledge", "--goal-knowledge", "--suggestions", "--execute", "--gamma",
         "--c-suggest", "--c-execute", "--c-move", "--travel-time", "--distances", "--lapse", "--miss", "--confusion",
+        "--ask", "--ask-error",
     ),
     "Service": (
         "--config", "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy",

@@ -34,3 +34,5 @@ def show_summaries(summaries: list[Summary], drawn: int, pool: int) -> None:
     for summary in summaries:
         if summary.suggestion_threshold is not None:
             click.echo(f"{summary.policy}: {summary.suggestion_threshold} (--c-suggest)")
+        if summary.questions is not None:
+            click.echo(f"{summary.policy}: {summary.questions:.2f} questions per episode")

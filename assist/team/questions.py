@@ -1,0 +1,93 @@
+"""Questions about people's goals: "is it this one?", about which goal, and whether the answer is worth its cost.
+
+What an answer is worth is estimated one step ahead. `benefit` is the increase of a person's expected discounted return
+by a robot that helps them towards a goal from now on, if it is theirs. A robot that is not told the goal helps towards
+the one with the largest expected benefit, and is useless to a person with another goal. An answer is worth the
+expected increase of that benefit. Free information from later actions would lower the worth, and is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.decision import Floats
+from ..person.policy import Policy
+from ..person.qmdp import evaluate
+from .by_policy import ByPolicy
+
+
+def answered(belief: Floats, goal: int, goals: int, yes: bool, error: float) -> Floats:
+    """Return the belief about a person, shape (G * B, T), after an answer.
+
+    Parameters
+    ----------
+    belief : float array, shape (G * B, T)
+    goal : int
+        Number of the goal that was asked about.
+    goals : int
+        The number G.
+    yes : bool
+        The answer.
+    error : float
+        Probability of a wrong answer.
+
+    Raises
+    ------
+    ValueError
+        The answer is impossible under the belief.
+    """
+    likelihood = np.where((np.arange(goals) == goal) == yes, 1 - error, error)
+    joint = belief.reshape(goals, -1) * likelihood[:, None]
+    if not joint.sum() > 0:
+        raise ValueError(f"the answer {'yes' if yes else 'no'} is impossible; expected an error rate above 0")
+    return (joint / joint.sum()).reshape(belief.shape)
+
+
+class Questions:
+    """Questions to the people of some policies, of whom each pursues one of several goals.
+
+    Parameters
+    ----------
+    policies : sequence of Policy
+    cost : float
+        Cost of a question, in cost units.
+    error : float
+        Probability of a wrong answer.
+    """
+
+    def __init__(self, policies: Sequence[Policy], cost: float, error: float = 0.0) -> None:
+        self.cost, self.error = cost, error
+        self._benefit: ByPolicy[Floats] = ByPolicy(policies, benefit)
+
+    def best(
+        self, policy: Policy, x: NDArray[np.int64], belief: Floats, attention: Floats
+    ) -> tuple[NDArray[np.int64], Floats]:
+        """Return the goal to ask each person about, and the worth of the answer minus its cost, both of shape (N,).
+
+        Parameters
+        ----------
+        policy : Policy
+        x : int array, shape (N,)
+        belief : float array, shape (N, G * B, T)
+        attention : float array, shape (N,)
+            Share of a robot's attention that each person gets: robots per person who is at work, at most 1.
+        """
+        rows = policy.pomdp.model.choices.of_goals(x).T
+        each = (belief.reshape(*rows.shape, -1) * self._benefit[policy][rows]).sum(axis=2)
+        asked = np.eye(rows.shape[1], dtype=bool)
+        likelihood = np.where(asked, 1 - self.error, self.error)  # of yes: the question, the goal
+        yes, no = ((each[:, None] * chance).max(axis=2) for chance in (likelihood, 1 - likelihood))
+        worth = (yes + no - each.max(axis=1, keepdims=True)) * attention[:, None] - self.cost
+        goal = worth.argmax(axis=1)
+        return goal, worth[np.arange(len(x)), goal]
+
+
+def benefit(policy: Policy) -> Floats:
+    """Return the benefit of a robot that knows a person's goal, beta and theta, shape (n, B * T)."""
+    solved: Any = policy.prepare()
+    never = evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
+    return np.maximum(solved.value_mdp - never, 0.0).reshape(len(never), -1)
