@@ -1,9 +1,13 @@
 """Latency over MQTT: from a message on the broker to advice on the broker, beside HTTP with the same service.
 
-    python bench/line.py [--people 200] [--seconds 60] [--every 2] [--instance FILE] [--record FILE]
+    python bench/line.py [--people 200] [--seconds 60] [--every 5] [--instance FILE] [--record FILE]
 
-People act every few seconds, first through a broker on loopback and the bridge of `kitassist serve`, then over HTTP and
-WebSocket as in `live_load.py`. The time is from an action until the person's advice after it arrives.
+People act first through a broker on loopback and the bridge of `kitassist serve`, then over HTTP and WebSocket as in
+`live_load.py`. The time is from an action until the person's advice after it arrives. Each person acts at a pace of
+their own: the times between two actions are drawn from a gamma distribution of shape 4, as for simulated people, with a
+mean of five seconds, about that of picking one part. So 200 people report 40 actions a second, not in step.
+
+The processor's load by other programs decides the slowest answers: a run for a record needs an idle machine.
 """
 
 from __future__ import annotations
@@ -42,6 +46,24 @@ fields = ["suggestion", "applicable", "finished", "seq"]
 """
 
 
+def pause(rng: np.random.Generator, every: float) -> float:
+    """Return the seconds until a person acts again."""
+    return every * float(rng.gamma(4.0, 0.25))
+
+
+class Paced(Worker):
+    """A person who acts over HTTP at a pace of their own."""
+
+    async def work(self, until: float) -> None:
+        while not self.view:
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(self.rng.uniform(0, self.every))
+        while time.monotonic() < until:
+            due = time.monotonic() + pause(self.rng, self.every)
+            await self.act()
+            await asyncio.sleep(max(0.0, due - time.monotonic()))
+
+
 class Station:
     """A person's station: it reports actions and receives advice."""
 
@@ -55,7 +77,7 @@ class Station:
         view, number = await self.advice.get(), 0
         await asyncio.sleep(self.rng.uniform(0, self.every))
         while time.monotonic() < until:
-            due = time.monotonic() + self.every
+            due = time.monotonic() + pause(self.rng, self.every)
             while not self.advice.empty():
                 view = self.advice.get_nowait()
             number += 1
@@ -97,7 +119,7 @@ async def over_mqtt(port: int, names: list[str], seconds: float, every: float) -
 async def over_http(links: dict[str, str], seconds: float, every: float) -> list[float]:
     """Return the latencies of people who act over HTTP."""
     seen = Seen()
-    workers = [Worker(link, every, number, seen) for number, link in enumerate(links.values())]
+    workers = [Paced(link, every, number, seen) for number, link in enumerate(links.values())]
     listening = [asyncio.create_task(worker.listen()) for worker in workers]
     await asyncio.gather(*(worker.work(time.monotonic() + seconds) for worker in workers))
     for task in listening:
@@ -118,6 +140,8 @@ COLUMNS: Columns = {
     "people": cell("people"),
     "through": cell("through"),
     "actions": cell("actions", ","),
+    "a second": cell("rate", ".0f"),
+    "load of the machine": cell("load", ".1f"),
     "processor time of the service, ms an action": cell("processor", ".1f"),
     "from action to advice: median, 95 %, slowest, ms": lambda row: " / ".join(f"{one:.0f}" for one in row["times"]),
 }
@@ -126,7 +150,7 @@ COLUMNS: Columns = {
 @click.command()
 @click.option("--people", default=200, show_default=True)
 @click.option("--seconds", default=60.0, show_default=True, help="Seconds of each way.")
-@click.option("--every", default=2.0, show_default=True, help="Seconds between two actions of a person.")
+@click.option("--every", default=5.0, show_default=True, help="Mean seconds between two actions of a person.")
 @click.option("--instance", type=Path, default=PAPER)
 @record_option
 def main(people: int, seconds: float, every: float, instance: Path, record: Path | None) -> None:
@@ -143,17 +167,21 @@ def main(people: int, seconds: float, every: float, instance: Path, record: Path
             used = [processor(pid)]
             times = {"MQTT": asyncio.run(over_mqtt(port, list(links), seconds, every))}
             used.append(processor(pid))
+            loads = [os.getloadavg()[0]]
             times["HTTP"] = asyncio.run(over_http(links, seconds, every))
             used.append(processor(pid))
+            loads.append(os.getloadavg()[0])
             service.process.send_signal(signal.SIGTERM)
             service.process.communicate()
-    for (through, found), begun, ended in zip(times.items(), used, used[1:], strict=False):
+    for (through, found), begun, ended, load in zip(times.items(), used, used[1:], loads, strict=False):
         shares = [_milliseconds(found, share) for share in (0.5, 0.95, 1.0)]
         rows.append(
             {
                 "people": people,
                 "through": through,
                 "actions": len(found),
+                "rate": len(found) / seconds,
+                "load": load,
                 "times": shares,
                 "processor": 1000 * (ended - begun) / len(found),
             }

@@ -1,9 +1,9 @@
-"""Screenshots of pages for `docs/live.md` and `docs/userstudy.md`.
+"""Screenshots of pages for `docs/live.md`, `docs/line.md` and `docs/userstudy.md`.
 
 The live service has four people, two of whom are simulated. The user study is rehearsed, and another participant takes
-part in it.
+part in it. The line is that of `make line`, after a while.
 
-    python bench/live_pictures.py [--only live|study] [--out docs/figures]
+    python bench/live_pictures.py [--only live|line|study] [--out docs/figures]
 
 Needs Chromium and the extra `test`.
 """
@@ -140,14 +140,36 @@ def finish(table: Table, ann: Client, operator: Client) -> None:
 @click.command()
 @click.option("--out", type=Path, default=Path("docs/figures"), show_default=True)
 @click.option(
-    "--only", type=click.Choice(["live", "study"]), help="Only the pages of the live assistant, or of the study."
-)
+    "--only", type=click.Choice(["live", "line", "study"]),
+    help="Only the pages of the live assistant, of the line, or of the study.",
+)  # fmt: skip
 def main(out: Path, only: str | None) -> None:
     """Take the screenshots."""
-    if only != "study":
-        live(out)
-    if only != "live":
-        studied(out)
+    for name, take in (("live", live), ("line", line), ("study", studied)):
+        if only in (None, name):
+            take(out)
+
+
+def line(out: Path) -> None:
+    """Take a screenshot of the operator's page of the line without hardware, when each person has acted a few times."""
+    command = [sys.executable, ROOT / "docs" / "examples" / "line.py", "--pace", "1.5"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    link = process.stdout.readline().split()[-1]
+    acted = 0
+    while acted < 12:  # actions, of which the page shows the last
+        acted += process.stdout.readline().startswith("person-")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 900, "height": 760})
+        page.goto(link)
+        page.wait_for_selector("#people > *")
+        page.wait_for_timeout(1000)
+        page.screenshot(path=out / "line_operator.png")
+        browser.close()
+    process.terminate()
+    process.communicate()
+    shrink(out / "line_operator.png")
 
 
 def studied(out: Path) -> None:

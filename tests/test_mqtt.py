@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import random
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -342,6 +344,25 @@ def test_the_line_without_hardware_runs_to_its_end() -> None:
     assert all(f"person-{number} has finished" in done.stdout for number in (1, 2, 3))
     assert "the robot is at person-" in done.stdout
     assert "MQTT:" not in done.stderr
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_line_and_all_that_it_has_started() -> None:
+    command = [sys.executable, ROOT / "docs" / "examples" / "line.py", "--pace", "0.2"]
+    line = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        assert line.stdout is not None
+        while not line.stdout.readline().startswith("person-"):
+            assert line.poll() is None
+        os.killpg(line.pid, signal.SIGINT)  # as a terminal does
+        said, faults = line.communicate(timeout=60)
+    finally:
+        line.kill()
+    assert line.returncode == 0, faults
+    assert said.rstrip().endswith("ending")
+    assert "Traceback" not in faults
+    with pytest.raises(ProcessLookupError):
+        os.killpg(line.pid, 0)
 
 
 def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path) -> None:
