@@ -6,7 +6,6 @@ import os
 import random
 import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
@@ -18,13 +17,13 @@ import pytest
 from conftest import KITTING
 from hypothesis import given, settings
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, former, happen
+from store_faults import Failing, schedule
 from userstudies import PLAN, Part, written
 
 from assist.live.events import AbsentError, Event
 from assist.live.live_task import LiveTask
 from assist.live.session import Session
 from assist.live.store import EventStore, JournalError, stored
-from assist.person.policy import Policy
 from assist.team.settings import Setting
 from assist.userstudy.plan import read
 from assist.userstudy.session import StudySession
@@ -179,91 +178,6 @@ def test_an_erasure_that_was_interrupted_is_completed(
 
 
 # Faults.
-
-
-class Failing:
-    """A connection of which a statement fails, before or after it is carried out."""
-
-    def __init__(self, db: sqlite3.Connection, fails: Any, error: BaseException | None = None, *, late: bool = False):
-        self._db, self._fails, self._late = db, fails, late
-        self._error = error or sqlite3.OperationalError("disk I/O error")
-
-    def execute(self, sql: str, *given: Any) -> Any:
-        fails = self._fails(sql)
-        if fails and not self._late:
-            raise self._error
-        found = self._db.execute(sql, *given)
-        if fails:
-            raise self._error
-        return found
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._db, name)
-
-
-ERRORS = [MemoryError(), RuntimeError("a fault"), sqlite3.OperationalError("disk I/O error"), KeyboardInterrupt()]
-
-
-def failing(session: Session, rng: random.Random, statements: int) -> Failing:
-    """Let one or two of the next statements of a session's store fail."""
-    left, last = [rng.randint(0, statements)], rng.choice([-1, -2])
-
-    def fails(_: str) -> bool:
-        left[0] -= 1
-        return last <= left[0] <= -1
-
-    return Failing(session._store._db, fails, rng.choice(ERRORS), late=rng.random() < 0.5)
-
-
-def schedule(task: Policy, folder: Path, seed: int) -> None:
-    """Report batches of events and erase people while statements of the store fail, and check the session each time."""
-    rng = random.Random(seed)
-    file = folder / f"{seed}.sqlite"
-
-    def opened() -> Session:
-        return Session(task, file, setting=SETTING, population=EASY)  # type: ignore[arg-type]
-
-    session, acknowledged, number = opened(), dict[str, tuple[Event, Any]](), 0
-    session.report([Event("joined", name, id=f"join {name}") for name in "abc"])
-    for _ in range(rng.randint(2, 5)):
-        batch: list[Event] = []
-        for _ in range(rng.randint(1, 5)):
-            name, number = rng.choice("abc"), number + 1
-            options = session.person(name)["applicable"] if name in session.people else []
-            batch.append(Event("acted", name, rng.choice(options or ["(fetch box-a)"]), id=str(number)))
-        erases = rng.random() < 0.2 and "c" in session.people
-        whole, outcomes, stones = session._store._db, list[Any](), len(session.tombstones())
-        beliefs = session.beliefs()
-        fault = failing(session, rng, 30 if erases else 2 * len(batch) + 2)
-        session._store._db = fault  # type: ignore[assignment]
-        try:
-            if erases:
-                session.erase("c", "as asked")
-            else:
-                outcomes = session.report(batch)
-        except (KeyboardInterrupt, MemoryError, RuntimeError, JournalError) as error:
-            if not isinstance(error, JournalError) and error not in ERRORS:
-                raise
-        if session._store._db is fault:
-            session._store._db = whole
-        acknowledged |= {
-            event.id or "": (event, outcome)
-            for event, outcome in zip(batch, outcomes, strict=False)
-            if isinstance(outcome, dict)
-        }
-        if len(session.tombstones()) > stones:
-            acknowledged = {id: one for id, one in acknowledged.items() if one[0].person != "c"}
-            assert session.beliefs() == {name: beliefs[name] for name in "ab"}
-        ids = [record["id"] for _, record in stored(file)[1] if "id" in record]
-        assert len(ids) == len(set(ids))
-        assert set(acknowledged) <= set(ids)
-        before = all_of(session)
-        session.close()
-        session = opened()
-        assert all_of(session) == before, "what is in memory is what is stored"
-        for event, outcome in acknowledged.values():
-            assert session.report([event]) == [outcome]
-    session.close()
 
 
 @pytest.mark.parametrize("first", [0, pytest.param(20, marks=pytest.mark.slow)])

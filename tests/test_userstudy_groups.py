@@ -216,6 +216,27 @@ def test_a_group_that_cannot_be_is_refused(tmp_path: Path, right: str, wrong: st
     assert message in str(refused.value)
 
 
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+@pytest.mark.slow
+def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path: Path) -> None:
+    text = GROUPS.replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("wait = 5", "wait = 0.02")
+    context = chromium.new_context(viewport={"width": 360, "height": 740})
+    page = context.new_page()
+    page.set_default_timeout(60_000)
+    with served("--study", written(tmp_path / "study.toml", text), "--data", tmp_path / "data", instance=None) as study:
+        page.goto(study.links["everybody"])
+        page.click("text=I agree and take part")
+        page.click('h2:text("What you will do") ~ form >> button')
+        page.wait_for_selector('h2:text("There is no group for you")')
+        assert len(page.input_value("#code")) == 8
+        page.wait_for_selector("#withdrawal")
+        assert violations(page, dark=False) == []
+        page.click("#leave-button")
+        page.click("#leave-now")
+        page.wait_for_selector('h2:text("You have left the study")')
+    context.close()
+
+
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 @pytest.mark.slow

@@ -82,9 +82,9 @@ function plain(heading, ...lines) {
   at("body").append(...lines.map((line) => element("p", {}, line)));
 }
 
-function ends(study) {
-  title("Thank you");
-  at("body").innerHTML = form.texts.thanks;
+function ends(study, heading = "Thank you", words = form.texts.thanks) {
+  title(heading);
+  at("body").innerHTML = words;
   const code = element("input", { readonly: true, value: study.completion, id: "code", size: study.completion.length + 1 });
   const copy = element("button", { type: "button" }, "Copy");
   copy.addEventListener("click", async () => {
@@ -108,10 +108,8 @@ const STAGES = {
   instructions: () => text("What you will do", "instructions", ["Continue", null]),
   questionnaire,
   waiting: () => plain("Waiting for your group", "The task begins by itself when all are here. Please keep this page open."),
-  unmatched: (study) => {
-    plain("There is no group for you", "Not enough people came in time. Thank you for waiting.", `Your completion code: ${study.completion}`, "You can close this page.");
-  },
-  thanks: ends,
+  unmatched: (study) => ends(study, "There is no group for you", "<p>Not enough people came in time. Thank you for waiting.</p>"),
+  thanks: (study) => ends(study),
   declined: () => plain("You chose not to take part", "Nothing more is recorded about you. You can close this page."),
   withdrew: () => plain("You have left the study", "Thank you for your time. You can close this page."),
   gone: () => {
@@ -144,7 +142,7 @@ function show() {
   at("progress").hidden = !(under || study.kind === "thanks");
   at("progress").max = study.of;
   at("progress").value = study.number;
-  const ended = study.kind === "thanks"; // data can be withdrawn afterwards, too
+  const ended = ["thanks", "unmatched"].includes(study.kind); // data can be withdrawn afterwards, too
   at("leave").hidden = !(under || ended) || leaves || study.kind === "consent";
   at("leave-button").textContent = at("leave-now").textContent = ended ? "Withdraw my data" : "Leave the study";
   at("stay").textContent = ended ? "Keep my data in the study" : "Stay";
