@@ -12,6 +12,7 @@ from conftest import kit
 from test_unreliable_observations import by_enumeration, problem
 
 from assist.live import Assistant, InapplicableError, Session
+from assist.live.uncertain_actions import after_answers
 from assist.person import QMDP, ObservationModel, qmdp
 from assist.team import Setting
 
@@ -85,6 +86,41 @@ def test_a_wrong_observation_is_survived_taken_back_and_saved(policy: str) -> No
     assert again.recommend() == team.recommend()
     assert len(team.log()) == 3 + 1 + 3 + 2  # an action that perhaps was missed is in no log
     assert json.loads(again.to_json()) == json.loads(team.to_json())
+
+
+def test_a_question_is_worth_something_where_the_answer_changes_what_the_robot_does() -> None:
+    team = desk(SURE)
+    options = team.person("ann").applicable
+    assert team.worth_of_asking("ann") == 0
+    with pytest.raises(InapplicableError, match="ann has done nothing yet"):
+        team.answer("ann", options[0])
+    team.observe("ann", likelihoods={options[0]: 1.0})
+    assert team.worth_of_asking("ann") == pytest.approx(0, abs=1e-9)  # only one action is possible
+    team.undo("ann")
+    team.observe("ann", likelihoods=dict.fromkeys(options, 1.0))
+    worth = team.worth_of_asking("ann")
+    assert worth > 0
+    with pytest.raises(InapplicableError, match="in no probable state"):
+        team.answer("ann", FETCH if FETCH not in options else "(return box-a)")
+    assert team.worth_of_asking("ann") == worth
+    team.answer("ann", options[1])
+    told = desk(SURE)
+    told.observe("ann", options[1])
+    one, other = team.person("ann"), told.person("ann")
+    assert (one.state, one.steps, len(one.states)) == (other.state, 1, 1)
+    np.testing.assert_allclose(one.belief, other.belief, rtol=0, atol=1e-12)
+    again = Assistant.from_json(team.to_json(), kit("paper-fixed"))
+    np.testing.assert_array_equal(again.person("ann").belief, one.belief)
+
+
+def test_answers_are_as_probable_as_the_actions_were() -> None:
+    team = desk()
+    walk(team, 3, 2)
+    record = team._team.known("ann")
+    after = after_answers(record, NOISY.observation)
+    assert record.joint is not None
+    assert sum(one.evidence for one in after) == pytest.approx(record.joint.evidence, rel=1e-5)
+    assert team.worth_of_asking("ann") >= 0
 
 
 def test_a_session_of_noisy_observations_resumes_with_its_beliefs(tmp_path: Path) -> None:

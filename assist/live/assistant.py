@@ -37,9 +37,10 @@ from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..people.spread import Spread
 from ..person.belief_filter import update
-from ..person.joint_belief import same_suggestions
+from ..person.joint_belief import JointBelief, same_suggestions
 from ..person.policy import Policy
 from ..team.action_check import check
+from ..team.hidden_states import expected_answers
 from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState, worth_of_actions
@@ -48,7 +49,7 @@ from .advice import Advice, PersonState, Reason
 from .decision_point import DecisionPoint
 from .live_task import InapplicableError, LiveTask, UnknownError, digest, population_of
 from .roster import Roster, RosterEntry, Step
-from .uncertain_actions import joint_after, seen_of
+from .uncertain_actions import after_answers, joint_after, joint_before_last, seen_of
 
 FORMAT = "kitassist team 1"
 """Format identifier of saved teams."""
@@ -317,6 +318,48 @@ class Assistant:
     def _uncertain(self, record: RosterEntry) -> bool:
         """Return whether the state of a person's task is uncertain."""
         return record.joint is not None or self.setting.observation is not None
+
+    def worth_of_asking(self, person: str) -> float:
+        """Return what it is worth to learn what a person's last action was, in cost units, if they answer truthfully.
+
+        It is the expected increase of the QMDP value of the person's own problem. A question that costs less is worth
+        asking; `answer` takes the answer. It is 0 if the last action is certain.
+        """
+        record = self._team.known(person)
+        if record.joint is None or not record.steps:
+            return 0.0
+        policy = self._team.part(record)[0].policy
+
+        def value(joint: JointBelief) -> float:
+            likeliest = np.array([joint.likeliest])
+            return float(expected_answers(worth_of_actions, policy, likeliest, [joint]).max())
+
+        answers = after_answers(record, self.setting.observation)
+        total, known = sum(after.evidence for after in answers), value(record.joint)
+        return max(0.0, sum(after.evidence / total * (value(after) - known) for after in answers))
+
+    def answer(self, person: str, action: str) -> None:
+        """Record what a person says that their last action was; it takes the place of what was seen.
+
+        Raises
+        ------
+        UnknownError, InapplicableError
+            As in `observe`, or the person has not acted. Nothing has changed then.
+        """
+        record = self._team.known(person)
+        if not record.steps:
+            raise InapplicableError(f"{person} has done nothing yet that could be asked about")
+        k, problem, model = record.place, record.problem, self.setting.observation
+        (part, row), name = self._team.part(record), problem.named(action)
+        step = record.steps[-1]._replace(action=name, seen={"likelihoods": {name: 1.0}}, slot=NOTHING)
+        then = replace(record, joint=joint_before_last(record, model))
+        record.joint = joint_after(then, record.before, step, model)
+        record.steps[-1], self._team.belief[k] = step, record.joint.belief
+        likeliest = np.array([record.joint.likeliest])
+        still = same_suggestions(part.policy.pomdp, np.array([row]), likeliest)[0, self._team.robot[k]]
+        erred = record.joint.erred > 1 / 2
+        self._team.put(record, *problem.at(record.joint.likeliest), erred=erred, robot=int(still))
+        self._advice = None
 
     def undo(self, person: str) -> str | None:
         """Take back a person's last action, as if it had not been observed, and return it.

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..people.arguments import number
 from ..people.belief import ImpossibleObservationError
+from ..people.choices import WAIT, Choices
 from ..people.decision import NOTHING, Floats
 from ..person.joint_belief import JointBelief
 from ..person.observation_model import Evidence, ObservationModel
@@ -80,11 +83,7 @@ def joint_after(record: RosterEntry, belief: Floats, step: Step, model: Observat
     if "missed" in seen:
         acted = joint.after(Evidence.none(choices), said, choices, part.arrays)
         return joint.mixed(acted, seen["missed"]).without(1e-6)
-    if model is not None and step.action is not None and not seen:
-        evidence = model.evidence(choices, problem.ground(step.action))
-    else:
-        likelihoods = seen.get("likelihoods", {step.action: 1.0})
-        evidence = Evidence.of(choices, {problem.ground(one): p for one, p in likelihoods.items()})
+    evidence = _evidence(problem, choices, step, model)
     try:
         return joint.after_some(evidence, said, choices, part.arrays, miss=0.0 if model is None else model.miss)
     except ImpossibleObservationError:
@@ -93,3 +92,40 @@ def joint_after(record: RosterEntry, belief: Floats, step: Step, model: Observat
             f"{step.action} is applicable in no probable state of {record.name}; in the most probable one there are: "
             f"{', '.join(names)}"
         ) from None
+
+
+def _evidence(problem: LiveTask, choices: Choices, step: Step, model: ObservationModel | None) -> Evidence:
+    """Return what was seen of an action that was seen at all."""
+    if model is not None and step.action is not None and step.seen is None:
+        return model.evidence(choices, problem.ground(step.action))
+    likelihoods = (step.seen or {}).get("likelihoods", {step.action: 1.0})
+    return Evidence.of(choices, {problem.ground(one): p for one, p in likelihoods.items()})
+
+
+def joint_before_last(record: RosterEntry, model: ObservationModel | None) -> JointBelief:
+    """Return the belief over task states and types of a person before their last step; nothing changes."""
+    then = replace(record, joint=JointBelief.at(record.problem.initial, record.before))
+    for step in record.steps[:-1]:
+        then.joint = joint_after(then, record.before, step, model)
+    assert then.joint is not None
+    return then.joint
+
+
+def after_answers(record: RosterEntry, model: ObservationModel | None) -> list[JointBelief]:
+    """Return the belief after each answer of a person to what they did last.
+
+    The field `evidence` of a belief is proportional to the probability of the answer. There are none if perhaps nothing
+    was done last.
+    """
+    last, problem = record.steps[-1], record.problem
+    if "missed" in (last.seen or {}):
+        return []
+    part, _ = problem.at(problem.initial)
+    choices, found = part.choices, list[JointBelief]()
+    joint, evidence = joint_before_last(record, model), _evidence(problem, choices, last, model)
+    said = NOTHING if last.suggestion is None else problem.ground(last.suggestion)
+    for action in (*range(len(choices.names)), WAIT):
+        with suppress(ImpossibleObservationError):
+            only, miss = evidence._replace(only=action), 0.0 if model is None else model.miss
+            found.append(joint.after_some(only, said, choices, part.arrays, miss=miss))
+    return found

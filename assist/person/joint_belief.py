@@ -193,8 +193,8 @@ def _chance(likelihood: Floats, seen: int, rate: float, action: int, count: int,
 
 @njit(nogil=True)
 def _advance(
-    x: Ints, joint: Floats, suggestion: int, likelihood: Floats, seen: int, rate: float, unseen: bool, actions: Ints,
-    optimal: NDArray[np.bool_], m: ProblemArrays, works: bool,
+    x: Ints, joint: Floats, suggestion: int, likelihood: Floats, seen: int, rate: float, unseen: bool, only: int,
+    actions: Ints, optimal: NDArray[np.bool_], m: ProblemArrays, works: bool,
 ) -> tuple[Ints, Floats, float]:  # fmt: skip
     """Return the possible states after an action, their unnormalised probabilities, and that of a mistake."""
     betas, thetas = m.chosen.shape[2], len(m.theta)
@@ -225,6 +225,8 @@ def _advance(
             for a in range(m.counts[own]):
                 chance = _chance(likelihood, seen, rate, actions[own, a], m.counts[own], applicable)
                 target = m.targets[own, a]
+                if only != -2 and actions[own, a] != only:
+                    continue
                 if chance == 0.0 or (works and m.goal[target]):
                     continue
                 mass = posterior(before[s, goal], after, own, spoken, a, m)

@@ -29,12 +29,15 @@ class Evidence(NamedTuple):
         Probability of seeing one of the other actions that are applicable; -1 if `likelihood` is used.
     unseen : bool
         Whether nothing was seen.
+    only : int
+        The one ground action that may have been taken; -2 if any may.
     """
 
     likelihood: Floats
     seen: int = WAIT
     rate: float = -1.0
     unseen: bool = False
+    only: int = -2
 
     @classmethod
     def none(cls, choices: Choices) -> Evidence:
