@@ -253,16 +253,19 @@ class Case:
         """Return the task with all goals: its own, and random facts of random states."""
         if self.goals == 1:
             return table
-        rng = np.random.default_rng([self.number, 12])
-        initial, goals = table.values([table.initial])[0], [table.task.goal]
-        while len(goals) < self.goals:  # goals may be the same, or hold in the same states
-            values = table.values([int(rng.integers(len(table)))])[0]
-            which = rng.permutation(len(values))[: int(rng.integers(1, 3))]
-            if (values[which] != initial[which]).any():
-                goals.append(tuple((int(one), int(values[one])) for one in np.sort(which)))
-        tables = sweep_goals([replace(table.task, goal=goal) for goal in goals])
+        rng, initial = np.random.default_rng([self.number, 12]), table.values([table.initial])[0]
+        tables: list[Table] = []
+        while not tables or any(one[one.initial] == 0 for one in tables):
+            goals = [table.task.goal]
+            while len(goals) < self.goals:  # goals may be the same, or hold in the same states
+                values = table.values([int(rng.integers(len(table)))])[0]
+                which = rng.permutation(len(values))[: int(rng.integers(1, 3))]
+                if (values[which] != initial[which]).any():
+                    goals.append(tuple((int(one), int(values[one])) for one in np.sort(which)))
+            tables = sweep_goals([replace(table.task, goal=goal) for goal in goals])
+        names = [f"goal-{number}" for number in range(self.goals)]
         prior = rng.dirichlet(np.ones(self.goals)).tolist()
-        return Goals({f"goal-{n}": one for n, one in enumerate(tables)}, {f"goal-{n}": p for n, p in enumerate(prior)})
+        return Goals(dict(zip(names, tables, strict=True)), dict(zip(names, prior, strict=True)))
 
     def pool(self, table: Table | Goals, **options: Any) -> Pool:
         """Draw the pool of people and solve their POMDPs."""
