@@ -16,8 +16,9 @@ from .options.common import (
     domain_option,
     separate_files,
 )
+from .options.goals import goal_list_options
 from .options.help import command
-from .options.log import log_options, people_of, replayed
+from .options.log import log_options, people_of, people_with_goals, replayed
 from .options.task import one_instance
 from .options.trust import Confidence, fit_trust_options, trust_of
 from .output.people_estimates import show_comparison, show_people
@@ -40,13 +41,14 @@ from .terminal.console import ExitCode, one_line_errors
 @fit_trust_options
 @click.option("--figures", type=OUTPUT_FOLDER, help="Folder for figures.")
 @domain_option
+@goal_list_options
 @log_options
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def fit(
     instance: str | None, domain: str | None, file: Path | None, out: Path | None, population: Path | None,
     family: str | None, figures: Path | None, misconceptions: bool, terms: bool, compare: bool, people: str | None,
     folds: int, seed: int, as_json: bool, trust: str | None, compare_trust: bool, theta_per_episode: bool,
-    advice: Path | None, confidence: Confidence, **options: Any,
+    advice: Path | None, confidence: Confidence, problems: tuple[str, ...], goal_prior: tuple[str, ...], **options: Any,
 ) -> None:  # fmt: skip
     """Estimate people's expertise, influence and trust from a LOG of their actions.
 
@@ -58,7 +60,13 @@ def fit(
     if family and as_json and not population:
         raise click.UsageError("--family: expected --population, since with --json it has no effect otherwise")
     by_rule = trust_of(trust, compare_trust, theta_per_episode, advice, confidence)
-    kinds = {"--misconception": misconceptions, "--terms": terms, "--compare": compare, "--people": people}
+    kinds = {
+        "--goals": problems,
+        "--misconception": misconceptions,
+        "--terms": terms,
+        "--compare": compare,
+        "--people": people,
+    }
     apart(kinds | by_rule.named)
     for name, given in {"--family": family, "--figures": figures}.items():
         apart({name: given} | by_rule.named)
@@ -74,12 +82,22 @@ def fit(
     if population and people:
         raise click.UsageError("--population and --people: a population file has no functions; expected one of them")
     apart({"--family": family, "--terms": terms, "--compare": compare})
+    apart({"--goals": problems, "--figures": figures})
+    if goal_prior and not problems:
+        raise click.UsageError("--goal-prior: expected --goals, too")
     with one_line_errors("interrupted; states evaluated on demand are saved"):
         found = one_instance(instance, domain)
         inputs = {"INSTANCE": found.problem, "its domain": found.domain, "LOG": file}
         separate_files({"--out": out, "--population": population}, inputs)
         if figures:
             style.require()
+        if problems:
+            people_found = people_with_goals(
+                instance, problems, goal_prior, file, domain=domain, **options,
+            )  # fmt: skip
+            if not show_people(people_found, out, population, family, figures, as_json=as_json):
+                sys.exit(ExitCode.FAILED)
+            return
         known = replayed(found, file, **options)
         if by_rule.wanted:
             complete = show_trust(known, by_rule, folds, out, population, as_json=as_json)

@@ -12,6 +12,7 @@ from .diagnostics import check as check
 from .fit import FittedPeople as FittedPeople
 from .fit import LogError as LogError
 from .fit import fit as fit
+from .goal_fit import fit_with_goals as fit_with_goals
 from .goals import EpisodeGoals as EpisodeGoals
 from .goals import InferredGoals as InferredGoals
 from .goals import infer_goals as infer_goals
@@ -30,6 +31,7 @@ from .misconception_fit import MisconceptionFit as MisconceptionFit
 from .misconception_fit import fit_misconception as fit_misconception
 from .observations import EvaluatedStates as EvaluatedStates
 from .observations import Observations as Observations
+from .observations import UnknownGoals as UnknownGoals
 from .observations import observe as observe
 from .person_estimate import PersonEstimate as PersonEstimate
 from .population import PopulationFit as PopulationFit

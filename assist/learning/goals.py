@@ -12,7 +12,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -200,6 +200,55 @@ def inferred(
         raise ValueError(f"beta {grid}: expected one or more finite values from 0 upwards")
     if not 0 < lapse < 1:
         raise ValueError(f"lapse {lapse:g}: expected 0 < lapse < 1")
+    r = recorded(goals, log, drop=drop, rename=rename, strict=strict)
+    notes, left_out = list(r.notes), sum(r.left_out.values())
+    if left_out:
+        notes.append(f"{left_out} actions are left out, since the cost-to-go after them is unknown")
+    if (r.recording.suggested != NOTHING).any():
+        notes.append("suggestions are ignored: people are taken to choose by cost-to-go alone")
+    likelihood = np.log(_probabilities(r.recording, r.h, r.reached, grid, lapse))
+    with np.errstate(divide="ignore"):
+        episodes = _posteriors(r.recording, likelihood, np.log(first), grid, r.actions)
+    return InferredGoals(tuple(goals), first, episodes, r.faults, tuple(notes), left_out)
+
+
+class RecordedWithGoals(NamedTuple):
+    """A log that was replayed for G goals.
+
+    Attributes
+    ----------
+    recording : Recording
+        N choices, without those of which the cost-to-go is unknown with some goal.
+    h : float array, shape (G, states)
+        Cost-to-go with each goal.
+    reached : bool array, shape (G, N)
+        Whether each goal holds before each choice.
+    actions : sequence of str
+        The task's actions.
+    faults : tuple of Fault
+    notes : tuple of str
+    left_out : dict of str to int
+        Number of choices of each person that are left out.
+    """
+
+    recording: Recording
+    h: Floats
+    reached: NDArray[np.bool_]
+    actions: Sequence[str]
+    faults: tuple[Fault, ...]
+    notes: tuple[str, ...]
+    left_out: dict[str, int]
+
+
+def recorded(
+    goals: Mapping[str, CostToGo],
+    log: Log,
+    *,
+    drop: Sequence[str] = (),
+    rename: Mapping[str, str] | None = None,
+    strict: bool = False,
+) -> RecordedWithGoals:
+    """Replay a log for several goals; parameters and errors as in `infer_goals`."""
     states = JointStates(goals)
     for name, costs in goals.items():
         if not np.isfinite(costs.lookup([costs.initial])[0]):
@@ -210,19 +259,11 @@ def inferred(
         raise LogError(f"{log.name}:{faults[0].line}: {faults[0]}")
     require_actions(log, recording, states)
     h, notes = states.cost_to_go(recording, strict=strict)
-    unknown = np.isnan(h).any(axis=0)
-    recording, without = recording.evaluated(np.where(unknown, np.nan, 0.0))
-    left_out = sum(without.values())
+    recording, left_out = recording.evaluated(np.where(np.isnan(h).any(axis=0), np.nan, 0.0))
     if not len(recording):
         raise LogError(f"{log.name}: the states after every action took too long")
-    if left_out:
-        notes.append(f"{left_out} actions are left out, since the cost-to-go after them is unknown")
-    if (recording.suggested != NOTHING).any():
-        notes.append("suggestions are ignored: people are taken to choose by cost-to-go alone")
-    likelihood = np.log(_probabilities(recording, h, states.reached(recording.state), grid, lapse))
-    with np.errstate(divide="ignore"):
-        episodes = _posteriors(recording, likelihood, np.log(first), grid, states.task.actions)
-    return InferredGoals(tuple(goals), first, episodes, faults, tuple(notes), left_out)
+    reached = states.reached(recording.state)
+    return RecordedWithGoals(recording, h, reached, states.task.actions, faults, tuple(notes), left_out)
 
 
 def _probabilities(recording: Recording, h: Floats, reached: NDArray[np.bool_], beta: Floats, rate: float) -> Floats:

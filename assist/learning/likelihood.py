@@ -1,6 +1,10 @@
 """The likelihood of a person's actions under the model of `people.decision`, as a function of beta, theta and eta.
 
 The person's perceived cost-to-go is assumed to be h*. Each episode begins with the same theta.
+
+If a person pursues one of several goals in each episode, the likelihood of an episode is the sum over the goals of the
+prior probability, times the likelihood with that goal. After a goal is reached, an action can only be a lapse, and a
+suggestion does not move theta.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import influence_factors, update_trust
-from .observations import Ints, Observations
+from .observations import Ints, Observations, UnknownGoals
 
 SMALL = 1e-3
 """Share of the range of beta below which the scale of beta is linear; it is logarithmic above."""
@@ -87,6 +91,11 @@ class Data(NamedTuple):
     """Observations in the form that compiled code reads; numba accepts named tuples and no dataclasses.
 
     `heard` are the steps with a suggestion. `anew` marks those at which a new episode has begun since the last one.
+
+    If one of several goals is pursued, the steps are those of all pairs of an episode and a goal that is not reached
+    yet, as if they were different episodes. `pair` is the number of each step's pair, episode by episode. `first` is
+    the logarithm of the goal's probability and of all lapses after the goal, shape (episodes, goals); it is empty if
+    the goal is known.
     """
 
     excess: Floats
@@ -100,16 +109,39 @@ class Data(NamedTuple):
     chances: Floats
     heard: Ints
     anew: NDArray[np.bool_]
+    pair: Ints
+    first: Floats
 
     @classmethod
     def of(cls, o: Observations, method: Method) -> Data:
         """Return one person's observations in this form."""
+        if o.goals is not None:
+            return cls._with_goals(o, o.goals, method)
         gain = o.gain / method.utility_scale
         grid, chances = (np.zeros(0), np.zeros((0, 0, 0))) if o.own is None else (o.own.beta, o.own.chance)
         heard, anew = heard_steps(o.suggested, o.begins)
         return cls(
             excess=o.excess, options=o.applicable.sum(axis=1), chosen=o.chosen, suggested=o.suggested, gain=gain,
             begins=o.begins, lapse=method.lapse, grid=grid, chances=chances, heard=heard, anew=anew,
+            pair=np.zeros(0, dtype=np.int64), first=np.zeros((0, 0)),
+        )  # fmt: skip
+
+    @classmethod
+    def _with_goals(cls, o: Observations, goals: UnknownGoals, method: Method) -> Data:
+        goal, step = np.nonzero(~goals.reached)
+        options, episode = o.applicable.sum(axis=1), o.begins.cumsum() - 1
+        with np.errstate(divide="ignore"):
+            first = np.tile(np.log(goals.prior), (len(o.episodes), 1))
+        lapsed = np.nonzero(goals.reached)
+        np.add.at(first, (episode[lapsed[1]], lapsed[0]), np.log(method.lapse / options[lapsed[1]]))
+        excess, gain = (np.stack([getattr(each, name) for each in goals.each]) for name in ("excess", "gain"))
+        pair = episode[step] * len(goals.prior) + goal
+        begins = np.diff(pair, prepend=-1) != 0
+        heard, anew = heard_steps(o.suggested[step], begins)
+        return cls(
+            excess=excess[goal, step], options=options[step], chosen=o.chosen[step], suggested=o.suggested[step],
+            gain=gain[goal, step] / method.utility_scale, begins=begins, lapse=method.lapse, grid=np.zeros(0),
+            chances=np.zeros((0, 0, 0)), heard=heard, anew=anew, pair=pair, first=first,
         )  # fmt: skip
 
 
@@ -121,8 +153,10 @@ def heard_steps(suggested: Ints, begins: NDArray[np.bool_]) -> tuple[Ints, NDArr
 
 
 @njit(nogil=True)
-def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> float:
+def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats, silent: Floats) -> float:
     """Return the log-likelihood of the steps without a suggestion, and fill in probabilities at the others, (heard,).
+
+    If the goal is unknown, the log-likelihood of each episode and goal is filled into `silent`, (episodes, goals).
 
     `own`, `told` and `rest` are the probabilities, without the suggestion, of the chosen action, of the suggested one,
     and of all actions but the suggested one. The last is a sum, because 1 - told would lose precision near 1. The
@@ -137,7 +171,13 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> f
     total = 0.0
     product = 1.0  # of several probabilities, since logarithms are slow
     k = 0
+    goals = data.first.shape[1]  # 0 if the goal is known
+    if goals:
+        silent[:] = data.first
     for i in range(len(data.chosen)):
+        if goals and data.begins[i] and i:
+            silent[data.pair[i - 1] // goals, data.pair[i - 1] % goals] += total + math.log(product)
+            total, product = 0.0, 1.0
         picked = heard = others = 0.0
         for a in range(data.options[i]):
             if own_model:
@@ -160,12 +200,25 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> f
         if product < 1e-100:
             total += math.log(product)
             product = 1.0
-    return total + math.log(product)
+    total += math.log(product)
+    if goals and len(data.pair):
+        silent[data.pair[-1] // goals, data.pair[-1] % goals] += total
+        return 0.0
+    return total
 
 
 @njit(nogil=True)
-def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float, eta: float) -> float:
-    """Return the log-likelihood of the steps with a suggestion, given the probabilities from `alone`."""
+def with_trust(
+    data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, every: Floats, first: float, eta: float
+) -> float:
+    """Return the log-likelihood of the steps with a suggestion, given the probabilities from `alone`.
+
+    If the goal is unknown, it is that of all steps, and the logarithm of the joint probability of each goal and the
+    actions of each episode is filled into `every`, (episodes, goals).
+    """
+    goals = data.first.shape[1]  # 0 if the goal is known
+    if goals:
+        every[:] = silent
     total = 0.0
     product = 1.0
     theta = first
@@ -173,6 +226,10 @@ def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float
         i = data.heard[k]
         if data.anew[k]:
             theta = first
+            if goals and k:
+                pair = data.pair[data.heard[k - 1]]
+                every[pair // goals, pair % goals] += total + math.log(product)
+                total, product = 0.0, 1.0
         same, other = influence_factors(theta, told[k], rest[k])
         p = own[k] * (same if data.chosen[i] == data.suggested[i] else other)
         theta = update_trust(theta, eta, data.gain[i])
@@ -180,7 +237,16 @@ def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float
         if product < 1e-100:
             total += math.log(product)
             product = 1.0
-    return total + math.log(product)
+    total += math.log(product)
+    if goals:
+        if len(data.heard):
+            pair = data.pair[data.heard[-1]]
+            every[pair // goals, pair % goals] += total
+        total = 0.0
+        for episode in every:
+            most = episode.max()
+            total += most + math.log(np.exp(episode - most).sum())
+    return total
 
 
 @njit(nogil=True)
@@ -189,12 +255,24 @@ def on_grid(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
     result = np.empty((len(beta), len(theta), len(eta)))
     n = len(data.heard)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)
+    parts, every = np.empty_like(data.first), np.empty_like(data.first)
     for b in range(len(beta)):
-        silent = alone(data, beta[b], own, told, rest)
+        silent = alone(data, beta[b], own, told, rest, parts)
         for t in range(len(theta)):
             for e in range(len(eta)):
-                result[b, t, e] = silent + with_trust(data, own, told, rest, theta[t], eta[e])
+                result[b, t, e] = silent + with_trust(data, own, told, rest, parts, every, theta[t], eta[e])
     return result
+
+
+def goal_posteriors(observations: Observations, beta: float, theta: float, eta: float, method: Method) -> Floats:
+    """Return the probability of each goal in each episode, shape (episodes, goals), given all its actions."""
+    data = Data.of(observations, method)
+    own, told, rest = np.empty((3, len(data.heard)))
+    silent, every = np.empty_like(data.first), np.empty_like(data.first)
+    alone(data, beta, own, told, rest, silent)
+    with_trust(data, own, told, rest, silent, every, theta, eta)
+    every = np.exp(every - every.max(axis=1, keepdims=True))
+    return every / every.sum(axis=1, keepdims=True)
 
 
 @njit(nogil=True)

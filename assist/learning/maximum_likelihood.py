@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from scipy.special import chdtri
 
 from ..people.decision import Floats, choice, influence, lapse
-from .likelihood import Method, thetas
+from .likelihood import Method, goal_posteriors, thetas
 from .observations import Observations
 from .profiles import BETA, ETA, THETA, Profiles
 
@@ -90,6 +90,18 @@ class Fit:
             p = choice(o.excess, o.applicable, np.full(len(o), self.beta.value), bias)
         return lapse(influence(p, o.suggested, self.thetas()), o.applicable, self.method.lapse)
 
+    def goal_posteriors(self) -> dict[str, dict[str, float]]:
+        """Return the probability of each goal in each episode at the estimates; empty if the goal is known."""
+        o, goals = self.observations, self.observations.goals
+        if goals is None:
+            return {}
+        theta, eta = (0.5 if one is None else one.value for one in (self.theta, self.eta))
+        eta = eta if self.eta is not None else self.known_eta or 0.0
+        found = goal_posteriors(o, self.beta.value, theta, eta, self.method).tolist()
+        return {
+            name: dict(zip(goals.names, shares, strict=True)) for name, shares in zip(o.episodes, found, strict=True)
+        }
+
     def thetas(self) -> Floats:
         """Return theta before each step at the estimates, shape (N,); 0.5 everywhere without suggestions."""
         if self.theta is None:
@@ -103,7 +115,8 @@ def largest_beta(observations: Sequence[Observations], method: Method) -> float:
     """Return the end of the range of beta: `Method.largest_beta`, or its default for these observations."""
     if method.largest_beta is not None:
         return method.largest_beta
-    sizes = [o.excess[(o.excess > 0) & np.isfinite(o.excess)] for o in observations]
+    every = [each for o in observations for each in (o.goals.each if o.goals else [o])]
+    sizes = [o.excess[(o.excess > 0) & np.isfinite(o.excess)] for o in every]
     return 10.0 / min((float(size.min()) for size in sizes if len(size)), default=1.0)
 
 

@@ -43,6 +43,32 @@ class Chances:
 
 
 @dataclass(frozen=True)
+class UnknownGoals:
+    """A person's choices of N steps with each of G goals, one of which they pursue in each episode.
+
+    Attributes
+    ----------
+    names : tuple of str
+    prior : float array, shape (G,)
+        Probability of each goal in an episode.
+    each : tuple of Observations
+        The same choices with each goal.
+    reached : bool array, shape (G, N)
+        Whether each goal holds before each choice, so that the choice is a lapse.
+    """
+
+    names: tuple[str, ...]
+    prior: Floats
+    each: tuple[Observations, ...]
+    reached: NDArray[np.bool_]
+
+    __repr__ = outline
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+@dataclass(frozen=True)
 class EvaluatedStates:
     """Cost-to-go and plan lengths of n states to which choices lead.
 
@@ -116,6 +142,9 @@ class Observations:
         Value of each term for each choice.
     own : Chances, optional
         Choice probabilities of a user's choice model; None if people choose by cost-to-go.
+    goals : UnknownGoals, optional
+        The choices with each possible goal; None if the goal is known. What depends on the goal in other fields then
+        belongs to one goal for each episode.
     """
 
     person: str
@@ -135,6 +164,7 @@ class Observations:
     terms: tuple[str, ...]
     features: Floats
     own: Chances | None = None
+    goals: UnknownGoals | None = None
 
     __repr__ = outline
 

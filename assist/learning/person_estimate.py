@@ -151,6 +151,8 @@ class PersonEstimate:
         }
         if self.misconception is not None:
             record["misconception"] = _misconception(self.misconception, facts)
+        if o.goals is not None:
+            record["goals"] = self.fit.goal_posteriors()
         return record | {"left_out": self.left_out, "notes": self.notes, "error": None}
 
 

@@ -173,14 +173,16 @@ def _on_lines(
     n = len(data.heard)
     result, where = np.full((len(betas), len(others)), -np.inf), np.empty((len(betas), len(others)))
     silent, chances = np.empty(len(betas)), np.empty((len(betas), 3, n))
+    parts, every = np.empty((len(betas), *data.first.shape)), np.empty_like(data.first)
     for b in range(len(betas)):
-        silent[b] = alone(data, betas[b], chances[b, 0], chances[b, 1], chances[b, 2])
+        silent[b] = alone(data, betas[b], chances[b, 0], chances[b, 1], chances[b, 2], parts[b])
     for e in range(len(others)):
         places = _places(axis, others[e], sums, gaps, low, high, count)
         for b in range(len(betas)):
             for place in places:
                 theta, eta = (place, others[e]) if axis == THETA else (others[e], place)
-                value = silent[b] + with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], theta, eta)
+                own, told, rest = chances[b, 0], chances[b, 1], chances[b, 2]
+                value = silent[b] + with_trust(data, own, told, rest, parts[b], every, theta, eta)
                 if value > result[b, e]:
                     result[b, e] = value
                     where[b, e] = place
@@ -231,9 +233,10 @@ def _climb(
     """
     n = len(data.heard)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)
+    parts, every = np.empty_like(data.first), np.empty_like(data.first)
     filled = at[0]
-    silent = alone(data, small * math.expm1(filled), own, told, rest)
-    best = silent + with_trust(data, own, told, rest, at[1], at[2])
+    silent = alone(data, small * math.expm1(filled), own, told, rest, parts)
+    best = silent + with_trust(data, own, told, rest, parts, every, at[1], at[2])
     before = at.copy()
     for _ in range(halvings):
         improved = True
@@ -255,8 +258,8 @@ def _climb(
                         at[c] = min(max(at[c], low[c]), high[c])
                     if at[0] != filled:
                         filled = at[0]
-                        silent = alone(data, small * math.expm1(filled), own, told, rest)
-                    value = silent + with_trust(data, own, told, rest, at[1], at[2])
+                        silent = alone(data, small * math.expm1(filled), own, told, rest, parts)
+                    value = silent + with_trust(data, own, told, rest, parts, every, at[1], at[2])
                     if value > best:
                         best = value
                         improved = True

@@ -119,7 +119,7 @@ class TrustLog:
             steps, to = data.heard, slice(0, len(data.heard))
             own = np.empty((3, len(steps)))
             for b, value in enumerate(beta.tolist()):
-                silent[k, b] = alone(data, value, *own)
+                silent[k, b] = alone(data, value, *own, np.empty_like(data.first))
                 chosen[k, to, b], told[k, to, b], rest[k, to, b] = own
             slot = o.suggested[steps]
             anew[k, to], followed[k, to] = data.anew, o.chosen[steps] == slot

@@ -9,7 +9,7 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, load
+from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, find_instances, load
 from planner.system.machine import processors
 from planner.system.progress import progress_bar, stages
 
@@ -27,6 +27,7 @@ from .common import (
     seconds_option,
     with_options,
 )
+from .goals import goals_of, prior_of
 from .population import choice_model, people_option
 from .task import tell_note, tell_of_compiling
 
@@ -204,6 +205,41 @@ def people_of(
             )  # fmt: skip
     except (LogError, ChoiceModelError) as error:
         fail(str(error), ExitCode.FAILED)
+
+
+def people_with_goals(
+    instance: str, problems: tuple[str, ...], prior: tuple[str, ...], file: Path, *, domain: str | None,
+    drop: tuple[str, ...], rename: tuple[str, ...], columns: tuple[str, ...], gaps: bool, strict: bool,
+    jobs: int | None, max_states: int, time_limit: float | None, cache: Path | None, **setting: Any,
+) -> FittedPeople:  # fmt: skip
+    """Estimate people who pursue the goal of INSTANCE or of a further problem. Expected errors end the command."""
+    from ...learning.fit import LogError
+    from ...learning.goal_fit import learn_with_goals
+    from ...learning.goals import recorded
+    from ...learning.likelihood import Method
+    from ...learning.log import told
+    from ...people.goals import prior_over
+
+    names = renamed(rename)
+    try:
+        method = Method(**setting)
+        log = log_of(file, columns, gaps=gaps)
+        every = list(dict.fromkeys(str(found.problem) for found in find_instances([instance, *problems], domain)))
+        goals = goals_of(
+            every, domain=domain, max_states=max_states, time_limit=time_limit, cache=cache, jobs=jobs,
+        )  # fmt: skip
+        shares = prior_over(goals, prior_of(prior, "--goal-prior"))
+        found = recorded(goals, log, drop=drop, rename=names, strict=strict)
+        for line in [*told(found.faults, file), *found.notes]:
+            click.echo(line, err=True)
+        with progress_bar("fitting people", len(found.recording.people)) as advance:
+            return learn_with_goals(
+                log, found, tuple(goals), shares, method=method, jobs=jobs or processors(), progress=advance
+            )
+    except LogError as error:
+        fail(str(error), ExitCode.FAILED)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
 
 
 def comparison_of(known: Replayed, folds: int) -> Comparison:

@@ -1,0 +1,134 @@
+"""Estimates of people whose goal is one of several in each episode: the goals are summed out of the likelihood."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT, invoke
+from simulated_people import People, record
+from test_unknown_goals import PRIOR, three_goals
+
+from assist.learning import FittedPeople, Log, Method, fit, fit_with_goals, infer_goals, log_likelihood, mixture
+from assist.people import Goals
+from assist.people.decision import choice, influence, lapse
+from planner import Table
+
+BETA = np.array([0.4, 0.8, 1.2, 1.6, 2.0, 2.4])
+METHOD = Method(eta=0.2)
+
+
+@cache
+def recorded() -> tuple[Goals, Log]:
+    """Six people of different expertise, in twelve episodes each: six with goal a, two with b, four with c."""
+    goals, rng, rows = three_goals("tiny"), np.random.default_rng(4), list[dict[str, Any]]()
+    people = People(BETA, np.full(len(BETA), 0.7))
+    for (name, table), episodes in zip(goals.tables.items(), (6, 2, 4), strict=True):
+        own = record(table, people, episodes=episodes, rng=rng, suggest=0.3)
+        rows += [row | {"episode": f"{name}-{row['episode']}"} for row in own]
+    return goals, Log.of(rows)
+
+
+@cache
+def fitted() -> FittedPeople:
+    goals, log = recorded()
+    return fit_with_goals(goals.tables, log, prior=PRIOR, method=METHOD)
+
+
+def by_definition(goals: dict[str, Table], rows: list[dict[str, Any]], beta: float, theta: float, eta: float) -> float:
+    """The log-likelihood of one person's actions."""
+    total = 0.0
+    for episode in sorted({row["episode"] for row in rows}):
+        shares = []
+        for name, table in goals.items():
+            x, now, p = table.initial, theta, PRIOR[name]
+            for row in (row for row in rows if row["episode"] == episode):
+                found = table.choices([x])
+                actions = [table.task.actions[a] for a in found.actions]
+                q = np.array([table.task.costs[a] for a in found.actions]) + table.lookup(found.targets)
+                told = -1 if row["suggestion"] is None else actions.index(row["suggestion"])
+                slot, every = actions.index(row["action"]), np.ones((1, len(q)), dtype=bool)
+                chances = choice(q[None], every, np.array([beta]))
+                if table.is_goal([x])[0]:
+                    chances[:] = 0.0
+                else:
+                    chances = influence(chances, np.array([told]), np.array([now]))
+                    if told >= 0:
+                        now = float(np.clip(now + eta * (q.min() - table.lookup(found.targets)[told]), 0, 1))
+                p *= lapse(chances, every, METHOD.lapse)[0, slot]
+                x = int(found.targets[slot])
+            shares.append(p)
+        total += float(np.log(sum(shares)))
+    return total
+
+
+@pytest.mark.parametrize(("beta", "theta", "eta"), [(0.5, 0.7, 0.2), (2.0, 0.1, 0.0), (1.0, 0.9, 0.9)])
+def test_the_likelihood_is_that_of_the_definition(beta: float, theta: float, eta: float) -> None:
+    goals, log = recorded()
+    person = next(iter(fitted().values()))
+    rows = [vars(entry) for entry in log.entries if entry.person == person.person]
+    grid = [np.array([one]) for one in (beta, theta, eta)]
+    found = log_likelihood(person.fit.observations, *grid, METHOD).item()
+    assert found == pytest.approx(by_definition(dict(goals.tables), rows, beta, theta, eta), abs=1e-9)
+
+
+def test_estimates_are_near_the_truth() -> None:
+    """Where one goal is assumed, work on another looks like mistakes."""
+    people = fitted()
+    assert list(people) == People(BETA, BETA).names()
+    ends = np.array([person.beta_interval for person in people.values()])
+    assert ((ends[:, 0] <= BETA) & (ends[:, 1] >= BETA)).sum() >= 5
+    goals, log = recorded()
+    assumed = fit(goals.tables["a"], log, method=METHOD)
+    found, wrong = (np.array([one.fit.beta.value for one in each.values()]) for each in (people, assumed))
+    assert (wrong[1:] < found[1:]).all()
+    errors = [np.abs(each - BETA)[1:-1].mean() for each in (found, wrong)]  # the best person made no mistake
+    assert errors[0] < errors[1] / 2
+    assert people.distribution().beta.mean == pytest.approx(BETA.mean(), abs=0.3)
+
+
+def test_the_posterior_over_goals_is_that_of_infer_goals() -> None:
+    """Without suggestions, at a known beta; a goal that is certain changes nothing but that the model is unchecked."""
+    goals, log = recorded()
+    plain = Log.of(
+        [vars(entry) | {"suggestion": None} for entry in log.entries if entry.person in {"person-3", "person-4"}]
+    )
+    found = fit_with_goals(goals.tables, plain, prior=PRIOR)["person-3"]
+    beta = [found.fit.beta.value]
+    inferred = infer_goals(goals.tables, plain, prior=PRIOR, beta=beta)
+    known = {one.episode: one.posterior[-1] for one in inferred.episodes if one.person == "person-3"}
+    shown = found.as_dict()["goals"]
+    assert set(shown) == set(known)
+    for episode, shares in shown.items():
+        np.testing.assert_allclose(list(shares.values()), known[episode], atol=1e-12)
+    only = Log.of([vars(entry) for entry in log.entries if entry.episode.startswith("a-")])
+    certain = fit_with_goals({"a": goals.tables["a"]}, only, method=METHOD)["person-2"]
+    one = fit(goals.tables["a"], only, method=METHOD)["person-2"]
+    assert certain.fit.log_likelihood == pytest.approx(one.fit.log_likelihood)
+    assert certain.beta == pytest.approx(one.beta, rel=1e-3)
+    assert certain.beta_interval == pytest.approx(one.beta_interval, rel=1e-3)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    kits, log, people = ROOT / "docs" / "examples" / "kits", tmp_path / "log.jsonl", tmp_path / "people.json"
+    given = [kits / "travel.pddl", "--goals", kits, "--humans", "2", "--pool", "3", "--episodes", "2"]
+    invoke("simulate", *given, "--policy", "none", "--trace", log)
+    asked = ["fit", kits / "travel.pddl", log, "--goals", kits, "--goal-prior", "travel=.4,mend=.4,mount=.2"]
+    result = invoke(*asked, "--json", "--population", people)
+    assert result.exit_code == 0, result.stderr
+    for record_ in json.loads(result.stdout):
+        assert record_["beta_interval"][0] <= (record_["beta"] or 1e9)
+        assert all(sum(shares.values()) == pytest.approx(1) for shares in record_["goals"].values())
+    assert mixture(json.loads(people.read_text())).parts
+    for more, message in (
+        (["--terms"], "--goals and --terms: expected one of them"),
+        (["--figures", tmp_path / "figures"], "--goals and --figures: expected one of them"),
+    ):
+        result = invoke(*asked, *more)
+        assert (result.exit_code, message in result.stderr) == (2, True)
+    result = invoke(*asked[:3], "--goal-prior", "travel=1")
+    assert (result.exit_code, "--goal-prior: expected --goals, too" in result.stderr) == (2, True)
