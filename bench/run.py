@@ -77,7 +77,7 @@ CASES = {
         "--timeout 10 --solvers kitassist --settings 0.95/1/1 --settings 0.99/0.5/0.5",
         "--timeout 2 --solvers kitassist --settings 0.95/1/0 --no-cold",
     ),
-    "confidence": ("--seeds 100", "--seeds 20 --settings 1"),
+    "confidence": ("--seeds 100", "--seeds 5 --settings 1"),
     "random_pddl": ("100 --jobs 2", "10"),
     "signals": ("--walks 200", "kitting/tiny --walks 10"),
     "start": ("--repeat 3", "--repeat 1"),
