@@ -49,7 +49,6 @@ from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.simulation.task_view import GoalKnowledge
-from assist.team.prices import PriceMenu, Repriced
 from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamPolicy
@@ -366,8 +365,6 @@ def policies_of(case: Case, whole: Pool, pool: Pool, found: TeamBound) -> Iterat
         if case.goals == 1 or name != "reactive":  # which needs to know the goal
             yield name, whole, whole.policy(name, case.travel)
     if case.number % 4 == 0:  # it takes a solution for each price; three make another, equally valid policy
-        menu = PriceMenu((0.2, 1.0))
-        yield "prices", whole, Repriced.of(whole.policies, case.travel, menu)
         yield "whittle", whole, Whittle.of(whole.policies, case.travel, (0.0, 0.2, 1.0))
     if len(found.price) and case.goals == 1:
         yield "priority at the bound's prices", whole, Priority.of(whole.policies, case.travel, found.price)

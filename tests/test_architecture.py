@@ -46,7 +46,7 @@ ROOMS = {
         trust_comparison""",
     "assist.team": """by_policy travel state hidden_states action_check settings assignment attention questions
         time_expansion
-        memory_needed subproblem_frontier attention_subproblem priority prices whittle policies""",
+        memory_needed subproblem_frontier attention_subproblem priority whittle policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
     "assist.simulation": """memory_needed pool schedule common_random_numbers trace episodes dynamics model_group

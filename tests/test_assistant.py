@@ -45,7 +45,6 @@ def trace_of(pool: Pool, policy: str, team: list[int], **more: Any) -> tuple[lis
         ("reactive", Setting()),
         ("attention", Setting(c_suggest=0.2)),
         ("attention-never", Setting(c_suggest=0.2)),
-        ("prices", Setting(c_suggest=0.2)),
         ("priority", Setting(c_suggest=0.2)),
         ("attention", Setting(c_suggest=0.1, travel_time=2, c_move=0.1)),
         ("priority", Setting(c_suggest=0.1, travel_time=2, c_move=0.1)),

@@ -66,7 +66,7 @@ def test_actions_that_were_missed_before_one_that_was_seen_are_enumerated() -> N
     assert team.person("ann").state == total.sum(axis=(1, 2, 3)).argmax()
 
 
-@pytest.mark.parametrize("policy", ["reactive", "attention", "priority", "prices"])
+@pytest.mark.parametrize("policy", ["reactive", "attention", "priority"])
 def test_a_wrong_observation_is_survived_taken_back_and_saved(policy: str) -> None:
     team = desk(policy=policy)
     walk(team, 1, 3)

@@ -238,7 +238,7 @@ def test_a_policy_does_not_see_the_goal() -> None:
     simulate(pool, looks, humans=2, episodes=5, seed=1)
 
 
-@pytest.mark.parametrize("policy", ["attention-never", "priority", "prices", "whittle"])
+@pytest.mark.parametrize("policy", ["attention-never", "priority", "whittle"])
 def test_with_certainty_a_policy_does_what_it_does_for_people_with_that_goal(policy: str) -> None:
     """Travel takes time, so that the robot stays, comes and goes, with its own values of each."""
     goals, setting = TASKS["tiny"], Setting(c_suggest=0.05, suggestions="all", c_move=0.1, travel_time=1)

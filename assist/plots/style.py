@@ -25,7 +25,7 @@ P = ParamSpec("P")
 
 # Colours of Okabe and Ito, which can be distinguished with any colour vision.
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#8C8C8C"
-SKY, VERMILLION, PURPLE, WINE, INDIGO = "#56B4E9", "#D55E00", "#CC79A7", "#882255", "#332288"
+SKY, VERMILLION, PURPLE, WINE = "#56B4E9", "#D55E00", "#CC79A7", "#882255"
 
 PAGE_WIDTH = 9.0  # inches, the text width of a landscape page
 FORMATS = (".png", ".svg", ".pdf")
@@ -57,7 +57,6 @@ LOOKS = {
     "attention": PolicyLook(BLUE, "o"),
     "attention-never": PolicyLook(SKY, "D", (0, (5, 1.5, 1, 1.5))),
     "priority": PolicyLook(GREEN, "P"),
-    "prices": PolicyLook(INDIGO, "h", (0, (8, 1.5))),
     "whittle": PolicyLook(WINE, "*", (0, (3, 1, 1, 1))),
 }
 OTHERS = ((VERMILLION, "v"), (PURPLE, "X"), ("#999933", "<"), ("#A0522D", "p"))

@@ -5,8 +5,6 @@ from .attention_subproblem import AttentionSubproblem as AttentionSubproblem
 from .policies import POLICIES as POLICIES
 from .policies import UserPolicy as UserPolicy
 from .policies import named as named
-from .prices import PriceMenu as PriceMenu
-from .prices import Repriced as Repriced
 from .priority import Priority as Priority
 from .settings import Setting as Setting
 from .state import BASE as BASE

@@ -25,12 +25,11 @@ def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6
     return 8 * states * (1 + slots * (1 + betas) + robots * of_a_robot + (1 + robots) * hidden)
 
 
-def require_room(alone: AssistPOMDP, layout: TimeExpansion, solutions: int = 1) -> None:
-    """Raise a `LimitError` if a problem, solved at several prices at a time, exceeds the available memory."""
+def require_room(alone: AssistPOMDP, layout: TimeExpansion) -> None:
+    """Raise a `LimitError` if a problem exceeds the available memory."""
     betas, thetas = alone.grid.shape
     slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
     needed = policy_bytes(len(layout), slots=slots, robots=robots, betas=betas, thetas=thetas)
-    needed += 8 * (solutions - 1) * len(layout) * (1 + robots) * betas * thetas  # values and Q-values
     small = 100e6  # bytes; below this, the available memory is not queried
     if needed > small and needed > (free := available_memory()):
         raise LimitError(

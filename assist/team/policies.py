@@ -17,13 +17,12 @@ from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from .attention import AttentionSwitching, NoAssistance, Reactive
-from .prices import Repriced
 from .priority import Priority
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
 from .travel import Travel
 from .whittle import Whittle
 
-POLICIES = ("none", "reactive", "attention", "attention-never", "priority", "prices", "whittle")
+POLICIES = ("none", "reactive", "attention", "attention-never", "priority", "whittle")
 """The names that `named` accepts."""
 
 
@@ -38,8 +37,7 @@ def named(
     ----------
     name : str
         The paper's "none", "reactive" and "attention"; "attention-never" for the other reading of its Algorithm 1;
-        "whittle" for Whittle indices; or ours: "priority", and "prices", which determines the price of attention anew
-        at every decision.
+        "whittle" for Whittle indices; or our "priority".
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
@@ -65,8 +63,6 @@ def named(
         return AttentionSwitching.against_never(policies)
     if name == "priority":
         return Priority.of(policies, travel, solver=solver)
-    if name == "prices":
-        return Repriced.of(policies, travel)
     if name == "whittle":
         return Whittle.of(policies, travel)
     raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', or a function')}")
