@@ -54,7 +54,8 @@ ROOMS = {
         illustration""",
     "assist.coupled": "agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
-    "assist.explain": "continuations contrast catalogue explanation",
+    "assist.texts": "catalogue",
+    "assist.explain": "continuations contrast explanation",
     "assist.live": """live_task events roster uncertain_actions advice decision_point assistant old_journal store
         people_store course event_sourced header session simulated_person""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",

@@ -50,7 +50,7 @@ from assist.team.action_check import check
 from assist.team.settings import Setting
 from assist.team.state import PolicyError, TeamAction
 from assist.team.travel import Travel
-from assist.userstudy.questionnaires import FORMS, Item
+from assist.userstudy.questionnaires import Item, Questionnaire
 from assist.web import request_limits
 from assist.web.client import Client
 from assist.web.tokens import AccessTokens
@@ -265,7 +265,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "expected the name of a person, since the link is the operator's",
     ),
     "a long answer": (
-        lambda _: replace(FORMS["text"], items=(Item("why", "Why?", "text"),)).check({"why": "x" * 100_000}),
+        lambda _: Questionnaire("text", "text", "", "", (Item("why", "Why?", "text"),)).check({"why": "x" * 100_000}),
         ValueError, "answers.why: expected a text of 1 to",
     ),
     "no task": (lambda _: Course({}), ValueError, "there is no task; expected one or more"),

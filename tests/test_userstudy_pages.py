@@ -22,6 +22,7 @@ from starlette.testclient import TestClient
 from test_live_pages import CHROMIUM, chromium, violations
 from userstudies import PLAN, SCORES, written
 
+from assist.texts import catalogue, languages
 from assist.userstudy.plan import read
 from assist.userstudy.session import StudySession
 from assist.web.app import make_app
@@ -253,13 +254,15 @@ def test_who_is_not_connected_for_long_is_gone_and_may_come_back(tiny: Table, tm
         assert back["study"]["kind"] == "consent"
 
 
+@pytest.mark.parametrize("language", languages())
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 @pytest.mark.slow
 def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
-    chromium: Any, tmp_path: Path, tiny: Table
+    chromium: Any, tmp_path: Path, tiny: Table, language: str
 ) -> None:
-    file = written(tmp_path / "study.toml")
+    said = catalogue(language)
+    file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", f'seed = 3\nlanguage = "{language}"'))
     options = ("--study", file, "--data", tmp_path / "data")
     context = chromium.new_context(viewport={"width": 360, "height": 740})
     page, faults = context.new_page(), list[str]()
@@ -268,6 +271,9 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
     page.on("request", lambda asked: faults.append(asked.url) if "//127.0.0.1" not in asked.url[:20] else None)
     page.on("request", lambda asked: faults.append(asked.url) if LONG.search(asked.url.partition("#")[0]) else None)
 
+    def named(element: str, key: str) -> str:
+        return f'{element}:text("{said(key)}")'
+
     def work() -> None:
         for action in tiny.optimal_plan(tiny.initial) or ():
             page.click(f'#actions button[data-action="{action}"]:not([disabled])')
@@ -275,26 +281,28 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
 
     def is_well(page: Any = page) -> None:
         """On a desktop, light and dark, and on a phone."""
-        for width, height, dark in ((1280, 800, True), (360, 740, False)):
+        for width, height, dark in ((1280, 800, language == "en"), (360, 740, False)):
             page.set_viewport_size({"width": width, "height": height})
             assert violations(page, dark=dark) == []
             assert page.evaluate("document.documentElement.scrollWidth") <= width
+        shown = "en" if "/operator" in page.url else language
+        assert page.evaluate("document.documentElement.lang") == shown
 
     with served(*options, instance=None) as study:
         port = study.url.rsplit(":", 1)[1]
         page.goto(study.links["everybody"])
-        page.click("text=I do not agree >> visible=true", trial=True)
+        page.click(f"text={said('study.disagree')} >> visible=true", trial=True)
         page.wait_for_function("() => location.hash === ''")  # a cookie stands for the token
         assert page.evaluate("document.cookie") == ""
         assert page.inner_html("#body em") == "agree"
         is_well()
-        page.click("text=I agree and take part")
-        page.click('h2:text("What you will do") ~ form >> button')
-        page.wait_for_selector('h1:text("Practice")')
+        page.click(f"text={said('study.agree')}")
+        page.click(named("h2", "study.instructions") + " ~ form >> button")
+        page.wait_for_selector(named("h1", "task.practice"))
         work()
         is_well()
         page.click("#onward")
-        page.wait_for_selector('h1:text("Your task")')
+        page.wait_for_selector(named("h1", "task.title"))
         page.click("#actions button >> nth=0")
         page.wait_for_function("() => document.getElementById('steps').textContent === '1'")
         study.end(signal.SIGKILL)
@@ -303,8 +311,8 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         page.wait_for_function("() => document.getElementById('steps').textContent === '2'")
         work()
         page.click("#onward")
-        page.wait_for_selector('h2:text("Workload")')
-        page.click('button:text("Continue")')
+        page.wait_for_selector(named("h2", "form.workload"))
+        page.click(named("button", "page.continue"))
         assert page.locator(".error:visible").count() == 6  # no scale is marked by default
         is_well()
         for name in list(SCORES["nasa-tlx"])[:3]:
@@ -316,33 +324,33 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         second = context.new_page()  # of the same browser
         second.set_default_timeout(PATIENCE)
         second.goto(study.links["everybody"])
-        second.wait_for_selector('h2:text("Workload")')
-        page.click('button:text("Continue")')
-        second.wait_for_selector('h2:text("Your view")')
+        second.wait_for_selector(named("h2", "form.workload"))
+        page.click(named("button", "page.continue"))
+        second.wait_for_selector(named("h2", "form.view"))
         page.locator('[name="item rely"]').nth(5).check()
         page.locator('[name="item wary"]').nth(2).check()
         is_well()
-        page.click('button:text("Continue")')
+        page.click(named("button", "page.continue"))
         page.fill("textarea", "=1+1, no")
         page.click("#leave-button")
         is_well()
         page.click("#stay")
-        page.click('button:text("Continue")')
+        page.click(named("button", "page.continue"))
         code = page.input_value("#code")
         is_well()
         assert second.input_value("#code") == code
         second.goto(study.links["everybody"])
         is_well(second)
-        second.click('button:text("Begin as the next participant")')
-        second.click("text=I agree and take part")
-        second.click('h2:text("What you will do") ~ form >> button')
+        second.click(named("button", "study.begin_next"))
+        second.click(f"text={said('study.agree')}")
+        second.click(named("h2", "study.instructions") + " ~ form >> button")
         second.wait_for_selector("#drawing svg")  # the drawing moves the link when it appears
         second.click('#leave:not([hidden]) a[href*="?leave"]')  # in the middle of practice
         second.click("#stay")
         second.wait_for_selector("#drawing svg")
         second.click('#leave:not([hidden]) a[href*="?leave"]')
         second.click("#leave-now")
-        second.wait_for_selector('h2:text("You have left the study")')
+        second.wait_for_selector(named("h2", "study.left"))
         second.goto(study.operator)
         second.wait_for_selector("#people tr")
         is_well(second)
@@ -353,16 +361,16 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         withdraws.goto(re.search(r"http\S+\?withdraw", page.inner_text("#withdrawal"))[0])  # type: ignore[index]
         withdraws.fill("#code", "P-222222-22222222")
         withdraws.click("#withdraw button")
-        withdraws.wait_for_selector("text=there is no such code")
+        withdraws.wait_for_selector(f"text={said.refusal(catalogue().texts['refusals.code'])}")
         is_well(withdraws)
         withdraws.fill("#code", re.search(r"P-\w{6}-\w{8}", page.inner_text("#withdrawal"))[0])  # type: ignore[index]
         withdraws.click("#withdraw button")
-        withdraws.wait_for_selector("text=Your data are withdrawn.")
-        page.wait_for_selector('h2:text("You have left the study")')
+        withdraws.wait_for_selector(f"text={said('study.withdrawn')}")
+        page.wait_for_selector(named("h2", "study.left"))
         second.on("dialog", lambda dialog: dialog.accept("asked by post"))
         second.click('#people button:text("Erase") >> nth=-1')
         second.wait_for_selector('#people td:text("(erased 1)")')
-        page.wait_for_selector("text=This link is not valid")
+        page.wait_for_selector(f"text={said('page.invalid')}")
     people = [line.split(",") for line in packed.read("participants.csv").decode().splitlines()[1:]]
     assert [(row[4], row[5], row[7]) for row in people] == [("done", "thanks", code), ("withdrew", "practice", "")]
     answers = [line.split(",") for line in packed.read("answers.csv").decode().splitlines()[1:]]

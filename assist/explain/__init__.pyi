@@ -1,6 +1,3 @@
-from .catalogue import Catalogue as Catalogue
-from .catalogue import catalogue as catalogue
-from .catalogue import languages as languages
 from .contrast import Consequence as Consequence
 from .contrast import Contrast as Contrast
 from .contrast import contrast as contrast

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
-from .catalogue import FIRST, Catalogue, catalogue
+from ..texts.catalogue import FIRST, Catalogue, catalogue
 from .contrast import Contrast
 
 Cause = Literal[

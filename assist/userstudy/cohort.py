@@ -238,7 +238,7 @@ class Cohort:
         if event.person is None or event.person in self.participants:
             raise InapplicableError("this code is taken; try again")
         if not self._room():
-            raise FullError("the study is full at the moment")
+            raise FullError("the study is full at the moment; places may become free later")
         simulated = isinstance(event, StudyEvent) and event.simulated
         return {"at": _now(), **({"simulated": True} if simulated else {})}
 
@@ -268,7 +268,7 @@ class Cohort:
         facts: dict[str, Any] = {}
         if person.status == GONE and kind in ("acted", "onward"):
             if not self._room(person):
-                raise FullError("the study is full at the moment")
+                raise FullError("the study is full at the moment; places may become free later")
             facts["returned"] = True
         elif person.status != HERE:
             raise InapplicableError(f"{person.code} is not taking part")

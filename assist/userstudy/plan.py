@@ -40,6 +40,7 @@ from ..people.mixture import Mixture, advice_takers
 from ..people.user_code import parse
 from ..team.policies import POLICIES
 from ..team.settings import Setting
+from ..texts.catalogue import FIRST, Catalogue, catalogue
 from .assignment import balanced_orders
 from .questionnaire_file import QuestionnaireTable, questionnaires_of
 from .questionnaires import BEFORE, END, Item, Questionnaire
@@ -89,8 +90,9 @@ class FileTable(Struct, forbid_unknown_fields=True):
     conditions: list[ConditionTable]
     consent: Text
     instructions: Text
+    language: Text = FIRST
     title: Text | None = None
-    thanks: Text = "Thank you for taking part."
+    thanks: Text | None = None
     practice: Text | None = None
     design: Text = BETWEEN
     reference: Text | None = None
@@ -229,6 +231,8 @@ class UserStudy:
     texts : dict of str
         Consent, instructions and thanks, in Markdown.
     questionnaires : tuple of Questionnaire
+    catalogue : Catalogue
+        Texts of participants' pages, in the study's language.
     group : Grouping or None
         How participants form groups that share a robot; None if each has a team of their own.
     """
@@ -257,6 +261,7 @@ class UserStudy:
     population: Population | Mixture
     texts: dict[str, str]
     questionnaires: tuple[Questionnaire, ...]
+    catalogue: Catalogue
     group: Grouping | None = None
 
     @cached_property
@@ -387,7 +392,8 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     stems = [task.problem.stem for task in tasks]
     if len(set(stems)) < len(stems):
         raise fault(file, "tasks", "two tasks have the same file name; expected different names")
-    questionnaires = questionnaires_of(file, table.questionnaires, names, within=table.design == WITHIN)
+    words = _words(file, table.language, carried_out)
+    questionnaires = questionnaires_of(file, table.questionnaires, names, words, within=table.design == WITHIN)
     setting = _setting(file, table.setting)
     conditions = tuple(
         Condition(
@@ -409,7 +415,9 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         simulated, table.again, table.replace, table.away, table.minutes, table.tick, table.code,
         table.withdraw_until, table.exclude_failed_checks, _confirmatory(file, table, questionnaires),
         setting, _population(file, table.population),
-        {"consent": table.consent, "instructions": table.instructions, "thanks": table.thanks}, questionnaires, group,
+        {"consent": table.consent, "instructions": table.instructions,
+         "thanks": table.thanks or words("study.thanks_text")},
+        questionnaires, words, group,
     )  # fmt: skip
 
 
@@ -427,6 +435,17 @@ def _group(file: Path, table: FileTable) -> Grouping | None:
     if table.participants is not None and table.participants % size:
         raise fault(file, "participants", f"{table.participants}; expected a multiple of {size}, the size of a group")
     return Grouping(size, table.group.wait, then)
+
+
+def _words(file: Path, language: str, carried_out: bool) -> Catalogue:
+    own = language.endswith(".toml")
+    path = str(file.parent / language) if own else language
+    if own and carried_out and not Path(path).exists():
+        return catalogue()
+    try:
+        return catalogue(path)
+    except ValueError as error:
+        raise fault(file, "language", str(error).removeprefix("language ")) from None
 
 
 def _confirmatory(file: Path, table: FileTable, questionnaires: tuple[Questionnaire, ...]) -> tuple[str, ...]:

@@ -17,13 +17,13 @@ from msgspec import Meta, Struct
 from planner.system.errors import expected as meant
 from planner.system.typed_toml import Number, Text, Texts, Truth, fault, shown
 
+from ..texts.catalogue import Catalogue
 from .questionnaires import (
     AFTER,
     BEFORE,
     CHOICE,
     CHOICES,
     END,
-    FORMS,
     GRID,
     LIKERT,
     NUMBER,
@@ -32,6 +32,7 @@ from .questionnaires import (
     TLX,
     Item,
     Questionnaire,
+    forms,
 )
 
 Points = Annotated[int, Meta(ge=2, le=11, description="a whole number from 2 to 11")]
@@ -84,7 +85,7 @@ class QuestionnaireTable(_Form, forbid_unknown_fields=True, kw_only=True):
 
 
 def questionnaires_of(
-    file: Path, tables: list[QuestionnaireTable], conditions: list[str], *, within: bool
+    file: Path, tables: list[QuestionnaireTable], conditions: list[str], texts: Catalogue, *, within: bool
 ) -> tuple[Questionnaire, ...]:
     """Return the questionnaires of a study's file.
 
@@ -94,6 +95,8 @@ def questionnaires_of(
     tables : list of QuestionnaireTable
     conditions : list of str
         Names of the study's conditions.
+    texts : Catalogue
+        Default texts.
     within : bool
         Whether each participant has all conditions.
 
@@ -105,7 +108,7 @@ def questionnaires_of(
     found: list[Questionnaire] = []
     for number, table in enumerate(tables, start=1):
         place = f"questionnaires[{number}]"
-        one = _questionnaire(file, place, table)
+        one = _questionnaire(file, place, table, texts)
         if one.name in {other.name for other in found}:
             raise fault(file, place, f"there are two questionnaires '{one.name}'; expected different names")
         _check_conditions(file, place, one, conditions, within=within)
@@ -113,10 +116,10 @@ def questionnaires_of(
     return tuple(found)
 
 
-def _questionnaire(file: Path, place: str, table: QuestionnaireTable) -> Questionnaire:
-    if table.form not in FORMS:
-        raise fault(file, f"{place}.form", f"'{table.form}'; {meant(table.form, FORMS)}")
-    base = FORMS[table.form]
+def _questionnaire(file: Path, place: str, table: QuestionnaireTable, texts: Catalogue) -> Questionnaire:
+    if table.form not in KEYS:
+        raise fault(file, f"{place}.form", f"'{table.form}'; {meant(table.form, KEYS)}")
+    base = forms(texts)[table.form]
     name = table.name or base.name
     if not NAME.fullmatch(name):
         raise fault(file, f"{place}.name", f"'{name}'; expected a letter, then letters, digits, _ or -")
@@ -128,10 +131,11 @@ def _questionnaire(file: Path, place: str, table: QuestionnaireTable) -> Questio
     if not base.items:
         if not table.items:
             raise fault(file, place, "items: is missing; expected a list of tables with name and text")
-        forms = {own.form or table.form for own in table.items} & set(FORMS)
-        _refuse_unused(file, place, table, set().union(*(KEYS[form] for form in forms)), ", ".join(sorted(forms)))
+        used = {own.form or table.form for own in table.items} & set(KEYS)
+        _refuse_unused(file, place, table, set().union(*(KEYS[form] for form in used)), ", ".join(sorted(used)))
         items = tuple(
-            _item(file, f"{place}.items[{number}]", own, table) for number, own in enumerate(table.items, start=1)
+            _item(file, f"{place}.items[{number}]", own, table, texts)
+            for number, own in enumerate(table.items, start=1)
         )
     for number, item in enumerate(items):
         if not NAME.fullmatch(item.name) or item.name in {other.name for other in items[:number]}:
@@ -143,7 +147,7 @@ def _questionnaire(file: Path, place: str, table: QuestionnaireTable) -> Questio
     )  # fmt: skip
 
 
-def _item(file: Path, place: str, own: ItemTable, table: QuestionnaireTable) -> Item:
+def _item(file: Path, place: str, own: ItemTable, table: QuestionnaireTable, texts: Catalogue) -> Item:
     form = own.form or table.form
     if form not in KEYS or form == TLX:
         known = [one for one in KEYS if one != TLX]
@@ -160,7 +164,7 @@ def _item(file: Path, place: str, own: ItemTable, table: QuestionnaireTable) -> 
     agree = form in (LIKERT, GRID)
     item = Item(
         own.name, own.text, form, given("required", form != TEXT),
-        given("low", "Strongly disagree" if agree else ""), given("high", "Strongly agree" if agree else ""),
+        given("low", texts("form.low") if agree else ""), given("high", texts("form.high") if agree else ""),
         given("points", 7), given("labels", ()), given("min", 0.0), given("max", 100.0), given("step", 1.0),
         given("options", ()), own.reversed, own.correct, own.conditions or (),
     )  # fmt: skip

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from ..texts.catalogue import Catalogue
+
 STEP = 5
 """Step of the scales of NASA-TLX."""
 
@@ -239,33 +241,34 @@ class Questionnaire:
         return fmean(given) if given else None
 
 
-_TLX = tuple(
-    Item(name, text, TLX, low=low, high=high, step=STEP)
-    for name, text, low, high in (
-        ("mental", "How mentally demanding was the task?", "Very low", "Very high"),
-        ("physical", "How physically demanding was the task?", "Very low", "Very high"),
-        ("temporal", "How hurried or rushed was the pace of the task?", "Very low", "Very high"),
-        (
-            "performance", "How successful were you in accomplishing what you were asked to do?", "Perfect", "Failure"
-        ),
-        ("effort", "How hard did you have to work to accomplish your level of performance?", "Very low", "Very high"),
-        (
-            "frustration", "How insecure, discouraged, irritated, stressed, and annoyed were you?", "Very low",
-            "Very high",
-        ),
-    )
-)  # fmt: skip
-
-FORMS = {
-    TLX: Questionnaire(
-        TLX, TLX, "Workload", "On each scale, mark the point that describes the task you have just done.", _TLX,
-    ),
-    LIKERT: Questionnaire(LIKERT, LIKERT, "Your view", "How much do you agree with each statement?"),
-    GRID: Questionnaire(GRID, GRID, "Your view", "How much do you agree with each statement?"),
-    SLIDER: Questionnaire(SLIDER, SLIDER, "Your view", "Mark a point on each scale."),
-    CHOICE: Questionnaire(CHOICE, CHOICE, "About you", ""),
-    CHOICES: Questionnaire(CHOICES, CHOICES, "About you", ""),
-    NUMBER: Questionnaire(NUMBER, NUMBER, "About you", ""),
-    TEXT: Questionnaire(TEXT, TEXT, "In your own words", "You may leave a field empty."),
+SCALES = {
+    "mental": ("low", "high"), "physical": ("low", "high"), "temporal": ("low", "high"),
+    "performance": ("perfect", "failure"), "effort": ("low", "high"), "frustration": ("low", "high"),
 }  # fmt: skip
-"""Available forms. Forms without items take them from the study's file."""
+"""Scales of NASA-TLX, with the keys of the labels of their ends."""
+
+
+def forms(texts: Catalogue) -> dict[str, Questionnaire]:
+    """Return the available forms, with default texts in a language.
+
+    Forms without items take them from the study's file.
+
+    Parameters
+    ----------
+    texts : Catalogue
+    """
+
+    def form(name: str, title: str, introduction: str = "", items: tuple[Item, ...] = ()) -> Questionnaire:
+        key = f"form.{introduction}"
+        return Questionnaire(name, name, texts(f"form.{title}"), texts(key) if introduction else "", items)
+
+    tlx = tuple(
+        Item(name, texts(f"tlx.{name}"), TLX, low=texts(f"tlx.{low}"), high=texts(f"tlx.{high}"), step=STEP)
+        for name, (low, high) in SCALES.items()
+    )
+    found = (
+        form(TLX, "workload", "workload_introduction", tlx), form(LIKERT, "view", "agreement"),
+        form(GRID, "view", "agreement"), form(SLIDER, "view", "mark"), form(CHOICE, "about"), form(CHOICES, "about"),
+        form(NUMBER, "about"), form(TEXT, "words", "words_introduction"),
+    )  # fmt: skip
+    return {one.name: one for one in found}

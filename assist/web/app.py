@@ -1,7 +1,8 @@
 """The live assistant's web application, for pages, robots and observing systems.
 
 `make_app` returns the application of a `Service`. Every answer is JSON; a refusal is `{"detail": "..."}` with one
-sentence. A person's token gives access to what concerns this person, the operator's token to everything.
+sentence, to people in the language of their pages. A person's token gives access to what concerns this person, the
+operator's token to everything.
 """
 
 from __future__ import annotations
@@ -66,30 +67,34 @@ def make_app(
 
 
 def _says_what_is_wrong(app: FastAPI) -> None:
-    def says(status: int, detail: str, headers: Any = None) -> JSONResponse:
+    def says(request: Request, status: int, detail: str, headers: Any = None) -> JSONResponse:
+        """Return a refusal, in the language of the pages if a person asked, and in English to everybody else."""
+        caller = getattr(request.state, "caller", None)
+        if caller is not None and caller.person is not None:
+            detail = app.state.service.texts.refusal(detail)
         return JSONResponse({"detail": detail}, status, headers)
 
     @app.exception_handler(StarletteHTTPException)
-    async def refused(_: Request, error: StarletteHTTPException) -> Response:
-        return says(error.status_code, str(error.detail), error.headers)
+    async def refused(request: Request, error: StarletteHTTPException) -> Response:
+        return says(request, error.status_code, str(error.detail), error.headers)
 
     @app.exception_handler(RequestValidationError)
-    async def invalid(_: Request, error: RequestValidationError) -> Response:
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"] if part != "body")
-        return says(422, f"{where}: {first['msg']}" if where else f"request body: {first['msg']}")
+        return says(request, 422, f"{where}: {first['msg']}" if where else f"request body: {first['msg']}")
 
     statuses = {
         AbsentError: 404, InapplicableError: 409, ValueError: 422, LimitError: 503, BusyError: 503, JournalError: 507,
     }  # fmt: skip
 
     @app.exception_handler(Exception)
-    async def failed(_: Request, error: Exception) -> Response:
-        return says(500, f"the service failed at this request ({type(error).__name__}); see its log")
+    async def failed(request: Request, error: Exception) -> Response:
+        return says(request, 500, f"the service failed at this request ({type(error).__name__}); see its log")
 
     for kind, status in statuses.items():
 
-        async def cannot(_: Request, error: Exception, status: int = status) -> Response:
-            return says(status, str(error) if status != 507 else str(getattr(error, "strerror", error)))
+        async def cannot(request: Request, error: Exception, status: int = status) -> Response:
+            return says(request, status, str(error) if status != 507 else str(getattr(error, "strerror", error)))
 
         app.add_exception_handler(kind, cannot)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import html
+import json
+import re
 from functools import cache
 from pathlib import Path
 
@@ -9,26 +12,38 @@ from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi.responses import FileResponse, HTMLResponse
 
 from ..drawing import svg
+from ..texts.catalogue import Catalogue, catalogue
 from . import openapi_page
 from .tokens import AccessTokens
 
 PAGES = Path(__file__).parent / "pages"
+SECTIONS = ("page", "task", "study", "question")
+"""Sections of the catalogue of texts from which scripts take theirs."""
 
 router = APIRouter(include_in_schema=False)
 
 
-def document(request: Request, content: str, status: int = 200) -> Response:
+def document(request: Request, content: str, status: int = 200, texts: Catalogue | None = None) -> Response:
     """Return a page: the common head, followed by `content`, which begins with the title.
 
-    Addresses in the page are made relative, so that the service may be under any path.
+    Addresses in the page are made relative, so that the service may be under any path. Keys in braces are replaced by
+    their texts, in English by default. The script `texts.js` reads its texts from the page.
     """
+    texts = catalogue() if texts is None else texts
     up = "../" * (request.scope["path"].count("/") - 1)
-    return HTMLResponse((_read(PAGES / "head.html") + content).replace('="/', f'="{up}'), status)
+    whole = (_read(PAGES / "head.html") + content).replace('="/', f'="{up}')
+    return HTMLResponse(_worded(whole, texts), status)
 
 
-def page(request: Request, file: Path, status: int = 200) -> Response:
-    """Return the page in a file."""
-    return document(request, _read(file), status)
+def _worded(content: str, texts: Catalogue) -> str:
+    content = re.sub(r"\{(\w+\.\w+)\}", lambda found: html.escape(texts.texts[found[1]]), content)
+    own = {f"{name}.{key}": text for name in SECTIONS for key, text in texts.section(name).items()}
+    return content.replace("{language}", texts.tag).replace("{texts}", json.dumps(own).replace("<", "\\u003c"))
+
+
+def page(request: Request, file: Path, status: int = 200, *, texts: Catalogue | None = None) -> Response:
+    """Return the page in a file, in the service's language or, with `texts`, in another one."""
+    return document(request, _read(file), status, request.app.state.service.texts if texts is None else texts)
 
 
 @cache
@@ -44,12 +59,15 @@ def piece(folder: Path, name: str) -> Response:
 
 
 def page_of(request: Request, token: str, person: str | None, file: Path) -> Response:
-    """Return a page to the owner of the token; otherwise return the page for invalid links."""
+    """Return a page to the owner of the token; otherwise return the page for invalid links.
+
+    The operator's pages are in English.
+    """
     access: AccessTokens = request.app.state.service.access
     caller = access.whose(token)
     if caller is None or caller.person != person:
         return page(request, PAGES / "nowhere.html", 403)
-    return page(request, file)
+    return page(request, file, texts=catalogue() if person is None else None)
 
 
 @router.get("/")
@@ -73,7 +91,7 @@ async def worker_page(request: Request) -> Response:
 @router.get("/operator")
 async def operators_page(request: Request) -> Response:
     """Return the operator's page."""
-    return page(request, PAGES / "operator.html")
+    return page(request, PAGES / "operator.html", texts=catalogue())
 
 
 @router.get("/join/{name}/{token}")

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
 from fastapi.responses import JSONResponse
 
-from ..explain.catalogue import languages
 from ..live.events import LONGEST_REASON, Event
+from ..texts.catalogue import languages
 from . import cookies
 from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
 from .schemas import (
@@ -102,11 +102,16 @@ async def drawing(
 async def explanation(
     name: Own, request: Request, service: Desk,
     against: Annotated[str | None, Query(min_length=1, max_length=1000, examples=["(fetch box-b)"])] = None,
-    language: Annotated[str, Query(max_length=35)] = "en",
+    language: Annotated[str | None, Query(max_length=35)] = None,
 ) -> Response:  # fmt: skip
-    """Return why the person has this suggestion now, or none; with `against`, the step against another action."""
-    if language not in languages():
+    """Return why the person has this suggestion now, or none; with `against`, the step against another action.
+
+    The language is that of the pages, unless another one that comes with the package is named.
+    """
+    own = language in (None, service.texts.tag)
+    if not own and language not in languages():
         raise HTTPException(422, f"language: expected one of {', '.join(languages())}")
+    spoken = str(service.texts.file) if own or language is None else language
     pictures: Pictures = request.app.state.pictures
     named = request.state.caller.person is None
 
@@ -117,7 +122,7 @@ async def explanation(
         found = found.in_words(pictures.words(task, found.actions))
         if not named:  # a person learns about others what could be gained, not who they are
             found = found.without_names()
-        return {"sentences": found.sentences(language), **found.as_dict(), "seq": seq}
+        return {"sentences": found.sentences(spoken), **found.as_dict(), "seq": seq}
 
     return plain(await asyncio.to_thread(explained))
 

@@ -32,6 +32,7 @@ from ..people.human import Population
 from ..people.mixture import Mixture
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
+from ..texts.catalogue import Catalogue
 from .app import make_app
 from .request_limits import LARGEST, Networks
 from .service import Bridge, BusyError, Service
@@ -195,6 +196,8 @@ class ServedTeam:
         File in which beliefs in people are kept for later sessions (`PeopleStore`); those in simulated people are not.
     keep_people : float
         Days after which they expire.
+    texts : Catalogue or None
+        Texts of people's pages; None: English.
     public_url : str or None
         Public address of the service, as `public_address` returns it, if it differs from where the service listens.
     trusted_proxies : sequence of networks
@@ -214,6 +217,7 @@ class ServedTeam:
     tick: float
     people_store: Path | None = None
     keep_people: float = 30.0
+    texts: Catalogue | None = None
     public_url: str | None = None
     trusted_proxies: Networks = ()
 
@@ -285,7 +289,7 @@ async def _serve(
     changed_settings: Callable[[], list[Event]] | None,
 ) -> None:  # fmt: skip
     access = AccessTokens.kept(plan.folder / "secret", plan.public_url or address(listening))
-    service = Service(session, access, tick=plan.tick)
+    service = Service(session, access, tick=plan.tick, texts=plan.texts)
     service.simulated = frozenset(plan.simulated)
     app = make_app(service, trusted_proxies=plan.trusted_proxies)
     seats = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))

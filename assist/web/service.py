@@ -29,6 +29,7 @@ from ..live.events import AbsentError, Event
 from ..live.live_task import InapplicableError
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
+from ..texts.catalogue import Catalogue, catalogue
 from .measures import Measures
 from .tokens import AccessTokens
 
@@ -99,6 +100,8 @@ class Service:
         Largest number of reports in one write to the disk. More would delay the first answer of a full batch.
     connections : int
         Largest number of open connections for one person's view, such as those of several tabs.
+    texts : Catalogue
+        Texts of people's pages; default: English.
 
     Attributes
     ----------
@@ -110,8 +113,9 @@ class Service:
 
     def __init__(
         self, session: Session, access: AccessTokens, *, tick: float = 2.0, waiting: int = 5000, batch: int = 256,
-        connections: int = 64,
+        connections: int = 64, texts: Catalogue | None = None,
     ) -> None:  # fmt: skip
+        self.texts = catalogue() if texts is None else texts
         self._most_connections = connections
         self.session, self.access, self.tick, self._batch = session, access, tick, batch
         session.changed = self._seen

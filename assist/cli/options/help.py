@@ -34,6 +34,7 @@ GROUPS = {
     "Service": (
         "--config", "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy",
         "--bridge", "--tick", "--data", "--people-store", "--keep-people", "--log-format",
+        "--language",
     ),
     "Run": (
         "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",

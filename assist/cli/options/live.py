@@ -16,6 +16,7 @@ from planner import CostToGo, Instance, InstanceError, find_instances
 from planner.batch.solve_instance import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
+from ...texts.catalogue import FIRST, catalogue
 from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
 from .config import read_config
 from .goals import goal_list_options, several_goals
@@ -83,6 +84,13 @@ def live_options(command: Command) -> Command:
             help="Seconds without an event after which the robot decides again.",
         ),
         goal_list_options,
+        click.option(
+            "--language",
+            default=FIRST,
+            show_default=True,
+            metavar="NAME",
+            help="Language of people's pages: en, de, or a file such as fr.toml.",
+        ),
         *model_options(),
         travel_options,
         population_options(real=True),
@@ -94,8 +102,8 @@ def live_options(command: Command) -> Command:
 
 def plan_of(
     instances: tuple[str, ...], *, humans: int, simulate: int, pace: float, seed: int, data: Path | None, policy: str,
-    tick: float, people_store: Path | None, keep_people: float, domain: str | None, distances: Path | None,
-    beta: Range, theta: Range | None, sigma: Range, population_file: Path | None, people: str | None,
+    tick: float, language: str, people_store: Path | None, keep_people: float, domain: str | None,
+    distances: Path | None, beta: Range, theta: Range | None, sigma: Range, population_file: Path | None, people: str | None,
     problems: Sequence[str], goal_prior: Sequence[str], **options: Any,
 ) -> ServedTeam:  # fmt: skip
     """Read the tasks and set up the session. Invalid options raise usage errors."""
@@ -109,6 +117,7 @@ def plan_of(
     population = population_of(beta, theta, sigma, file=population_file, people=people)
     (chosen,) = policies_of((policy,)).values()
     try:
+        texts = catalogue(language)
         setting = Setting(**with_rule_of(population_file, options))
         if setting.execute:
             raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")
@@ -138,7 +147,7 @@ def plan_of(
     return ServedTeam(
         tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen, setting=setting,
         population=population, distance=distance, simulated=simulated, pace=pace, seed=seed, tick=tick,
-        people_store=people_store, keep_people=keep_people,
+        people_store=people_store, keep_people=keep_people, texts=texts,
     )  # fmt: skip
 
 

@@ -1,6 +1,8 @@
 // Connection to the service: a socket that reconnects, and requests that are repeated under the same id until they are
 // answered, even after the page was reloaded.
 
+import { text } from "./page.js";
+
 const root = new URL("../", import.meta.url); // address of the service, under any path
 const parts = location.pathname.slice(root.pathname.length).split("/").filter(Boolean);
 const seat = ["join", "part"].includes(parts[0]); // the page of one person
@@ -67,7 +69,7 @@ export async function ask(path, { method = "GET", body } = {}) {
   } catch {
     // no JSON: use the status line
   }
-  if (answer.status === 401) detail = "use the complete link, or ask for a new one";
+  if (answer.status === 401) detail = text("page.incomplete");
   throw new Refused(answer.status, String(detail));
 }
 

@@ -1,8 +1,8 @@
 // The operator's page: people's progress, the beliefs about them, the robot, and the log.
 
 import { Channel, Refused, ask, askJson, newId, pathOf } from "./connection.js";
+import { at, clock, complain, element } from "./page.js";
 
-const at = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
 const WIDTH = 300;
 const HEIGHT = 70;
@@ -13,19 +13,7 @@ let links = {};
 
 const one = (value) => (Math.abs(value) < 0.05 ? "0" : value.toFixed(1).replace(/\.0$/, ""));
 const spread = (mean, ends) => `${mean.toFixed(2)} (${ends.map((end) => end.toFixed(2)).join(" to ")})`;
-const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 const plain = (action) => (action ? action.slice(1, -1) : "");
-
-function element(name, attributes = {}, ...children) {
-  const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (key === "click") made.addEventListener("click", value);
-    else if (value === true) made.setAttribute(key, "");
-    else if (value !== false && value !== null) made.setAttribute(key, value);
-  }
-  made.append(...children.filter((child) => child !== null));
-  return made;
-}
 
 function shape(name, attributes) {
   const made = document.createElementNS(SVG, name);
@@ -193,11 +181,6 @@ function keepingFocus(redraw) {
   const key = document.activeElement?.dataset?.key;
   redraw();
   if (key) [...document.querySelectorAll("[data-key]")].find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
-}
-
-function complain(text) {
-  at("problem").textContent = text ?? "";
-  at("problem").hidden = !text;
 }
 
 async function tell(path, options, said) {

@@ -1,8 +1,8 @@
 // A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
 import { Channel, Outbox, Refused, address, askJson, passes, pageOf, pathOf, person, place } from "./connection.js";
+import { at, clock, complain, figure, language, sentence, text } from "./page.js";
 
-const at = (id) => document.getElementById(id);
 const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
 const WIDTHS = [320, 400, 520, 640, 760, 960];
 
@@ -19,16 +19,11 @@ let explained = null; // the view whose explanation is shown
 const words = (action) => drawn?.words[action] ?? action.slice(1, -1).replace(" ", ": ").replaceAll(" ", ", ").replace(":,", ":");
 const objectsOf = (action) => action.slice(1, -1).split(" ").slice(1);
 
-function say(text) {
+function say(words) {
   at("said").textContent = "";
   requestAnimationFrame(() => {
-    at("said").textContent = text;
+    at("said").textContent = words;
   });
-}
-
-function complain(text) {
-  at("problem").textContent = text ?? "";
-  at("problem").hidden = !text;
 }
 
 function percent(share) {
@@ -38,21 +33,21 @@ function percent(share) {
 /** What the robot believes about the person; a belief is no observation. */
 function beliefs(reason) {
   const { beta, beta_interval: b, suggestions, followed, follow, follow_interval: f } = reason;
-  const level = beta < 0.6 ? "often cannot tell which actions are good" : beta < 1.8 ? "mostly recognises good actions" : "reliably recognises good actions";
-  const past = suggestions ? `You have followed ${followed} of ${suggestions} suggestions in this task.` : "You have answered no suggestion in this task yet.";
+  const level = beta < 0.6 ? "novice" : beta < 1.8 ? "skilled" : "expert";
+  const past = suggestions ? text("task.followed", { followed, all: suggestions }) : text("task.unanswered");
   return [
-    `The robot takes you for a person who ${level} (expertise ${beta.toFixed(2)}, likely ${b[0].toFixed(2)} to ${b[1].toFixed(2)}).`,
-    `${past} The robot expects you to follow this one with ${percent(follow)} (${percent(f[0])} to ${percent(f[1])}).`,
+    text(`task.${level}`, { beta: figure(beta, 2), low: figure(b[0], 2), high: figure(b[1], 2) }),
+    `${past} ${text("task.expected", { share: percent(follow), low: percent(f[0]), high: percent(f[1]) })}`,
   ];
 }
 
 // Display.
 
-function item(text, act) {
+function item(words, act) {
   const line = document.createElement("li");
   const button = document.createElement("button");
   button.type = "button";
-  button.textContent = text;
+  button.textContent = words;
   button.addEventListener("click", act);
   line.append(button);
   return line;
@@ -67,9 +62,9 @@ const open = () => (view !== null && !view.finished && view.suggestion !== null 
 function show() {
   if (view === null) return;
   at("person").textContent = view.person;
-  document.title = `${view.person}: your task`;
+  document.title = text("task.title_of", { person: view.person });
   at("steps").textContent = view.steps;
-  at("steps-word").textContent = view.steps === 1 ? "step" : "steps";
+  at("steps-word").textContent = text("task.steps", { n: view.steps });
   at("undo").disabled = view.steps === 0 || outbox.busy;
   showStudy(view.study);
   showAdvice();
@@ -84,7 +79,7 @@ function showStudy(study) {
     location.replace(pageOf("part"));
     return;
   }
-  at("person").textContent = study.kind === "practice" ? "Practice" : "Your task";
+  at("person").textContent = text(study.kind === "practice" ? "task.practice" : "task.title");
   document.title = at("person").textContent;
   at("undo").hidden = at("again").hidden = true;
   at("leave").querySelector("a").href = pageOf("part", "?leave");
@@ -104,17 +99,17 @@ function showAdvice() {
     at("suggestion").textContent = "";
     return;
   }
-  const text = words(suggestion);
+  const step = words(suggestion);
   at("accept").disabled = outbox.busy;
-  if (at("suggestion").textContent !== text) {
-    at("suggestion").textContent = text;
-    say(`The assistant suggests: ${text}.`);
+  if (at("suggestion").textContent !== step) {
+    at("suggestion").textContent = step;
+    say(text("task.suggestion", { action: step }));
   }
 }
 
-const lines = (texts) => texts.map((text) => {
+const lines = (texts) => texts.map((words) => {
   const line = document.createElement("li");
-  line.textContent = text;
+  line.textContent = words;
   return line;
 });
 
@@ -124,16 +119,16 @@ function showReasons(suggestion) {
   const key = `${view.seq} ${suggestion}`;
   if (explained === key) return;
   explained = key;
-  fill(at("why"), suggestion !== null && !view.explained ? lines(["It lies on an optimal plan."]) : []);
+  fill(at("why"), suggestion !== null && !view.explained ? lines([text("task.optimal")]) : []);
   const others = suggestion === null || !view.explained ? [] : view.applicable.filter((action) => action !== suggestion);
-  fill(at("against"), ["", ...others].map((action) => new Option(action ? words(action) : "Choose an action", action)));
+  fill(at("against"), ["", ...others].map((action) => new Option(action ? words(action) : text("task.choose"), action)));
   at("comparison").hidden = !others.length;
   at("compared").textContent = "";
   explain();
 }
 
 const explanation = (against) => {
-  const asked = new URLSearchParams({ language: document.documentElement.lang, ...(against ? { against } : {}) });
+  const asked = new URLSearchParams({ language, ...(against ? { against } : {}) });
   return askJson(pathOf(person, `/explanation?${asked}`));
 };
 
@@ -147,7 +142,7 @@ async function explain() {
     fill(at("why"), lines([...sentences.slice(step ? 1 : 0), ...(view.reason === null ? [] : beliefs(view.reason))]));
   } catch (error) {
     if (key === explained && passes(error)) setTimeout(explain, 1000);
-    else if (key === explained) fill(at("why"), lines([error.message]));
+    else if (key === explained) fill(at("why"), lines([sentence(error.message)]));
   }
 }
 
@@ -155,13 +150,13 @@ async function compare() {
   const [key, against] = [explained, at("against").value];
   at("compared").textContent = "";
   if (!against) return;
-  let text;
+  let found;
   try {
-    text = (await explanation(against)).sentences.at(-1);
+    found = (await explanation(against)).sentences.at(-1);
   } catch (error) {
-    text = error.message;
+    found = sentence(error.message);
   }
-  if (key === explained && against === at("against").value) at("compared").textContent = text;
+  if (key === explained && against === at("against").value) at("compared").textContent = found;
 }
 
 function showActions() {
@@ -187,16 +182,16 @@ function showEnd() {
   const stuck = !ended && view.cost_to_go === null;
   if (ended && at("done").hidden) {
     at("done-text").textContent = view.finished
-      ? `You reached the goal in ${view.steps} ${view.steps === 1 ? "step" : "steps"}.`
-      : "This task ends here. Please continue with the next part.";
+      ? text("task.reached", { n: view.steps })
+      : text("task.ended");
     at("done").hidden = false;
     say(at("done-text").textContent);
     at("done-title").focus();
   }
   if (!ended) at("done").hidden = true;
   at("hint").hidden = ended;
-  if (stuck) complain("The goal is no longer reachable. Undo the last step.");
-  else if (at("problem").textContent.startsWith("The goal is no longer")) complain(null);
+  if (stuck) complain(text("task.stuck"));
+  else if (at("problem").textContent === text("task.stuck")) complain(null);
 }
 
 function showDrawing() {
@@ -209,13 +204,13 @@ function showDrawing() {
   const done = drawn.goal.filter((one) => one.done).length;
   at("goal").max = Math.max(1, drawn.goal.length);
   at("goal").value = done;
-  at("goal").textContent = at("wanted-count").textContent = `${done} of ${drawn.goal.length}`;
+  at("goal").textContent = at("wanted-count").textContent = text("task.count", { done, all: drawn.goal.length });
+  at("goal-word").textContent = text("task.goal_count", { done, all: drawn.goal.length });
   at("goal").parentElement.hidden = at("wanted").parentElement.hidden = !drawn.goal.length; // unknown to the server
-  at("goal-word").textContent = `Goal ${done} of ${drawn.goal.length}`;
   fill(at("wanted"), drawn.goal.map((one) => {
     const line = document.createElement("li");
     line.className = one.done ? "so" : "open";
-    line.textContent = `${one.text}: ${one.done ? "done" : "open"}`;
+    line.textContent = text(one.done ? "task.fact_done" : "task.fact_open", { fact: one.text });
     return line;
   }));
   showTargets(svg);
@@ -237,7 +232,7 @@ function showTargets(svg) {
     const button = document.createElement("button");
     button.type = "button";
     button.dataset.object = name;
-    button.setAttribute("aria-label", `${name}: ${possible.length === 1 ? words(possible[0]) : `${possible.length} possible actions`}`);
+    button.setAttribute("aria-label", text("task.possible", { object: name, n: possible.length, action: words(possible[0]) }));
     for (const [side, attribute, whole] of [["left", "x", width], ["top", "y", height], ["width", "width", width], ["height", "height", height]]) {
       button.style[side] = `${(100 * Number(frame.getAttribute(attribute))) / whole}%`;
     }
@@ -261,7 +256,7 @@ function choose(name, button) {
     act(possible[0]);
     return;
   }
-  at("menu-title").textContent = `With ${chosen.join(" and ")}:`;
+  at("menu-title").textContent = text(chosen.length > 1 ? "task.with_both" : "task.with", { object: chosen[0], other: chosen[1] });
   fill(at("menu-list"), possible.map((action) => item(words(action), () => act(action))));
   const can = new Set(possible.flatMap(objectsOf));
   for (const group of at("drawing").querySelectorAll("[data-object]")) {
@@ -304,16 +299,16 @@ const outbox = new Outbox("actions", {
     complain(null);
     take(answer);
     show();
-    if (body.action) say(`${words(body.action)}: done.`);
+    if (body.action) say(text("task.done_action", { action: words(body.action) }));
   },
   refused(error) {
-    complain(error.message);
+    complain(sentence(error.message));
     show();
     refresh();
   },
-  waiting(error) {
+  waiting() {
     refusals += 1;
-    if (refusals > 1) complain(error instanceof Refused ? `${error.message} Trying again.` : "Not sent yet. It will be sent when the connection is restored.");
+    if (refusals > 1) complain(text("page.not_sent"));
   },
 });
 
@@ -353,8 +348,8 @@ async function refresh() {
   } catch (error) {
     if (error instanceof Refused && [401, 403, 404].includes(error.status)) {
       channel.end();
-      at("connection").textContent = "Not connected";
-      leave(`This link is not valid: ${error.message}`);
+      at("connection").textContent = text("page.over");
+      leave(text("page.invalid_because", { why: sentence(error.message) }));
     }
   }
 }
@@ -369,11 +364,11 @@ function leave(why) {
 const channel = new Channel(pathOf(person, "/events"), {
   message: take,
   state(state) {
-    at("connection").textContent = { connected: "Connected", lost: "Reconnecting…", over: "Not connected" }[state];
+    at("connection").textContent = text(`page.${state}`);
     at("connection").classList.toggle("lost", state !== "connected");
     if (state === "connected") outbox.resume();
     if (state === "lost") refresh();
-    if (state === "over") leave("You are no longer in this team. Ask for a new link.");
+    if (state === "over") leave(text("task.removed"));
   },
 });
 
@@ -395,8 +390,7 @@ try {
 }
 setInterval(() => {
   if (started === null || view?.finished) return;
-  const seconds = Math.max(0, Math.round((Date.now() - started) / 1000));
-  at("time").textContent = `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")}`;
+  at("time").textContent = clock(Math.max(0, Math.round((Date.now() - started) / 1000)));
 }, 1000);
 
 at("accept").addEventListener("click", () => {
@@ -405,7 +399,7 @@ at("accept").addEventListener("click", () => {
 });
 at("ignore").addEventListener("click", () => {
   declined = `${view.steps} ${view.suggestion}`;
-  say("Suggestion declined.");
+  say(text("task.declined"));
   show();
   if (drawn !== null) showDrawing();
   at("choices-title").focus({ preventScroll: true });

@@ -12,6 +12,7 @@ from fastapi import APIRouter, Depends, HTTPException, Request, Response
 from pydantic import BaseModel, Field, WithJsonSchema
 
 from ...live.events import LONGEST_REASON
+from ...texts.catalogue import catalogue
 from ...userstudy.cohort import StudyEvent
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
@@ -277,7 +278,7 @@ async def _archive(study: StudyService) -> Response:
 @router.get("/study/operator", include_in_schema=False)
 async def conduct_page(request: Request) -> Response:
     """Return the experimenter's page; the token is in the part of the address that browsers do not send."""
-    return page(request, PAGES / "conduct.html")
+    return page(request, PAGES / "conduct.html", texts=catalogue())
 
 
 @router.get("/study", include_in_schema=False)

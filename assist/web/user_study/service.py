@@ -62,7 +62,7 @@ class StudyService(Service):
         connections: int = 64,
     ) -> None:
         super().__init__(
-            session, access, tick=1e7, connections=connections
+            session, access, tick=1e7, connections=connections, texts=session.study.catalogue
         )  # effectively never: each team has a clock of its own
         self.study, self.folder, self.ticks, self.rehearsal = session.study, session.folder, ticks, rehearsal
         self._held: StudySession = session

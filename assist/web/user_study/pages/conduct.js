@@ -1,13 +1,11 @@
 // The experimenter's page: participants and their progress, dropouts, the sizes of conditions, and the export.
 
 import { Refused, ask, askJson } from "../../pages/connection.js";
+import { at, clock, complain } from "../../pages/page.js";
 
-const at = (id) => document.getElementById(id);
 const BETWEEN = 2000; // milliseconds between two updates
 const LEFT = ["gone", "withdrew", "declined", "full", "unmatched"];
 const STATES = { done: "completed", gone: "dropped out", withdrew: "withdrew", declined: "no consent", full: "study full", unmatched: "no group" };
-
-const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 
 function cell(content, kind = null) {
   const made = document.createElement("td");
@@ -27,11 +25,6 @@ function row(cells, kind = "") {
   made.className = kind;
   made.append(...cells);
   return made;
-}
-
-function complain(text) {
-  at("problem").textContent = text ?? "";
-  at("problem").hidden = !text;
 }
 
 /** A button that sends a request about a participant; `path` returns the request's path, or null if there is none. */

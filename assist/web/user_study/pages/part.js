@@ -1,21 +1,15 @@
 // A participant's page: consent, instructions, questionnaires and the end. It redirects to the page of tasks.
 
 import { Channel, Outbox, Refused, address, askJson, passes, pageOf, pathOf, person, place } from "../../pages/connection.js";
-import { Questions, element } from "./questions.js";
+import { at, complain, element, language, sentence, text } from "../../pages/page.js";
+import { Questions } from "./questions.js";
 
-const at = (id) => document.getElementById(id);
 const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${rest}`;
 const TASKS = ["practice", "task"];
 
 let form = null; // texts and questionnaires of the study
 let view = null; // the latest view from the service
 let shown = null; // the stage that the page shows
-
-function complain(text) {
-  at("problem").textContent = text ?? "";
-  at("problem").hidden = !text;
-  if (text) at("problem").scrollIntoView({ block: "nearest" });
-}
 
 // Answers that are not sent yet survive a reload.
 
@@ -42,32 +36,28 @@ function questionnaire(study) {
   const questions = new Questions(asked.items, study.items, draft(), keepDraft);
   title(asked.title);
   if (asked.introduction) at("body").append(element("p", {}, asked.introduction));
-  at("form").append(...questions.elements(), buttons(["Continue", null]));
+  at("form").append(...questions.elements(), buttons([text("page.continue"), null]));
   at("form").onsubmit = (event) => {
     event.preventDefault();
     const wrong = questions.check();
-    if (wrong) at("said").textContent = `${wrong === 1 ? "One question needs" : `${wrong} questions need`} an answer.`;
+    if (wrong) at("said").textContent = text("study.missing", { n: wrong });
     else onward({ ...questions.answers });
   };
 }
 
 // The other stages.
 
-function title(text) {
-  at("stage-title").textContent = text;
-  document.title = `${text}: ${form.title}`;
+function title(heading) {
+  at("stage-title").textContent = heading;
+  document.title = `${heading}: ${form.title}`;
 }
 
 /** The first button submits the form; each further button has its own action. */
 function buttons([word, _], ...others) {
-  return element("p", { class: "buttons" }, element("button", { type: "submit", class: "main" }, word), ...others.map(([text, act]) => {
-    const made = element("button", { type: "button" }, text);
-    made.addEventListener("click", act);
-    return made;
-  }));
+  return element("p", { class: "buttons" }, element("button", { type: "submit", class: "main" }, word), ...others.map(([other, click]) => element("button", { type: "button", click }, other)));
 }
 
-function text(heading, name, ...words) {
+function page(heading, name, ...words) {
   title(heading);
   at("body").innerHTML = form.texts[name]; // written by the researchers and converted to HTML by the service; scripts in it do not run
   at("form").append(buttons(...words));
@@ -82,43 +72,43 @@ function plain(heading, ...lines) {
   at("body").append(...lines.map((line) => element("p", {}, line)));
 }
 
-function ends(study, heading = "Thank you", words = form.texts.thanks) {
+function ends(study, heading = text("study.thanks"), words = form.texts.thanks) {
   title(heading);
   at("body").innerHTML = words;
   const code = element("input", { readonly: true, value: study.completion, id: "code", size: study.completion.length + 1 });
-  const copy = element("button", { type: "button" }, "Copy");
+  const copy = element("button", { type: "button" }, text("study.copy"));
   copy.addEventListener("click", async () => {
     code.select();
     try {
       await navigator.clipboard.writeText(code.value);
-      at("said").textContent = "Copied.";
+      at("said").textContent = text("study.copied");
     } catch {
-      at("said").textContent = "The code is selected; copy it with the keyboard.";
+      at("said").textContent = text("study.selected");
     }
   });
-  at("body").append(element("p", { class: "code" }, element("label", { for: "code" }, "Your completion code"), code, copy), element("p", {}, "You can close this page."));
+  at("body").append(element("p", { class: "code" }, element("label", { for: "code" }, text("study.code")), code, copy), element("p", {}, text("study.close")));
   askJson(`/api/study/participants/${encodeURIComponent(person)}/withdrawal`).then(({ code, address: place, until }) => {
-    const last = until === null ? "" : ` until ${until}`;
-    at("body").append(element("p", { class: "hint", id: "withdrawal" }, `You can withdraw your data${last}: on this page, or with the code ${code} at ${place}.`));
+    const day = until === null ? "" : new Date(until).toLocaleDateString(language, { dateStyle: "long", timeZone: "UTC" });
+    at("body").append(element("p", { class: "hint", id: "withdrawal" }, text(day ? "study.later_until" : "study.later", { day, code, address: place })));
   }).catch(() => {}); // the page works without it
 }
 
 const STAGES = {
-  consent: () => text("Taking part", "consent", ["I agree and take part", null], ["I do not agree", () => send("withdraw", {})]),
-  instructions: () => text("What you will do", "instructions", ["Continue", null]),
+  consent: () => page(text("study.consent"), "consent", [text("study.agree"), null], [text("study.disagree"), () => send("withdraw", {})]),
+  instructions: () => page(text("study.instructions"), "instructions", [text("page.continue"), null]),
   questionnaire,
-  waiting: () => plain("Waiting for your group", "The task begins by itself when all are here. Please keep this page open."),
-  unmatched: (study) => ends(study, "There is no group for you", "<p>Not enough people came in time. Thank you for waiting.</p>"),
+  waiting: () => plain(text("study.waiting"), text("study.waiting_text")),
+  unmatched: (study) => ends(study, text("study.unmatched"), `<p>${text("study.unmatched_text")}</p>`),
   thanks: (study) => ends(study),
-  declined: () => plain("You chose not to take part", "Nothing more is recorded about you. You can close this page."),
-  withdrew: () => plain("You have left the study", "Thank you for your time. You can close this page."),
+  declined: () => plain(text("study.declined"), text("study.declined_text")),
+  withdrew: () => plain(text("study.left"), text("study.left_text")),
   gone: () => {
-    plain("Welcome back", "You were away for a while. One moment, please.");
+    plain(text("study.returned"), text("study.returned_text"));
     send("return", {});
   },
   full: () => {
-    plain("The study is full", "While you were away, your session was reassigned. You can try again later, since places may become free.");
-    at("form").append(buttons(["Try again", null]));
+    plain(text("study.full"), text("study.full_text"));
+    at("form").append(buttons([text("study.try_again"), null]));
     at("form").onsubmit = (event) => {
       event.preventDefault();
       send("return", {});
@@ -138,18 +128,18 @@ function show() {
     return;
   }
   at("title").textContent = form.title;
-  at("progress-word").textContent = under || study.kind === "thanks" ? `Part ${study.number} of ${study.of}` : "";
+  at("progress-word").textContent = under || study.kind === "thanks" ? text("study.part", { n: study.number, all: study.of }) : "";
   at("progress").hidden = !(under || study.kind === "thanks");
   at("progress").max = study.of;
   at("progress").value = study.number;
   const ended = ["thanks", "unmatched"].includes(study.kind); // data can be withdrawn afterwards, too
   at("leave").hidden = !(under || ended) || leaves || study.kind === "consent";
-  at("leave-button").textContent = at("leave-now").textContent = ended ? "Withdraw my data" : "Leave the study";
-  at("stay").textContent = ended ? "Keep my data in the study" : "Stay";
+  at("leave-button").textContent = at("leave-now").textContent = text(ended ? "study.withdraw" : "page.leave");
+  at("stay").textContent = text(ended ? "study.keep" : "study.stay");
   at("leaving").hidden = !(leaves && (under || ended));
   at("stage").hidden = leaves && (under || ended);
   if (study.waiting) {
-    at("said").textContent = at("progress-word").textContent = `${study.waiting.here} of ${study.waiting.of} are here`;
+    at("said").textContent = at("progress-word").textContent = text("study.here", { here: study.waiting.here, all: study.waiting.of });
     at("progress").max = study.waiting.of;
     at("progress").value = study.waiting.here;
   }
@@ -187,11 +177,11 @@ const outbox = new Outbox("part", {
   },
   refused(error) {
     refresh();
-    if (error.status !== 409) complain(`${error.message}.`);
+    if (error.status !== 409) complain(sentence(error.message));
     show();
   },
   waiting() {
-    complain("Not sent yet. It will be sent when the connection is restored.");
+    complain(text("page.not_sent"));
   },
 });
 
@@ -207,7 +197,7 @@ async function refresh() {
   } catch (error) {
     if (error instanceof Refused && [401, 403, 404].includes(error.status)) {
       channel.end();
-      complain(`This link is not valid: ${error.message}.`);
+      complain(text("page.invalid_because", { why: sentence(error.message) }));
     }
   }
 }
@@ -215,7 +205,7 @@ async function refresh() {
 const channel = new Channel(pathOf(person, "/events"), {
   message: take,
   state(state) {
-    at("connection").textContent = { connected: "Connected", lost: "Reconnecting…", over: "Not connected" }[state];
+    at("connection").textContent = text(`page.${state}`);
     at("connection").classList.toggle("lost", state !== "connected");
     if (state === "connected") outbox.resume();
     if (state !== "connected") refresh();
@@ -240,7 +230,7 @@ async function load() {
     show();
   } catch (error) {
     if (passes(error)) setTimeout(load, 1000);
-    else complain(`This link is not valid: ${error.message}.`);
+    else complain(text("page.invalid_because", { why: sentence(error.message) }));
   }
 }
 load();

@@ -1,14 +1,6 @@
 // The questions of a questionnaire. Each is a fieldset, so that screen readers announce it with its answers.
 
-export function element(name, attributes = {}, ...children) {
-  const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (value === true) made.setAttribute(key, "");
-    else if (value !== false && value !== null) made.setAttribute(key, value);
-  }
-  made.append(...children.filter((child) => child !== null));
-  return made;
-}
+import { element, figure, text } from "../../pages/page.js";
 
 const SCALES = ["slider", "nasa-tlx"];
 const POINTS = ["likert", "likert-grid"];
@@ -48,11 +40,11 @@ export class Questions {
   problem(item) {
     const answer = this.answers[item.name];
     const none = answer === undefined || answer === null || answer === "" || answer.length === 0;
-    if (none) return item.required ? "Please answer this question." : null;
+    if (none) return item.required ? text("question.unanswered") : null;
     if (item.form !== "number") return null;
     const steps = (answer - item.min) / item.step;
     const fits = typeof answer === "number" && answer >= item.min && answer <= item.max && Math.abs(steps - Math.round(steps)) < 1e-6;
-    return fits ? null : `Please enter a number ${range(item)}.`;
+    return fits ? null : text("question.number", { range: range(item) });
   }
 
   /** Mark the questions without a valid answer; return their number, with the focus in the first. */
@@ -82,11 +74,11 @@ export class Questions {
     const optional = !item.required && this.marksOptional;
     const clears = !item.required && (kind === "choice" || kind === "points" || kind === "slider");
     const made = element("fieldset", { id: `item ${item.name}`, class: "item", "aria-describedby": `error-${item.name}` },
-      element("legend", {}, item.text, optional ? element("span", { class: "hint" }, " (optional)") : null),
+      element("legend", {}, item.text, optional ? element("span", { class: "hint" }, ` ${text("question.optional")}`) : null),
       ...this[kind](item),
       element("p", { class: "error", id: `error-${item.name}`, hidden: true }));
     if (clears) {
-      const clear = element("button", { type: "button", class: "quiet", "aria-label": `Clear the answer: ${item.text}` }, "Clear");
+      const clear = element("button", { type: "button", class: "quiet", "aria-label": text("question.clear_of", { question: item.text }) }, text("question.clear"));
       clear.addEventListener("click", () => {
         this.answer(item, undefined);
         const again = this.field(item);
@@ -101,22 +93,22 @@ export class Questions {
   /** A scale. It is unmarked at first, so that the middle is never a default answer. */
   slider(item) {
     const { min, max, step } = item;
-    const ends = item.low || item.high ? [item.low, item.high] : [String(min), String(max)];
+    const ends = item.low || item.high ? [item.low, item.high] : [figure(min), figure(max)];
     const input = element("input", {
-      type: "range", min, max, step, "aria-label": `${item.text} ${min}: ${ends[0]}, ${max}: ${ends[1]}`, class: "unmarked",
+      type: "range", min, max, step, "aria-label": text("question.scale", { question: item.text, low: figure(min), high: figure(max), low_label: ends[0], high_label: ends[1] }), class: "unmarked",
     });
-    const output = element("output", {}, "not marked");
+    const output = element("output", {}, text("question.unmarked"));
     const show = () => {
       input.classList.remove("unmarked");
-      output.textContent = input.value;
-      input.setAttribute("aria-valuetext", `${input.value} of ${max}`);
+      output.textContent = figure(Number(input.value));
+      input.setAttribute("aria-valuetext", text("question.marked", { n: figure(Number(input.value)), high: figure(max) }));
     };
     const mark = () => {
       show();
       this.answer(item, Number(input.value));
     };
     input.value = this.answers[item.name] ?? (min + max) / 2;
-    input.setAttribute("aria-valuetext", "not marked");
+    input.setAttribute("aria-valuetext", text("question.unmarked"));
     if (item.name in this.answers) show();
     input.addEventListener("input", mark);
     input.addEventListener("click", mark);
@@ -177,7 +169,7 @@ export class Questions {
   }
 
   number(item) {
-    const input = element("input", { type: "text", inputmode: "decimal", autocomplete: "off", size: 12, "aria-label": `${item.text} A number ${range(item)}` });
+    const input = element("input", { type: "text", inputmode: "decimal", autocomplete: "off", size: 12, "aria-label": text("question.a_number", { question: item.text, range: range(item) }) });
     input.value = this.answers[item.name] ?? "";
     input.addEventListener("input", () => {
       const given = input.value.trim().replace(",", ".");
@@ -196,4 +188,4 @@ export class Questions {
 }
 
 const fieldset = (item) => document.getElementById(`item ${item.name}`);
-const range = (item) => `from ${item.min} to ${item.max}${item.step === 1 ? "" : ` in steps of ${item.step}`}`;
+const range = (item) => text(item.step === 1 ? "question.range" : "question.range_steps", { low: figure(item.min), high: figure(item.max), step: figure(item.step) });

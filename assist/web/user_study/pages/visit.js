@@ -1,8 +1,8 @@
 // The page of the join link: each browser becomes one participant, always the same one.
 
 import { Refused, address, askJson, newId, passes, place } from "../../pages/connection.js";
+import { at, sentence, text } from "../../pages/page.js";
 
-const at = (id) => document.getElementById(id);
 const KEY = `kitassist visit ${place}`;
 
 function kept() {
@@ -44,8 +44,8 @@ function bodyOf(id) {
   return signature ? { id, signature } : { id, key: browserKey() };
 }
 
-function tell(text, { begin = null, before = null } = {}) {
-  at("text").textContent = text;
+function tell(words, { begin = null, before = null } = {}) {
+  at("text").textContent = words;
   at("begin").hidden = begin === null;
   if (begin !== null) at("begin").textContent = begin;
   at("before").hidden = before === null;
@@ -60,23 +60,23 @@ async function visit(id) {
       return await askJson("/api/study/seats", { method: "POST", body: bodyOf(id) });
     } catch (error) {
       if (!passes(error)) throw error;
-      tell("The study server cannot be reached. Trying again.");
+      tell(text("study.unreachable"));
       await wait(pause);
     }
   }
 }
 
 async function enter(id) {
-  tell("One moment, please.");
+  tell(text("study.wait"));
   keep({ id });
   try {
     const seat = await visit(id);
     location.replace(address(seat.part));
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    if (error.status !== 409) tell(`This link is not valid: ${error.message}.`);
-    else if (!error.message.includes("full")) tell(`Sorry, ${error.message}.`);
-    else tell("The study is full at the moment. You can try again later, since places may become free.", { begin: "Try again" });
+    const why = sentence(error.message);
+    if (error.status === 409) tell(why, { begin: text("study.try_again") });
+    else tell(text("page.invalid_because", { why }));
   }
 }
 
@@ -101,21 +101,21 @@ async function begin() {
 }
 
 function next(seat) {
-  tell("A participant has already used this browser. If you are the next participant, begin.", { begin: "Begin as the next participant", before: address(seat.part) });
+  tell(text("study.next"), { begin: text("study.begin_next"), before: address(seat.part) });
 }
 
 /** Withdraw data by the code that the last page of the study showed. */
 function withdraws() {
-  tell("Your data will not appear in any table or result. This cannot be undone.");
+  tell(text("study.withdraw_text"));
   at("withdraw").hidden = false;
   at("withdraw").addEventListener("submit", async (event) => {
     event.preventDefault();
     try {
       await askJson("/api/study/withdrawals", { method: "POST", body: { code: at("code").value } });
       at("withdraw").hidden = true;
-      tell("Your data are withdrawn. You can close this page.");
+      tell(text("study.withdrawn"));
     } catch (error) {
-      tell(error instanceof Refused ? `${error.message}.` : "The study server cannot be reached. Try again.");
+      tell(error instanceof Refused ? sentence(error.message) : text("study.unreachable_now"));
     }
   });
 }

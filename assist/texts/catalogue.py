@@ -1,7 +1,7 @@
-"""Texts of explanations: one TOML file for each language, and numbers and actions in that language.
+"""Texts of pages, questionnaires, refusals and explanations: one TOML file for each language.
 
-A language is a file in `texts`. A file elsewhere can be given by its path. Each file has the same texts, and each text
-has placeholders only of those that the English one has.
+A language is a file in this folder. A file elsewhere can be given by its path; its name is the language's tag, such as
+`fr.toml`. Each file has the same texts, and each text has placeholders only of those that the English one has.
 """
 
 from __future__ import annotations
@@ -15,8 +15,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-FOLDER = Path(__file__).parent / "texts"
+FOLDER = Path(__file__).parent
 FIRST = "en"
+REFUSALS = "refusals."
+TAG = re.compile(r"[A-Za-z]{2,3}(-[A-Za-z0-9]{2,8})*")
+"""Tags of languages, as in the attribute `lang` of a page."""
 
 
 def languages() -> tuple[str, ...]:
@@ -42,6 +45,25 @@ class Catalogue:
         """Return a text with its placeholders replaced; its first letter is a capital."""
         text = self.texts[key].format(**values)
         return text[:1].upper() + text[1:]
+
+    @property
+    def tag(self) -> str:
+        """The tag of the language, as in the attribute `lang` of a page."""
+        return self.file.stem
+
+    def section(self, name: str) -> dict[str, str]:
+        """Return the texts of a section, by their keys within it."""
+        return {key.removeprefix(f"{name}."): text for key, text in self.texts.items() if key.startswith(f"{name}.")}
+
+    def refusal(self, message: str) -> str:
+        """Return the text of a refusal, which the program gives in English, in this language."""
+        first = catalogue(FIRST)
+        if self.file == first.file:
+            return message
+        for key, text in first.texts.items():
+            if key.startswith(REFUSALS) and (found := _pattern(text).fullmatch(message)):
+                return self(key, **found.groupdict())
+        return self(f"{REFUSALS}other")
 
     def action(self, pddl: str, words: str | None) -> str:
         """Return an action as a part of a sentence; `words` is the domain's wording, if there is one."""
@@ -90,6 +112,8 @@ def catalogue(language: str = FIRST) -> Catalogue:
     if not own and language not in languages():
         raise ValueError(f"language {language[:40]!r}: expected one of {', '.join(languages())}, or a .toml file")
     file = Path(language) if own else FOLDER / f"{language}.toml"
+    if not TAG.fullmatch(file.stem):
+        raise ValueError(f"{file}: expected a file that is named after its language, such as fr.toml")
     try:
         texts = dict(_texts(tomllib.loads(file.read_text(encoding="utf-8"))))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -115,6 +139,12 @@ def _check(file: Path, texts: Mapping[str, str], first: Mapping[str, str]) -> No
         allowed = _placeholders(first[key]) | ({"words", "inner"} if key == "actions.worded" else set())
         if wrong := _placeholders(texts[key]) - allowed:
             raise ValueError(f"{file}: {key}: {{{min(wrong)}}}; expected {', '.join(sorted(allowed)) or 'no name'}")
+
+
+@lru_cache(maxsize=256)
+def _pattern(text: str) -> re.Pattern[str]:
+    """Return the pattern of the texts that result from a text by replacing its placeholders."""
+    return re.compile(re.sub(r"\\\{(\w+)\\\}", r"(?P<\1>.*)", re.escape(text)), re.DOTALL)
 
 
 def _placeholders(text: str) -> set[str]:

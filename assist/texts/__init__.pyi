@@ -1,0 +1,3 @@
+from .catalogue import Catalogue as Catalogue
+from .catalogue import catalogue as catalogue
+from .catalogue import languages as languages

@@ -1,0 +1,43 @@
+// What the pages share: elements, messages, and texts and numbers in the page's language.
+
+export const at = (id) => document.getElementById(id);
+
+export const language = document.documentElement.lang;
+const TEXTS = JSON.parse(at("texts").textContent); // the service writes them into the page
+
+/** The text of a key, with names in braces replaced. If `n` is 1, the text for one is taken. */
+export function text(key, values = {}) {
+  const own = values.n === 1 && `${key}_one` in TEXTS ? `${key}_one` : key;
+  return TEXTS[own].replace(/\{(\w+)\}/g, (_, name) => values[name]);
+}
+
+/** A number as it is written in the page's language, with so many digits after the decimal sign, or as many as it has. */
+export const figure = (value, digits = null) => value.toLocaleString(language, {
+  minimumFractionDigits: digits ?? 0, maximumFractionDigits: digits ?? 6, useGrouping: false,
+});
+
+/** A refusal of the service as a sentence. */
+export const sentence = (why) => `${why.charAt(0).toUpperCase()}${why.slice(1)}${/[.!?]$/.test(why) ? "" : "."}`;
+
+/** Minutes and seconds. */
+export const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
+
+export function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key === "click") made.addEventListener("click", value);
+    else if (value === true) made.setAttribute(key, "");
+    else if (value !== false && value !== null) made.setAttribute(key, value);
+  }
+  made.append(...children.filter((child) => child !== null));
+  return made;
+}
+
+/** Show what is wrong, or nothing more. */
+export function complain(why) {
+  const problem = at("problem");
+  const isNew = why && problem.textContent !== why;
+  problem.textContent = why ?? "";
+  problem.hidden = !why;
+  if (isNew) problem.scrollIntoView({ block: "nearest" });
+}
