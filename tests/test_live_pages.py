@@ -281,7 +281,7 @@ def has_a_second_tab_and_loses_the_connection(clicked: Seat, chromium: Any) -> N
     page.context.set_offline(True)
     page.click('#actions button:has-text("Return")')
     page.wait_for_selector("#problem:not([hidden])")
-    assert "when the connection is restored" in page.inner_text("#problem")
+    assert "as soon as the server can be reached" in page.inner_text("#problem")
     page.context.set_offline(False)
     clicked.waits_for(2)
     actions = [row["action"] for row in clicked.log() if row["person"] == clicked.person][-2:]
