@@ -94,7 +94,6 @@ class Catalogue:
         return self.number(math.floor(value / unit * (1 + 1e-12)) * unit)
 
 
-@lru_cache(maxsize=16)
 def catalogue(language: str = FIRST) -> Catalogue:
     """Return the texts of a language.
 
@@ -115,10 +114,16 @@ def catalogue(language: str = FIRST) -> Catalogue:
     if not TAG.fullmatch(file.stem):
         raise ValueError(f"{file}: expected a file that is named after its language, such as fr.toml")
     try:
-        texts = dict(_texts(tomllib.loads(file.read_text(encoding="utf-8"))))
+        return _read(file, file.stat().st_mtime_ns, own)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"{file}: {error}") from None
-    if language != FIRST:
+
+
+@lru_cache(maxsize=16)
+def _read(file: Path, _changed: int, own: bool) -> Catalogue:
+    """Return the texts in a file, which is read again after it has changed."""
+    texts = dict(_texts(tomllib.loads(file.read_text(encoding="utf-8"))))
+    if own or file.stem != FIRST:
         _check(file, texts, catalogue(FIRST).texts)
     return Catalogue(file, texts)
 
