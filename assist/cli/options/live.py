@@ -103,8 +103,8 @@ def live_options(command: Command) -> Command:
 def plan_of(
     instances: tuple[str, ...], *, humans: int, simulate: int, pace: float, seed: int, data: Path | None, policy: str,
     tick: float, language: str, people_store: Path | None, keep_people: float, domain: str | None,
-    distances: Path | None, beta: Range, theta: Range | None, sigma: Range, population_file: Path | None, people: str | None,
-    problems: Sequence[str], goal_prior: Sequence[str], **options: Any,
+    distances: Path | None, beta: Range, theta: Range | None, sigma: Range, population_file: Path | None,
+    people: str | None, problems: Sequence[str], goal_prior: Sequence[str], **options: Any,
 ) -> ServedTeam:  # fmt: skip
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
