@@ -22,7 +22,15 @@ from tables import cell, record_option, write_record
 from assist.learning import Observations
 from assist.learning.trust_comparison import compare_trust
 from assist.learning.trust_fit import fit_influence
-from assist.people.trust_rules import LEAST, EquationSeven, TrustRule, constant, outcome, outcome_at_disagreement
+from assist.people.trust_rules import (
+    LEAST,
+    EquationSeven,
+    Reliability,
+    TrustRule,
+    constant,
+    outcome,
+    outcome_at_disagreement,
+)
 from planner import CostToGo, cost_to_go, load
 
 SETTINGS: dict[str, tuple[str, TrustRule]] = {
@@ -34,8 +42,14 @@ SETTINGS: dict[str, tuple[str, TrustRule]] = {
     "outcome, +.20 -.40": ("outcome", outcome(0.2, 0.4)),
     "at disagreement, +.03 +.10 -.20": ("outcome-at-disagreement", outcome_at_disagreement()),
     "at disagreement, +.06 +.20 -.40": ("outcome-at-disagreement", outcome_at_disagreement(0.06, 0.2, 0.4)),
+    "reliability, 20, .05": ("reliability", Reliability(20.0, 0.05)),
+    "reliability, 5, .10": ("reliability", Reliability(5.0, 0.1)),
 }
-"""Rules of the simulated people; steps in log-odds, of agreement, of a right and of a wrong outcome."""
+"""Rules of the simulated people.
+
+Steps are in log-odds, of agreement, of a right and of a wrong outcome; of reliability, the weight of the initial theta
+in outcomes and the share that is forgotten.
+"""
 
 UNKNOWN = {("outcome-at-disagreement", "gain")}
 """Parameters that these logs do not depend on.

@@ -18,7 +18,7 @@ from assist.learning.advice_model import (
     NODES,
     RULES,
     AdviceModel,
-    _moved,
+    _update,
     fold_of,
     held_out,
     mean_and_error,
@@ -43,6 +43,15 @@ def simulated(people: int, trials: int, seed: int, *, spread: float = 1.5, steps
     person, *others = (list(column) for column in zip(*rows, strict=True))
     kinds = (bool, int, bool, bool, bool, bool, float, float)
     return AdviceLog(np.array(person), *(np.array(c, dtype=k) for c, k in zip(others, kinds, strict=True)))
+
+
+def after(
+    theta: float, good: float, bad: float, start: float, kind: int, logit: bool, numbers: np.ndarray, *seen: object
+) -> tuple[float, float, float]:
+    """Return theta and the counts after a judgement."""
+    of_start, a, b, c, d, good, bad = _update(good, bad, kind, logit, numbers, *seen)
+    t = start if of_start else theta
+    return min(max((a * t + b) / (c * t + d), LEAST), 1 - LEAST), good, bad
 
 
 def test_the_likelihood_is_that_of_the_model() -> None:
@@ -92,7 +101,7 @@ def test_a_rule_of_logs_is_the_rule_of_planning_tasks(
     rule = LogitSteps(agreement, gain, loss)
     event = Event(*(np.asarray(each) for each in (0.0, agrees, True, shown, right)))
     numbers = np.array(RULES["L agreement + outcome at disagreement"].coefficients(agreement, gain, loss), dtype=float)
-    moved, _, _ = _moved(theta, 0.0, 0.0, theta, 0, True, numbers, agrees, right, shown, 0.5)
+    moved, _, _ = after(theta, 0.0, 0.0, theta, 0, True, numbers, agrees, right, shown, 0.5)
     assert moved == pytest.approx(float(rule.update(np.array(theta), event)), abs=1e-12)
 
 
@@ -103,7 +112,7 @@ def test_theta_goes_the_way_of_the_outcomes(rule: object) -> None:
         theta, good, bad = 0.5, 0.0, 0.0
         for _ in range(5):
             before = theta
-            theta, good, bad = _moved(theta, good, bad, 0.5, rule.kind, False, numbers, right, right, True, 0.5)  # type: ignore[attr-defined]
+            theta, good, bad = after(theta, good, bad, 0.5, rule.kind, False, numbers, right, right, True, 0.5)  # type: ignore[attr-defined]
             if "agreement" not in rule.name or "own" in rule.name:  # type: ignore[attr-defined]
                 assert theta >= before if right else theta <= before
             assert LEAST <= theta <= 1 - LEAST

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from threadpoolctl import threadpool_limits
 
 from planner.system.jit import njit
 
@@ -37,6 +36,12 @@ LAPSE = 0.0005
 
 NODES = 31
 """Nodes of the quadrature. Twice as many change no figure of two public data sets in the fifth digit."""
+
+POINTS, WEIGHTS = np.polynomial.hermite_e.hermegauss(NODES)
+WEIGHTS = WEIGHTS / WEIGHTS.sum()
+
+MOST_LOG_ODDS = 200.0
+"""Limit of log-odds in compiled code, so that no exponential overflows."""
 
 STEPS, DELTA, COUNTS, RELIABILITY, FORGOTTEN = range(5)
 """Kinds of rules, as compiled code tells them apart."""
@@ -225,20 +230,24 @@ class AdviceModel:
 
     def likelihood(self, log: AdviceLog) -> tuple[Floats, Floats]:
         """Return the likelihood of each answer at each node, shape (N, K), and the log weights of the nodes, (K,)."""
+        found = np.empty((len(log), NODES))
+        self._likelihood(found, log)
+        return found, np.log(WEIGHTS)
+
+    def _likelihood(self, found: Floats, log: AdviceLog) -> Floats:
         own = self.parameters
-        nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
-        start = np.clip(1 / (1 + np.exp(-(own["mu"] + own["sigma"] * nodes))), LEAST, 1 - LEAST)
+        start = np.clip(1 / (1 + np.exp(-(own["mu"] + own["sigma"] * POINTS))), LEAST, 1 - LEAST)
         rule = np.array(self.rule.coefficients(*self.values[len(BASES[self.base]) :]), dtype=float)
         by_agreement = self.base != "A"
         agree = np.array([own["a0"], own["a1"]] if by_agreement else [own["b0"], own["b1"]])
         other = np.array([0.0 if by_agreement else own["b0"], own["b1"]])
-        found = np.empty((len(log), NODES))
+        totals = np.empty(int(log.first.sum()))
         _likelihood(
-            found, log.first, log.sequence, log.agrees, log.follows, log.right, log.shown, log.confidence,
-            log.advice_confidence * own.get("advised", 0.0), start, self.rule.kind, self.rule.logit, rule, by_agreement,
-            agree, other,
+            found, totals, log.first, log.sequence, log.agrees, log.follows, log.right, log.shown, log.confidence,
+            log.advice_confidence * own.get("advised", 0.0), start, WEIGHTS, self.rule.kind, self.rule.logit, rule,
+            by_agreement, agree, other,
         )  # fmt: skip
-        return found, np.log(weights / weights.sum())
+        return totals
 
     def predictions(self, log: AdviceLog) -> Floats:
         """Return the log probability of each answer, given the person's answers before it, shape (N,)."""
@@ -255,13 +264,20 @@ class AdviceModel:
         earlier[begins] = 0.0
         return np.asarray(joint - earlier)
 
+    def log_likelihoods(self, log: AdviceLog) -> Floats:
+        """Return the log probability of each person's answers: the sums of `predictions`, in the order of the log."""
+        return self._likelihood(np.empty((0, NODES)), log)
+
     def log_likelihood(self, log: AdviceLog) -> float:
-        """Return the log probability of all answers: the sum of `predictions`, computed a person at a time."""
-        found, weights = self.likelihood(log)
-        return float(_marginal(found, log.first, np.exp(weights)))
+        """Return the log probability of all answers."""
+        return float(self.log_likelihoods(log).sum())
 
     def fit(self, log: AdviceLog) -> AdviceModel:
-        """Return the model of largest marginal likelihood, found from this one's values and from none of its steps."""
+        """Return the model of largest marginal likelihood, found from this one's values.
+
+        Where these are the values of `of`, steps that are smaller are a second start. Rules whose steps are limited have
+        several largest values, so that they are fitted from more starts.
+        """
         names = (*BASES[self.base], *self.rule.parameters)
         free = [name != "sigma" or not self.rule.shared for name in names]
 
@@ -278,20 +294,51 @@ class AdviceModel:
                 ),
             )
 
-        def loss(point: Floats) -> float:
+        def people(point: Floats) -> Floats:
             with np.errstate(over="ignore"):
-                value = -model(point).log_likelihood(log)
-            return value / len(log) if math.isfinite(value) else 1e6
+                values = model(point).log_likelihoods(log)
+            return values if np.isfinite(values).all() else np.full(len(values), -1e6)
 
-        starts = [inner(self.values)]
-        if self.rule.kind == STEPS and self.rule.parameters:
-            starts.append(inner((*self.values[: len(BASES[self.base])], *(0.3 * v for v in self.rule.start))))
-        with threadpool_limits(1, user_api="blas"):  # threads wait longer than these small matrices take
-            found = [minimize(loss, start, method="L-BFGS-B", options={"maxiter": 200}) for start in starts]
-        if self.rule.parameters and self.rule.kind == STEPS and not self.rule.logit:  # clips give kinks
-            found = [minimize(loss, one.x, method="Nelder-Mead", options={"maxiter": 400, "xatol": 1e-4, "fatol": 1e-7})
-                     for one in found]  # fmt: skip
-        return model(min(found, key=lambda one: one.fun).x)
+        initial = AdviceModel.of(self.base, self.rule.name).values
+        common, rest = initial[: len(BASES[self.base])], initial[len(BASES[self.base]) :]
+        cold, starts = self.values == initial, [inner(self.values)]
+        kinks = self.rule.kind == STEPS and not self.rule.logit and any(self.rule.coefficients(*rest))  # of the clips
+        if self.rule.kind == STEPS and rest and (cold or kinks):
+            starts.append(inner((*common, *(0.3 * value for value in rest))))
+        if kinks:
+            starts += [inner(initial), inner((0.0, 2.0, *initial[2:]))]
+        best = max((_scoring(people, start) for start in starts), key=lambda one: float(people(one).sum()))
+        if cold and kinks:
+            best = minimize(
+                lambda point: -float(people(point).sum()), best, method="Nelder-Mead",
+                options={"maxiter": 400, "xatol": 1e-3, "fatol": 1e-2},
+            ).x  # fmt: skip
+        return model(best)
+
+
+def _scoring(people: Callable[[Floats], Floats], point: Floats, enough: float = 1e-3) -> Floats:
+    """Return the point near a start at which the sum of people's log likelihoods is largest.
+
+    The information is estimated by people's scores (the method of Berndt, Hall, Hall and Hausman), with damping, until
+    a step is expected to gain less than `enough` nats. A start needs a few steps, and each the likelihood once for
+    each parameter.
+    """
+    delta, damping, unit = 1e-4, 1e-3, np.eye(len(point))
+    values = people(point)
+    for _ in range(100):
+        scores = np.array([(people(point + delta * one) - values) / delta for one in unit])
+        gradient, information = scores.sum(axis=1), scores @ scores.T
+        scale = np.diag(np.diag(information) + 1e-6)
+        while True:
+            step = np.linalg.solve(information + damping * scale, gradient)
+            if gradient @ step < enough:
+                return point
+            moved = people(point + step)
+            if moved.sum() > values.sum():
+                break
+            damping *= 10
+        point, values, damping = point + step, moved, max(damping / 10, 1e-6)
+    return point
 
 
 def _to(name: str, value: float) -> float:
@@ -390,63 +437,63 @@ def base_of(log: AdviceLog) -> str:
     return "EA" if np.ptp(log.advice_confidence) > 0 else "E"
 
 
-@njit()
-def _sigmoid(z: float) -> float:
-    return 1.0 / (1.0 + math.exp(-z)) if z > 0 else math.exp(z) / (1.0 + math.exp(z))
-
-
-@njit()
-def _logit(p: float) -> float:
-    return math.log(p / (1.0 - p))
-
-
-@njit()
+@njit(error_model="numpy")
 def _likelihood(
-    found: Floats, first: NDArray[np.bool_], sequence: NDArray[np.int64], agrees: NDArray[np.bool_],
+    found: Floats, totals: Floats, first: NDArray[np.bool_], sequence: NDArray[np.int64], agrees: NDArray[np.bool_],
     follows: NDArray[np.bool_], right: NDArray[np.bool_], shown: NDArray[np.bool_], confidence: Floats, advised: Floats,
-    start: Floats, kind: int, logit: bool, rule: Floats, by_agreement: bool, agree: Floats, other: Floats,
+    start: Floats, weights: Floats, kind: int, logit: bool, rule: Floats, by_agreement: bool, agree: Floats,
+    other: Floats,
 ) -> None:  # fmt: skip
-    """Fill in the likelihood of each answer at each node, shape (N, K)."""
-    advisors = sequence.max() + 1
-    theta, good, bad = np.empty(advisors), np.empty(advisors), np.empty(advisors)
-    for k in range(len(start)):
-        for i in range(len(first)):
-            if first[i]:
-                for a in range(advisors):
-                    theta[a], good[a], bad[a] = start[k], 0.0, 0.0
-            a, c = sequence[i], confidence[i]
-            if agrees[i]:
-                z = agree[0] + agree[1] * c
-                if not by_agreement:
-                    z += _logit(theta[a])
-            else:
-                z = _logit(theta[a]) - other[0] - other[1] * c
-            p = LAPSE + (1.0 - 2.0 * LAPSE) * _sigmoid(z + advised[i])
-            found[i, k] = p if follows[i] else 1.0 - p
-            theta[a], good[a], bad[a] = _moved(
-                theta[a], good[a], bad[a], start[k], kind, logit, rule, agrees[i], right[i], shown[i], c
-            )
+    """Fill in people's log likelihoods, and in `found` that of each answer at each node, shape (N, K), if it has rows.
 
+    A person's is the log of the mean, over nodes, of the product of the likelihoods of their answers.
 
-@njit()
-def _marginal(found: Floats, first: NDArray[np.bool_], weights: Floats) -> float:
-    """Return the sum over people of the log of the mean, over nodes, of the product of a person's likelihoods."""
-    total, product = 0.0, weights.copy()
+    What differs between nodes is rational in theta: exponentials are taken once for each row, and loops over nodes are
+    vectorised.
+    """
+    nodes, advisors = len(start), sequence.max() + 1
+    theta, product, p = np.empty((advisors, nodes)), weights.copy(), np.empty(nodes)
+    good, bad = np.zeros(advisors), np.zeros(advisors)
+    person, of_all = -1, 1.0
     for i in range(len(first)):
-        if first[i] and i:
-            total += math.log(product.sum())
-            product[:] = weights
-        for k in range(len(weights)):
-            product[k] *= found[i, k]
-    return total + math.log(product.sum())
+        if first[i]:
+            person += 1
+            product[:], theta[:], of_all = weights, start, 1.0
+            good[:], bad[:] = 0.0, 0.0
+        a, c = sequence[i], confidence[i]
+        z = (agree[0] + agree[1] * c if agrees[i] else -other[0] - other[1] * c) + advised[i]
+        odds = math.exp(min(max(-z, -MOST_LOG_ODDS), MOST_LOG_ODDS))
+        if agrees[i] and by_agreement:
+            same = LAPSE + (1.0 - 2.0 * LAPSE) / (1.0 + odds)
+            p[:] = same if follows[i] else 1.0 - same
+            of_all *= p[0]
+        else:
+            low, slope = (LAPSE, 1.0 - 2.0 * LAPSE) if follows[i] else (1.0 - LAPSE, 2.0 * LAPSE - 1.0)
+            for k in range(nodes):
+                p[k] = low + slope * theta[a, k] / (theta[a, k] + (1.0 - theta[a, k]) * odds)
+                product[k] *= p[k]
+        if len(found):
+            found[i] = p
+        if i + 1 == len(first) or first[i + 1]:
+            totals[person] = math.log(product.sum()) + math.log(of_all)
+        of_start, top, top_one, bottom, bottom_one, good[a], bad[a] = _update(
+            good[a], bad[a], kind, logit, rule, agrees[i], right[i], shown[i], c
+        )
+        if top != 1.0 or top_one != 0.0 or bottom != 0.0 or bottom_one != 1.0:
+            source = start if of_start else theta[a]
+            for k in range(nodes):
+                moved = (top * source[k] + top_one) / (bottom * source[k] + bottom_one)
+                theta[a, k] = min(max(moved, LEAST), 1.0 - LEAST)
 
 
-@njit()
-def _moved(
-    theta: float, good: float, bad: float, start: float, kind: int, logit: bool, rule: Floats, agrees: bool,
-    right: bool, shown: bool, c: float,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Return theta and the counts of good and bad advice after a judgement.
+@njit(error_model="numpy")
+def _update(
+    good: float, bad: float, kind: int, logit: bool, rule: Floats, agrees: bool, right: bool, shown: bool, c: float
+) -> tuple[bool, float, float, float, float, float, float]:
+    """Return the map of theta by a judgement, and the counts of good and bad advice after it.
+
+    The map is theta' = (a t + b) / (c t + d), within `LEAST` and 1 - `LEAST`. Returned are whether t is the initial
+    theta, not the last one, then a, b, c, d. Both steps of theta and steps of its logit have this form.
 
     The eight numbers of a rule of `STEPS`: a constant and a factor of the confidence at agreement, the same at
     disagreement, the steps after right and after wrong advice at agreement, and the same at disagreement. Of `DELTA`:
@@ -455,37 +502,36 @@ def _moved(
     slope, prior reliability, and whether only disagreement counts. Of `FORGOTTEN`: prior weight, what is kept of all
     counts each time, and the number of outcomes by which their sum moves; `good` is the number of outcomes.
     """
+    hit = 1.0 if right else 0.0
     if kind == STEPS:
         at = 0 if agrees else 2
         step = rule[at] + rule[at + 1] * c
         if shown:
             step += rule[(4 if agrees else 6) + (0 if right else 1)]
-        if logit:
-            theta = _sigmoid(_logit(theta) + step)
-        else:
-            theta += step
-    elif kind == DELTA:
-        if shown:
-            theta += rule[0] * ((1.0 if right else 0.0) - theta)
-    elif kind == COUNTS:
+        if not logit:
+            return False, 1.0, step, 0.0, 1.0, good, bad
+        odds = math.exp(min(max(-step, -MOST_LOG_ODDS), MOST_LOG_ODDS))
+        return False, 1.0, 0.0, 1.0 - odds, odds, good, bad
+    if kind == COUNTS:
         if rule[4] == 2.0:
             good += rule[1] * c if agrees else 0.0
             bad += 0.0 if agrees else rule[2] * c
         elif shown and (rule[4] == 0.0 or not agrees):
-            good = rule[3] * good + (rule[1] if right else 0.0)
-            bad = rule[3] * bad + (0.0 if right else rule[2])
-        theta = (rule[0] * start + good) / (rule[0] + good + bad)
-    elif kind == FORGOTTEN:
-        if shown:
-            total = rule[0]
-            for _ in range(int(good)):
-                total = rule[1] * total + 1.0
-            theta = (rule[1] * total * theta + (1.0 if right else 0.0)) / (rule[1] * total + 1.0)
-            good = min(good + 1.0, rule[2])
-    else:
+            good = rule[3] * good + rule[1] * hit
+            bad = rule[3] * bad + rule[2] * (1.0 - hit)
+        return True, rule[0], good, 0.0, rule[0] + good + bad, good, bad
+    if kind == RELIABILITY:
         if shown and (rule[3] == 0.0 or not agrees):
-            good += 1.0 if right else 0.0
-            bad += 0.0 if right else 1.0
-        reliable = (rule[0] * rule[2] + good) / (rule[0] + good + bad)
-        theta = _sigmoid(_logit(start) + rule[1] * (_logit(reliable) - _logit(rule[2])))
-    return min(max(theta, LEAST), 1.0 - LEAST), good, bad
+            good, bad = good + hit, bad + 1.0 - hit
+        # the odds of the perceived share of right advice, over those before any
+        odds = (rule[0] * rule[2] + good) * (1.0 - rule[2]) / ((rule[0] * (1.0 - rule[2]) + bad) * rule[2])
+        odds = math.exp(min(max(-rule[1] * math.log(odds), -MOST_LOG_ODDS), MOST_LOG_ODDS))
+        return True, 1.0, 0.0, 1.0 - odds, odds, good, bad
+    if not shown:
+        return False, 1.0, 0.0, 0.0, 1.0, good, bad
+    if kind == DELTA:
+        return False, 1.0 - rule[0], rule[0] * hit, 0.0, 1.0, good, bad
+    total = rule[0]
+    for _ in range(int(good)):
+        total = rule[1] * total + 1.0
+    return False, rule[1] * total, hit, 0.0, rule[1] * total + 1.0, min(good + 1.0, rule[2]), bad
