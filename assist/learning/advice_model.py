@@ -275,8 +275,8 @@ class AdviceModel:
     def fit(self, log: AdviceLog) -> AdviceModel:
         """Return the model of largest marginal likelihood, found from this one's values.
 
-        Where these are the values of `of`, steps that are smaller are a second start. Rules whose steps are limited have
-        several largest values, so that they are fitted from more starts.
+        Where these are the values of `of`, smaller steps are a second start. Where theta moves by steps and is clipped,
+        the likelihood has several local maxima, so that the fit has more starts.
         """
         names = (*BASES[self.base], *self.rule.parameters)
         free = [name != "sigma" or not self.rule.shared for name in names]
