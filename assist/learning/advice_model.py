@@ -299,6 +299,9 @@ class AdviceModel:
                 values = model(point).log_likelihoods(log)
             return values if np.isfinite(values).all() else np.full(len(values), -1e6)
 
+        def loss(point: Floats) -> float:
+            return -float(people(point).sum())
+
         initial = AdviceModel.of(self.base, self.rule.name).values
         common, rest = initial[: len(BASES[self.base])], initial[len(BASES[self.base]) :]
         cold, starts = self.values == initial, [inner(self.values)]
@@ -310,7 +313,7 @@ class AdviceModel:
         best = max((_scoring(people, start) for start in starts), key=lambda one: float(people(one).sum()))
         if cold and kinks:
             best = minimize(
-                lambda point: -float(people(point).sum()), best, method="Nelder-Mead",
+                loss, best, method="Nelder-Mead",
                 options={"maxiter": 400, "xatol": 1e-3, "fatol": 1e-2},
             ).x  # fmt: skip
         return model(best)
