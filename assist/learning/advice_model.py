@@ -310,12 +310,17 @@ class AdviceModel:
             starts.append(inner((*common, *(0.3 * value for value in rest))))
         if kinks:
             starts += [inner(initial), inner((0.0, 2.0, *initial[2:]))]
-        best = max((_scoring(people, start) for start in starts), key=lambda one: float(people(one).sum()))
-        if cold and kinks:
-            best = minimize(
-                loss, best, method="Nelder-Mead",
-                options={"maxiter": 400, "xatol": 1e-3, "fatol": 1e-2},
-            ).x  # fmt: skip
+        found = sorted((_scoring(people, start) for start in starts), key=loss)
+        best = found[0]
+        if kinks:  # derivatives mislead at the clips
+            refined = [
+                minimize(
+                    loss, one, method="Nelder-Mead",
+                    options={"maxiter": 200 * len(one), "xatol": 1e-3, "fatol": 1e-3, "adaptive": True},
+                ).x
+                for one in found[:3]
+            ]  # fmt: skip
+            best = min(refined, key=loss)
         return model(best)
 
 
