@@ -188,7 +188,7 @@ def test_the_likelihood_of_a_walk_is_that_of_the_equations(
     found = on_grid(
         Data(
             excess, options, chosen, suggested, gains, begins, model.lapse, np.zeros(0), np.zeros((0, 0, 0)),
-            *heard_steps(suggested, begins),
+            *heard_steps(suggested, begins), np.zeros(0, dtype=np.int64), np.zeros((0, 0)),
         ),
         np.array([beta]), np.array([first]), np.array([model.eta]),
     )  # fmt: skip

@@ -33,11 +33,16 @@ def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
     options = [one for one in serve.params if one.name not in ("config", "instances")]
     lines = []
     for one in options:
-        value = {"humans": "3", "beta": "[0.5, 2.0]", "trusted_proxy": '["10.0.0.1"]', "execute": "true"}.get(
-            str(one.name)
-        )
+        value = {
+            "humans": "3",
+            "beta": "[0.5, 2.0]",
+            "trusted_proxy": '["10.0.0.1"]',
+            "execute": "true",
+        }.get(str(one.name))
         if isinstance(one.type, click.Choice):
             value = f'"{one.type.choices[0]}"'
+        elif value is None and one.multiple:
+            value = '["text"]'
         elif value is None and one.nargs == 2:
             value = "[0.5, 0.75]"
         elif value is None:

@@ -38,12 +38,12 @@ from .terminal.console import print_json
     help="Steps after which an episode is cut off.",
 )
 @click.option(
-    "--miss", type=click.FloatRange(0, 1, max_open=True), default=0.0, show_default=True,
-    help="Probability that the robot does not see an action of a person.",
+    "--miss", type=click.FloatRange(0, 1, max_open=True), default=0.0, show_default=True, metavar="P",
+    help="Probability that the robot misses an action.",
 )  # fmt: skip
 @click.option(
-    "--confusion", type=click.FloatRange(0, 1, max_open=True), default=0.0, show_default=True,
-    help="Probability that the robot takes an action that it sees for another one that is applicable then.",
+    "--confusion", type=click.FloatRange(0, 1, max_open=True), default=0.0, show_default=True, metavar="P",
+    help="Probability that it sees another action instead.",
 )  # fmt: skip
 @team_options
 @goal_list_options

@@ -62,8 +62,7 @@ def goal_list_options(command: Command) -> Command:
         (
             click.option(
                 "--goals", "problems", multiple=True, metavar="PROBLEM",
-                help="A further problem, with another goal that people may pursue, or a folder of problems. Repeat it "
-                     "for several. INSTANCE has the first goal.",
+                help="A problem with a further goal, or a folder of problems. Repeat it for several.",
             ),
             click.option(
                 "--goal-prior", multiple=True, metavar="GOAL=P,...",
@@ -86,11 +85,11 @@ def question_options(command: Command) -> Command:
         (
             click.option(
                 "--ask", type=click.FloatRange(min=0), metavar="COST",
-                help="Let the robot ask people whether a goal is theirs, at this cost, in cost units.",
+                help="Cost of asking people about their goals.",
             ),
             click.option(
                 "--ask-error", type=click.FloatRange(0, 0.5, max_open=True), default=0.0, show_default=True,
-                help="Probability of a wrong answer.",
+                metavar="P", help="Probability of a wrong answer.",
             ),
         ),
     )  # fmt: skip
