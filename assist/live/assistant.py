@@ -114,6 +114,8 @@ class Assistant:
             self.setting = replace(self.setting, robots=robots)
         if self.setting.execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
+        if self.setting.c_ask is not None:
+            raise ValueError("c_ask: expected none; a robot that asks about goals can only be simulated")
         self.policy = policy
         self._task = task
         self._distance = None if distance is None else np.array(distance, dtype=float)
