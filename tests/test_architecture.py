@@ -53,8 +53,8 @@ ROOMS = {
         observed_people task_parts task_view run traced_run requested suggestion_search simulate belief_trace
         illustration""",
     "assist.coupled": "agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum",
-    "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.texts": "catalogue",
+    "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.explain": "continuations contrast explanation",
     "assist.live": """live_task events roster uncertain_actions advice decision_point assistant old_journal store
         people_store course event_sourced header session simulated_person""",

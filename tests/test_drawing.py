@@ -29,6 +29,7 @@ from assist.drawing import (
 )
 from assist.drawing.files import page
 from assist.drawing.subject import Subject
+from assist.texts import catalogue
 from planner import load
 from planner.grounding.fast_downward import optimal_plan
 
@@ -183,9 +184,73 @@ def test_objects_without_types_are_known_by_what_always_holds_of_them() -> None:
     assert "column-2 in display, n1: kind-a" in drawn.draw(states[4]).text
 
 
+SHIPPED = sorted({file.parent for file in DOMAINS.rglob("domain.pddl")})
+
+
 def test_every_shipped_domain_has_a_drawing() -> None:
-    folders = {file.parent for file in DOMAINS.rglob("domain.pddl")}
-    assert [folder for folder in folders if not (folder / "drawing.toml").is_file()] == []
+    assert [folder for folder in SHIPPED if not (folder / "drawing.toml").is_file()] == []
+
+
+def test_all_shipped_domains_are_among_those_tested() -> None:
+    assert {(DOMAINS / name).parent for name in INSTANCES} == set(SHIPPED) - {KITTING / "paper"}
+
+
+@pytest.mark.parametrize("name", INSTANCES)
+def test_shipped_domains_are_drawn_in_german(name: str) -> None:
+    english = artist(name)
+    task = english.subject.task
+    german = Artist(task, language="de")
+    assert (german.profile.language, english.profile.language) == ("de", "en")
+    assert "Ziel: " in german.draw().text
+    picture = german.draw().svg
+    assert '<svg xmlns="http://www.w3.org/2000/svg" class="ka" role="img" lang="de"' in picture
+    assert objects_in(picture) == objects_in(english.draw().svg)
+    actions = [action for action in task.actions if english.has_words(action)]
+    assert actions
+    assert all(german.say(action) != english.say(action) for action in actions)
+
+
+GERMAN = (KITTING / "drawing.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"Kit" = "Bausatz"', "", "texts.de: 'Kit': there is none; expected a text"),
+        ('"Kit" = "Bausatz"', '"Kit" = 3', "texts.de: 'Kit': 3; expected a text"),
+        ('"?i in ?s legen"', '"?i in den ?x legen"', "'?i in den ?x legen'; expected a text with ?i and ?s"),
+        ('"Kit" = "Bausatz"', '"Box" = "Kiste"\n"Kit" = "Satz"', "'Box' is none of this file's titles, marks"),
+        ("[texts.de]", '[texts]\nde = "x"\n[texts.fr]', "texts.de: expected a table of a language, such as [texts.de]"),
+        ("[things]", "language = 3\n[things]", "language = 3; expected a language's tag, such as 'de'"),
+    ],
+)  # fmt: skip
+def test_faulty_texts_of_a_language_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in GERMAN
+    (tmp_path / "drawing.toml").write_text(GERMAN.replace(old, new, 1), encoding="utf-8")
+    shutil.copy(KITTING / "domain.pddl", tmp_path)
+    shutil.copy(KITTING / "tiny.pddl", tmp_path)
+    with pytest.raises(ProfileError, match=re.escape(said)) as error:
+        Artist(load(tmp_path / "tiny.pddl"))  # even where nobody asks for the language
+    assert "drawing.toml" in str(error.value)
+
+
+def test_a_drawing_without_the_language_stays_in_its_own(tmp_path: Path) -> None:
+    """All its texts then have one language, which is named."""
+    shutil.copy(KITTING / "domain.pddl", tmp_path)
+    shutil.copy(KITTING / "tiny.pddl", tmp_path)
+    english, german = GERMAN.split("[texts.de]")[0], GERMAN
+    french = tmp_path / "fr-CA.toml"
+    shutil.copy(catalogue("en").file, french)
+    for content, asked, language, heading in (
+        (english, "de", "en", "Goal: "),
+        (german, str(french), "en", "Goal: "),
+        (f'language = "de"\n{english}', "en", "de", "Ziel: "),
+        (german.replace("texts.de", "texts.fr"), str(french), "fr", "Goal: "),  # a variety of the language
+        ("", "de", "de", "Ziel: "),  # there is nothing to translate
+    ):
+        (tmp_path / "drawing.toml").write_text(content, encoding="utf-8")
+        drawn = Artist(load(tmp_path / "tiny.pddl"), language=asked)
+        assert (drawn.profile.language, heading in drawn.draw().text) == (language, True)
 
 
 def test_goals_that_are_no_list_of_facts(tmp_path: Path) -> None:

@@ -100,6 +100,13 @@ def test_participants_are_refused_in_the_studys_language(tiny: Table, tmp_path: 
         ]
         for status, answer, said in refused:
             assert (answer.status_code, answer.json()["detail"][: len(said)]) == (status, said)
+        for stage in ("consent", "instructions"):
+            assert web.onward(ann, stage).status_code == 200
+        seen = web.ask("GET", f"/api/people/{ann}/drawing", ann).json()
+        assert seen["language"] == "de"
+        assert seen["words"]["(fetch box-a)"] == "box-a auf die Plattform holen"
+        assert seen["text"].startswith("box-a in Lager; ")
+        web.onward(ann, "practice")
 
 
 def test_a_language_of_the_studys_own_is_a_file_beside_it(tmp_path: Path) -> None:

@@ -262,6 +262,7 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
     chromium: Any, tmp_path: Path, tiny: Table, language: str
 ) -> None:
     said = catalogue(language)
+    fetch = {"en": "Fetch box-a onto the platform", "de": "box-a auf die Plattform holen"}
     file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", f'seed = 3\nlanguage = "{language}"'))
     options = ("--study", file, "--data", tmp_path / "data")
     context = chromium.new_context(viewport={"width": 360, "height": 740})
@@ -299,6 +300,8 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         page.click(f"text={said('study.agree')}")
         page.click(named("h2", "study.instructions") + " ~ form >> button")
         page.wait_for_selector(named("h1", "task.practice"))
+        page.wait_for_selector(f'#actions[lang="{language}"] button:text("{fetch[language]}")')
+        assert page.get_attribute("#drawing svg", "lang") == language
         work()
         is_well()
         page.click("#onward")

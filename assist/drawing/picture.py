@@ -12,6 +12,7 @@ from planner import Task
 from planner.system.files import atomic
 
 from ..people.action_names import words_of
+from ..texts.catalogue import FIRST, catalogue
 from . import svg
 from .layout import GAP, TAG, Arranger, Layout, tag_rows, tag_width
 from .profile import Profile
@@ -86,6 +87,8 @@ class Artist:
         given.
     goal : bool
         Whether drawings show the task's goal; not if people may pursue another one.
+    language : str
+        Of the words around the domain's own, and of these as far as `drawing.toml` has them; as in `catalogue`.
 
     Raises
     ------
@@ -93,10 +96,10 @@ class Artist:
         The domain's `drawing.toml` is invalid.
     """
 
-    def __init__(self, task: Task, profile: Profile | None = None, *, goal: bool = True) -> None:
+    def __init__(self, task: Task, profile: Profile | None = None, *, goal: bool = True, language: str = FIRST) -> None:
         subject = Subject.of(task)
         self.subject = subject if goal else replace(subject, goal=())
-        self.profile = Profile.of(self.subject) if profile is None else profile
+        self.profile = Profile.of(self.subject, catalogue(language)) if profile is None else profile
         self._arranger = Arranger({} if self.profile.guessed else self._room())
         self._placed = lru_cache(maxsize=256)(self._lay_out)
 
@@ -131,8 +134,9 @@ class Artist:
         below, high = self._below(scene, across, MARGIN + layout.height + 2 * GAP, goal)
         parts += below
         description = self.text(scene)
+        title = self.profile.texts.texts["drawing.title"].format(task=self.subject.task.name)
         document = svg.document(
-            parts, across + 2 * MARGIN, high + MARGIN, f"{self.subject.task.name}: a state", description, theme
+            parts, across + 2 * MARGIN, high + MARGIN, title, description, theme, self.profile.language
         )
         return Picture(document, description, across + 2 * MARGIN, high + MARGIN)
 
@@ -149,9 +153,10 @@ class Artist:
         done = [text for text, so in scene.goal if so]
         left = [text for text, so in scene.goal if not so]
         words = [f"{'; '.join([*scene.said, *scene.also])}." if scene.said or scene.also else ""]
-        words += [f"Goal: {len(done)} of {len(scene.goal)} done."] if scene.goal else []
+        say = self.profile.texts
+        words += [say("drawing.goal_done", done=str(len(done)), all=str(len(scene.goal)))] if scene.goal else []
         if left:
-            words.append(f"Open: {'; '.join(left)}.")
+            words.append(say("drawing.open", facts="; ".join(left)))
         return " ".join(filter(None, words))
 
     def has_words(self, action: str) -> bool:
@@ -174,11 +179,13 @@ class Artist:
 
     def _below(self, scene: Scene, width: float, top: float, goal: bool) -> tuple[list[str], float]:
         """Return the elements of the lists below the boxes, and the y coordinate of their end."""
-        parts, y = [], top
+        parts, y, say = [], top, self.profile.texts
         done = sum(so for _, so in scene.goal)
-        lists: list[tuple[str, list[tuple[str, bool | None]]]] = [("Also", [(text, None) for text in scene.also])]
+        lists: list[tuple[str, list[tuple[str, bool | None]]]] = [
+            (say("drawing.also"), [(text, None) for text in scene.also])
+        ]
         if goal:
-            lists.append((f"Goal: {done} of {len(scene.goal)}", list(scene.goal)))
+            lists.append((say("drawing.goal", done=str(done), all=str(len(scene.goal))), list(scene.goal)))
         for title, tags in lists:
             if not tags:
                 continue

@@ -19,8 +19,11 @@ The file defines how objects of each type look, and what each predicate means in
     place = "Put ?i into ?s"                         # an action in words
     [hide]
     predicates = ["slot-free"]                       # predicates that are not shown
+    [texts.de]                                       # all titles, marks and words in another language
+    "Put ?i into ?s" = "?i in ?s legen"
 
-If several facts place the same object, the first of their predicates in the file decides.
+`language = "de"` in the first line says that the texts themselves are German. If several facts place the same
+object, the first of their predicates in the file decides.
 """
 
 from __future__ import annotations
@@ -28,11 +31,12 @@ from __future__ import annotations
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from ..texts.catalogue import FIRST, TAG, Catalogue, catalogue, languages
 from .subject import Atom, Subject, atom
 
 FILE = "drawing.toml"
@@ -137,6 +141,12 @@ class Profile:
         Whether it was inferred from the task.
     own : dict of str to Look
         The appearance of objects that a constant fact selects (`of` in the file).
+    texts : Catalogue
+        The words between those of the domain.
+    language : str
+        The tag of the language of all texts.
+    names : dict of str to str
+        Translated names of things, parts and types.
     """
 
     types: dict[str, Look] = field(default_factory=dict)
@@ -149,10 +159,15 @@ class Profile:
     hidden: frozenset[str] = frozenset()
     guessed: bool = False
     own: dict[str, Look] = field(default_factory=dict)
+    texts: Catalogue = field(default_factory=catalogue)
+    language: str = FIRST
+    names: dict[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, subject: Subject) -> Profile:
+    def of(cls, subject: Subject, texts: Catalogue | None = None) -> Profile:
         """Return the profile in the file next to the task's domain, or the inferred one if there is no file.
+
+        Its language is that of `texts` if the file has all its texts in this language, else that of the file.
 
         Raises
         ------
@@ -160,7 +175,7 @@ class Profile:
             The file is invalid.
         """
         file = subject.task.instance.domain.parent / FILE
-        return read(file, subject) if file.is_file() else guess(subject)
+        return read(file, subject, texts) if file.is_file() else guess(subject, texts)
 
     def look(self, subject: Subject, name: str) -> Look:
         """Return the appearance of an object."""
@@ -168,9 +183,14 @@ class Profile:
             return self.own[name]
         return next((self.types[kind] for kind in subject.types(name) if kind in self.types), Look())
 
+    def name(self, key: str) -> str:
+        """Return the name of a node in sentences."""
+        owner, _, part = key.partition("#")
+        return f"{owner} {self.names.get(part, part)}".strip()
 
-def read(file: Path, subject: Subject) -> Profile:
-    """Return the profile in a `drawing.toml`, checked against the domain.
+
+def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profile:
+    """Return the profile in a `drawing.toml`, checked against the domain; the language as in `Profile.of`.
 
     Raises
     ------
@@ -181,7 +201,10 @@ def read(file: Path, subject: Subject) -> Profile:
         content = tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ProfileError(f"{file}: {error}") from None
-    tables = ("types", "things", "places", "marks", "links", "colours", "words", "hide")
+    tables = ("types", "things", "places", "marks", "links", "colours", "words", "hide", "texts")
+    texts, language = texts or catalogue(), content.pop("language", FIRST)
+    if not isinstance(language, str) or not TAG.fullmatch(language):
+        raise ProfileError(f"{file}: language = {language!r}; expected a language's tag, such as 'de'")
     for name, table in content.items():
         if name not in tables or not isinstance(table, dict):
             raise ProfileError(f"{file}: [{name}] is not expected; there are {', '.join(f'[{t}]' for t in tables)}")
@@ -219,7 +242,7 @@ def read(file: Path, subject: Subject) -> Profile:
     for name, listed in content.get("hide", {}).items():
         if name != "predicates" or not isinstance(listed, list) or not all(isinstance(one, str) for one in listed):
             raise ProfileError(f"{file}: hide: '{name} = {listed!r}' is not expected; there is a list, predicates")
-    return Profile(
+    profile = Profile(
         types=types,
         own=own,
         things=things,
@@ -230,6 +253,64 @@ def read(file: Path, subject: Subject) -> Profile:
         links=rules["links"],
         colours=rules["colours"],
     )
+    return _translated(file, content.get("texts", {}), profile, texts, language)
+
+
+def _translated(file: Path, tables: dict[str, Any], profile: Profile, texts: Catalogue, language: str) -> Profile:
+    """Return a profile in the language of `texts`, if the file has its texts in it, else in that of the file."""
+    named = dict(_names(profile.things)) | {
+        part: title for look in profile.types.values() for part, title in _names(dict(look.parts))
+    }
+    titles = {look.title for look in profile.types.values() if look.title}
+    marks = {str(rule.where) for rule in profile.marks.values()}
+    shown = sorted(
+        one for one in {*named.values(), *titles, *marks, *profile.words.values()} if re.search("[^?0-9: ]", one)
+    )
+    for tag, table in tables.items():
+        if not TAG.fullmatch(tag) or not isinstance(table, dict):
+            raise ProfileError(f"{file}: texts.{tag}: expected a table of a language, such as [texts.de]")
+        for text in [*shown, *table]:
+            own = table.get(text)
+            if text not in shown and text not in profile.types:
+                raise ProfileError(f"{file}: texts.{tag}: {text!r} is none of this file's titles, marks and words")
+            if not isinstance(own, str) or _arguments(own) != _arguments(text):
+                with_all = " with ".join(["a text", " and ".join(_arguments(text))][: 1 + bool(_arguments(text))])
+                found = "there is none" if own is None else repr(own)
+                raise ProfileError(f"{file}: texts.{tag}: {text!r}: {found}; expected {with_all}")
+    spoken = next((tag for tag in (texts.tag, texts.tag.partition("-")[0]) if tag == language or tag in tables), None)
+    if spoken is None and shown:
+        return replace(profile, texts=catalogue(language if language in languages() else FIRST), language=language)
+    if spoken not in tables:
+        return replace(profile, texts=texts, language=texts.tag)
+    own = tables[spoken]
+
+    def look(name: str | None, one: Look) -> Look:
+        title = own.get(one.title or name, one.title)
+        return replace(one, title=title, parts=tuple((part, look(part, inner)) for part, inner in one.parts))
+
+    return replace(
+        profile,
+        types={name: look(None, one) for name, one in profile.types.items()},
+        own={name: look(None, one) for name, one in profile.own.items()},
+        things={name: look(name, one) for name, one in profile.things.items()},
+        marks={name: replace(rule, where=own.get(rule.where, rule.where)) for name, rule in profile.marks.items()},
+        words={action: own[text] for action, text in profile.words.items()},
+        names=own | {name: own[title] for name, title in named.items()},
+        texts=texts,
+        language=spoken,
+    )
+
+
+def _names(looks: Mapping[str, Look]) -> Iterator[tuple[str, str]]:
+    """Yield the names of things or parts, and of their parts, each with its title."""
+    for name, look in looks.items():
+        yield name, look.title or name
+        yield from _names(dict(look.parts))
+
+
+def _arguments(text: str) -> list[str]:
+    """Return the arguments in a text: `?1` in marks, and a word such as `?item` in words for an action."""
+    return sorted(set(re.findall(r"\?\d|(?<!\S)\?\S+", text)))
 
 
 def _known_by(file: Path, where: str, of: str | list[Any], subject: Subject) -> Iterator[str]:
@@ -280,7 +361,7 @@ def _look(file: Path, where: str, value: Any) -> Look:
     return Look(shape, value.get("title"), value.get("in"), value.get("holds"), high, parts, hidden)
 
 
-def guess(subject: Subject) -> Profile:
+def guess(subject: Subject, texts: Catalogue | None = None) -> Profile:
     """Return a profile that is inferred from the variables of the task.
 
     If the facts of a variable share exactly one object, the variable describes the place or condition of this object.
@@ -302,4 +383,6 @@ def guess(subject: Subject) -> Profile:
     ends = [places[fact[0]].of(fact) for fact in subject.changing | subject.constant if fact[0] in places]
     moving, places_of = ({subject.objects.get(pair[end]) for pair in ends} for end in (0, 1))
     types = {kind: Look("crate" if kind in moving else "panel") for kind in sorted(filter(None, places_of))}
-    return Profile(types=types, places=places, marks={name: Rule(1, "", name) for name in unary}, guessed=True)
+    marks = {name: Rule(1, "", name) for name in unary}
+    texts = texts or catalogue()
+    return Profile(types=types, places=places, marks=marks, guessed=True, texts=texts, language=texts.tag)

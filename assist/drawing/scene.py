@@ -105,10 +105,10 @@ def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
     _connect(subject, profile, facts, nodes)
     shown = {*profile.places, *profile.marks, *profile.links, *profile.colours, *profile.hidden}
     also = sorted(" ".join(fact) for fact in facts & subject.changing if fact[0] not in shown)
-    said = [_say(placed, nodes[key]) for key in nodes if key in placed or nodes[key].marks]
+    said = [_say(profile, placed, nodes[key]) for key in nodes if key in placed or nodes[key].marks]
     if profile.guessed:
         said = sorted(" ".join(fact) for fact in facts & subject.changing if " ".join(fact) not in also)
-    return Scene(_roots(subject, nodes, placed), also, goal, said)
+    return Scene(_roots(subject, profile, nodes, placed), also, goal, said)
 
 
 def say_wanted(profile: Profile, wanted: Wanted) -> str:
@@ -118,10 +118,17 @@ def say_wanted(profile: Profile, wanted: Wanted) -> str:
     predicate = wanted.atom[0]
     rule = None if profile.guessed else profile.places.get(predicate) or profile.marks.get(predicate)
     if rule is None:
-        return f"{'not ' * wanted.negated}{' '.join(wanted.atom)}"
-    what, where = (end if "#" not in end else end.replace("#", " ").strip() for end in rule.of(wanted.atom))
-    middle = f"{'not ' * wanted.negated}{rule.how} " if rule.how else "not " * wanted.negated
-    return f"{what} {middle}{where}"
+        return " ".join([*_unless(profile, wanted), *wanted.atom])
+    what, where = map(profile.name, rule.of(wanted.atom))
+    return " ".join([what, *_unless(profile, wanted), *_how(profile, rule.how), where])
+
+
+def _unless(profile: Profile, wanted: Wanted, word: str = "not") -> list[str]:
+    return [profile.texts.texts[f"drawing.{word}"]] * wanted.negated
+
+
+def _how(profile: Profile, how: str) -> list[str]:
+    return [profile.texts.texts[f"drawing.{how}"]] if how else []
 
 
 def _said_by(rules: Mapping[str, Rule], facts: Iterable[Atom]) -> Iterator[tuple[Rule, Atom]]:
@@ -194,10 +201,10 @@ def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) 
         nodes[what].done = done and nodes[what].done is not False  # a part of the goal places or marks it
     text = nodes[what].title if what in nodes else what
     if rule.how in ("in", "at") and where in nodes:
-        nodes[where].wants.append((f"{'no ' * wanted.negated}{text}", done))
+        nodes[where].wants.append((" ".join([*_unless(profile, wanted, "no"), text]), done))
     elif what in nodes:
         name = nodes[where].title if where in nodes else where
-        nodes[what].wants.append((f"{'not ' * wanted.negated}{f'{rule.how} ' * bool(rule.how)}{name}", done))
+        nodes[what].wants.append((" ".join([*_unless(profile, wanted), *_how(profile, rule.how), name]), done))
 
 
 def _connect(subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> None:
@@ -209,7 +216,9 @@ def _connect(subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: d
             nodes[what].notes.append(f"{where} {length}".strip())
 
 
-def _roots(subject: Subject, nodes: dict[str, Node], placed: dict[str, tuple[str, str]]) -> list[Node]:
+def _roots(
+    subject: Subject, profile: Profile, nodes: dict[str, Node], placed: dict[str, tuple[str, str]]
+) -> list[Node]:
     """Return the nodes that are in or on no other; small objects of one type share one heading."""
     roots: list[Node] = []
     headings: dict[str, Node] = {}
@@ -219,17 +228,17 @@ def _roots(subject: Subject, nodes: dict[str, Node], placed: dict[str, tuple[str
         small = node.is_object and node.look.shape not in ("panel", "person", "robot")
         if small and not node.inside and not node.notes:
             kind = subject.objects[key]
-            heading = headings.setdefault(kind, Node(f"##{kind}", f"Elsewhere: {kind}", HEADING))
+            title = profile.texts("drawing.elsewhere", type=profile.names.get(kind, kind))
+            heading = headings.setdefault(kind, Node(f"##{kind}", title, HEADING))
             heading.inside.append(node)
         else:
             roots.append(node)
     return [*roots, *headings.values()]
 
 
-def _say(placed: dict[str, tuple[str, str]], node: Node) -> str:
+def _say(profile: Profile, placed: dict[str, tuple[str, str]], node: Node) -> str:
     words = []
     if node.key in placed:
         how, where = placed[node.key]
-        words.append(f"{how} {where.replace('#', ' ').strip()}")
-    name = node.key.replace("#", " ").strip()
-    return f"{name} {', '.join([*words, *node.marks])}"
+        words.append(" ".join([*_how(profile, how), profile.name(where)]))
+    return f"{profile.name(node.key)} {', '.join([*words, *node.marks])}"

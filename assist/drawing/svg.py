@@ -150,12 +150,14 @@ def draw_layout(
 
 
 def document(
-    parts: list[str], width: float, height: float, title: str, description: str, theme: Theme | None = "auto"
-) -> str:
+    parts: list[str], width: float, height: float, title: str, description: str, theme: Theme | None = "auto",
+    language: str = "en",
+) -> str:  # fmt: skip
     """Return a complete SVG document; theme None omits the style sheet, for pages that include it."""
     styled = "" if theme is None else f"<style>{style(theme)}</style>\n"
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" class="ka" role="img" viewBox="0 0 {number(width)} {number(height)}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" class="ka" role="img" lang="{language}" '
+        f'viewBox="0 0 {number(width)} {number(height)}" '
         f'width="{number(width)}" height="{number(height)}">\n'
         f"<title>{escape(title)}</title>\n<desc>{escape(description)}</desc>\n{styled}"
         f"{rectangle(0, 0, width, height, 'ka-paper')}\n{chr(10).join(parts)}\n</svg>\n"

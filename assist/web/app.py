@@ -58,7 +58,7 @@ def make_app(
         version="1", lifespan=lifespan, docs_url=None, redoc_url=None, redirect_slashes=not service.access.root,
         servers=[{"url": service.access.root}] if service.access.root else None,
     )  # fmt: skip
-    app.state.service, app.state.pictures = service, Pictures()
+    app.state.service, app.state.pictures = service, Pictures(str(service.texts.file))
     _says_what_is_wrong(app)
     for router in (routes.router, metrics.router, websocket.router, page_routes.router, *more):
         app.include_router(router)

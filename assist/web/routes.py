@@ -119,7 +119,7 @@ async def explanation(
         seq = json.loads(service.views[name])["seq"]  # read before the state, as above
         task, _ = service.session.place(name)
         found = service.explain(name, against)
-        found = found.in_words(pictures.words(task, found.actions))
+        found = found.in_words(pictures.words(task, found.actions, spoken))
         if not named:  # a person learns about others what could be gained, not who they are
             found = found.without_names()
         return {"sentences": found.sentences(spoken), **found.as_dict(), "seq": seq}

@@ -131,6 +131,7 @@ class Drawn(BaseModel):
     text: str
     goal: list[Wanted]
     words: dict[str, str]
+    language: str = Field(description="The tag of the language of these texts.")
     seq: int
 
 

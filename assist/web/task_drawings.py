@@ -10,17 +10,25 @@ from planner import CostToGo
 
 from ..drawing import Artist
 from ..people.goals import Goals, first_of
+from ..texts.catalogue import FIRST
 
 
 class Pictures:
-    """Drawings of any number of tasks. The class is thread-safe."""
+    """Drawings of any number of tasks. The class is thread-safe.
 
-    def __init__(self) -> None:
-        self._artists: dict[int, Artist] = {}
+    Parameters
+    ----------
+    language : str
+        Of drawings and words, as far as a domain has them; as in `catalogue`.
+    """
+
+    def __init__(self, language: str = FIRST) -> None:
+        self.language = language
+        self._artists: dict[tuple[int, str], Artist] = {}
         self._lock = threading.Lock()
 
-    def artist(self, task: CostToGo | Goals) -> Artist:
-        """Return the artist of a task; of several goals, it shows none.
+    def artist(self, task: CostToGo | Goals, language: str | None = None) -> Artist:
+        """Return the artist of a task, who speaks another language if it is given; of several goals, it shows none.
 
         Raises
         ------
@@ -28,14 +36,15 @@ class Pictures:
             The domain's `drawing.toml` cannot be used.
         """
         known = first_of(task).task
+        key = id(known), language or self.language
         with self._lock:
-            if id(known) not in self._artists:  # holds the task, so that its id is not reused
-                self._artists[id(known)] = Artist(known, goal=not isinstance(task, Goals))
-            return self._artists[id(known)]
+            if key not in self._artists:  # holds the task, so that its id is not reused
+                self._artists[key] = Artist(known, goal=not isinstance(task, Goals), language=key[1])
+            return self._artists[key]
 
-    def words(self, task: CostToGo | Goals, actions: Sequence[str]) -> dict[str, str]:
+    def words(self, task: CostToGo | Goals, actions: Sequence[str], language: str) -> dict[str, str]:
         """Return actions in the words of the task's domain, as far as it has them."""
-        artist = self.artist(task)
+        artist = self.artist(task, language)
         return {action: artist.say(action) for action in actions if artist.has_words(action)}
 
     def of(self, task: CostToGo | Goals, state: int, actions: Sequence[str], width: int) -> dict[str, Any]:
@@ -49,4 +58,5 @@ class Pictures:
             "text": picture.text,
             "goal": [{"text": text, "done": done} for text, done in goal],
             "words": {action: artist.say(action) for action in actions},
+            "language": artist.profile.language,
         }

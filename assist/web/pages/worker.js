@@ -194,7 +194,9 @@ function showEnd() {
   else if (at("problem").textContent === text("task.stuck")) complain(null);
 }
 
+/** The texts of the domain's drawing may be in another language than the page. */
 function showDrawing() {
+  for (const part of ["suggestion", "against", "menu-list", "actions"]) at(part).lang = drawn.language;
   const parsed = new DOMParser().parseFromString(drawn.svg, "image/svg+xml").documentElement;
   const svg = document.importNode(parsed, true);
   svg.removeAttribute("width");
