@@ -42,8 +42,8 @@ ROOMS = {
         suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
-        fit joint_states goals goal_fit comparison rule_families trust_log influence_population rule_search trust_fit
-        trust_comparison""",
+        fit joint_states goals goal_fit comparison rule_families trust_log posterior_sample influence_population
+        rule_search trust_fit trust_comparison""",
     "assist.team": """by_policy travel state hidden_states action_check settings assignment attention questions
         time_expansion
         memory_needed subproblem_frontier attention_subproblem priority whittle policies""",

@@ -19,6 +19,7 @@ from assist.learning.advice_log import COLUMNS
 from assist.learning.fit import LogError
 from assist.learning.influence_population import InfluencePopulation
 from assist.learning.population import trust_of
+from assist.learning.posterior_sample import PosteriorSample, posterior_covariance
 from assist.learning.rule_families import RuleFamily, families
 from assist.learning.rule_search import RuleSearch
 from assist.learning.trust_comparison import compare_trust
@@ -235,6 +236,48 @@ def test_what_cannot_be_compared_is_refused() -> None:
         compare_trust(observations, rules={"own": RuleFamily.of(Doubling())})
     with pytest.raises(ValueError, match="trust 'vanity': expected one of constant, paper"):
         fit_influence(observations, "vanity")
+
+
+def test_a_sample_of_a_posterior_has_its_mean_covariance_and_integral() -> None:
+    mean, cov = np.array([0.3, -1.0]), np.array([[0.5, 0.3], [0.3, 0.4]])
+
+    def value(point: np.ndarray) -> float:
+        return float(-0.5 * (point - mean) @ np.linalg.solve(cov, point - mean))
+
+    ranges = ((-10.0, 10.0), (-10.0, 10.0))
+    near = posterior_covariance(value, mean, ranges)
+    assert near == pytest.approx(cov, rel=1e-6)
+    sample = PosteriorSample.around(value, mean, ranges, near, count=2000)
+    found = sample.shares @ sample.points
+    assert found == pytest.approx(mean, abs=0.01)
+    assert (sample.shares[:, None] * (sample.points - found)).T @ (sample.points - found) == pytest.approx(
+        cov, abs=0.01
+    )
+    assert sample.log_integral == pytest.approx(np.log(2 * np.pi) + np.log(np.linalg.det(cov)) / 2, abs=0.01)
+    half = PosteriorSample.around(value, mean, ((0.3, 10.0), (-10.0, 10.0)), near, count=2000)
+    assert half.points[:, 0].min() >= 0.3
+    assert half.log_integral == pytest.approx(sample.log_integral - np.log(2), abs=0.01)
+
+
+def test_beliefs_are_averaged_over_what_the_population_may_be() -> None:
+    """Against sums over a grid of mean and spread of logit(theta_0)."""
+    log = TrustLog.of(seen(recorded(constant(), 20, 12, 3)), Method())
+    logs = log.log_likelihood(constant())
+    best, _ = InfluencePopulation.fit(log, logs)
+    found, average = best.posteriors(log, logs)
+    assert found.sum(axis=(1, 2)) == pytest.approx(np.ones(20), abs=1e-9)
+    total, belief = 0.0, np.zeros_like(found)
+    means, spreads = np.linspace(-4, 4, 60), np.linspace(0.24, 3.99, 40)
+    for mean in means:
+        for spread in spreads:
+            one = InfluencePopulation(best.log_beta, best.log_beta_spread, mean, spread)
+            joint = np.multiply.outer(*one.weights(log)) * np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
+            share = float(np.exp(one.marginal(log, logs).sum() - best.marginal(log, logs).sum()))
+            total += share
+            belief += share * joint / joint.sum(axis=(1, 2), keepdims=True)
+    assert found.sum(axis=1) == pytest.approx(belief.sum(axis=1) / total, abs=0.005)
+    cell = (means[1] - means[0]) * (spreads[1] - spreads[0])
+    assert average == pytest.approx(best.marginal(log, logs).sum() + np.log(total * cell), abs=0.1)
 
 
 def test_an_interval_of_a_normal_distribution() -> None:

@@ -12,6 +12,8 @@ from threadpoolctl import threadpool_limits
 from planner.system.jit import njit
 
 from ..people.decision import Floats
+from .posterior_sample import PosteriorSample, posterior_covariance
+from .rule_families import Interval
 from .trust_log import TrustLog
 
 
@@ -48,6 +50,27 @@ class InfluencePopulation:
         top = logs.max(axis=(1, 2))
         return np.asarray(np.log(np.exp(logs - top[:, None, None]) @ theta @ beta) + top)
 
+    def posteriors(self, log: TrustLog, logs: Floats) -> tuple[Floats, float]:
+        """Return each person's probabilities of beta and theta_0, and the log likelihood that they belong to.
+
+        Probabilities have shape (K, B, T). They and the likelihood are averaged over what mean and spread of
+        logit(theta_0) may be: with the best ones alone, intervals of theta_0 are too short where few suggestions tell
+        about it, as under a rule that soon forgets theta_0. The parameters are those of `marginal`.
+        """
+        top = logs.max(axis=(1, 2))
+        scaled = np.exp(logs - top[:, None, None]) * self.weights(log)[0][:, None]
+        by_theta, nodes = scaled.sum(axis=1), np.asarray(logit(log.theta))
+
+        def value(point: Floats) -> float:
+            return float(np.log(by_theta @ _normal(nodes, *point)[0]).sum())
+
+        best, ranges = np.array([self.logit_theta, self.logit_theta_spread]), _ranges(log)[2:]
+        sample = PosteriorSample.around(value, best, ranges, posterior_covariance(value, best, ranges))
+        weights = np.array([_normal(nodes, *point)[0] for point in sample.points])
+        # Bayes' rule for each person with each point; the points' probabilities hold for all people together.
+        theta = (sample.shares / (by_theta @ weights.T)) @ weights
+        return scaled * theta[:, None, :], float(top.sum()) + sample.log_integral
+
     @classmethod
     def fit(
         cls, log: TrustLog, logs: Floats, near: InfluencePopulation | None = None
@@ -66,8 +89,6 @@ class InfluencePopulation:
         top = logs.max(axis=(1, 2))
         scaled = np.exp(logs - top[:, None, None])
         x, y = np.log(log.beta), np.asarray(logit(log.theta))
-        # A distribution narrower than the distance of two nodes would lie between them.
-        ranges = ((x[0], x[-1]), (x[1] - x[0], 3.0), (y[0], y[-1]), (y[1] - y[0], 4.0))
 
         def loss(point: Floats) -> tuple[float, Floats]:
             beta, theta = _normal(x, *point[:2]), _normal(y, *point[2:])
@@ -76,8 +97,15 @@ class InfluencePopulation:
 
         start = [x[-1] - 2.0, 1.0, 1.0, 1.5] if near is None else list(vars(near).values())
         with threadpool_limits(1, user_api="blas"):  # threads wait longer than these small matrices take
-            best = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=ranges)
+            best = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=_ranges(log))
         return cls(*best.x.tolist()), float(top.sum()) - float(best.fun)
+
+
+def _ranges(log: TrustLog) -> tuple[Interval, ...]:
+    """Return the ranges of mean and spread of log(beta) and of logit(theta_0), in the order of the attributes."""
+    x, y = np.log(log.beta), np.asarray(logit(log.theta))
+    # A distribution narrower than the distance of two nodes would lie between them.
+    return ((x[0], x[-1]), (x[1] - x[0], 3.0), (y[0], y[-1]), (y[1] - y[0], 4.0))
 
 
 def _normal(nodes: Floats, mean: float, spread: float) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -32,18 +33,26 @@ class RuleFamily:
     make : callable
         Returns the rule with the parameters.
     ranges : mapping of str to (float, float)
-        Range of each parameter, by name.
+        Range of each value, by the parameter's name.
     tried : tuple of tuple of float
-        Values of the parameters that are tried before the best are refined.
+        Values that are tried before the best are refined.
+    logarithms : frozenset of str
+        Parameters whose values are their logarithms.
     """
 
     make: Callable[..., TrustRule]
     ranges: Mapping[str, Interval]
     tried: tuple[tuple[float, ...], ...]
+    logarithms: frozenset[str] = frozenset()
+
+    def parameter(self, name: str, value: float) -> float:
+        """Return the parameter that a value stands for."""
+        return math.exp(value) if name in self.logarithms else value
 
     def rule(self, values: Sequence[float]) -> TrustRule:
-        """Return the rule with these parameters, in the order of `ranges`."""
-        return self.make(**dict(zip(self.ranges, values, strict=True)))
+        """Return the rule with these values, in the order of `ranges`."""
+        pairs = zip(self.ranges, values, strict=True)
+        return self.make(**{name: self.parameter(name, value) for name, value in pairs})
 
     @classmethod
     def of(cls, rule: TrustRule) -> RuleFamily:
@@ -66,8 +75,10 @@ def families(method: Method) -> dict[str, RuleFamily]:
             tuple((agreement, *pair) for agreement in (0.0, 0.1) for pair in pairs),
         ),
         "reliability": RuleFamily(
-            Reliability, {"weight": (0.5, 200.0), "forgetting": (0.0, 0.9)},
-            tuple(product((3.0, 10.0, 40.0), (0.05, 0.3))),
+            Reliability, {"weight": (math.log(0.5), math.log(200.0)), "forgetting": (0.0, 0.9)},
+            tuple(product((1.0, 2.3, 3.7), (0.05, 0.3))),  # weights of 3, 10 and 40
+            # A weight is known up to a factor: its own likelihood has a long tail, that of its logarithm hardly any.
+            frozenset({"weight"}),
         ),
     }  # fmt: skip
 

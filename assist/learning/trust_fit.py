@@ -141,15 +141,17 @@ def fit_influence(
     log = TrustLog.of(observations, method)
     search = RuleSearch(log, family, carry)
     values, intervals = search.best(), {}
-    nodes: list[tuple[tuple[float, ...], float]] = [((), 1.0)]
-    if family.ranges:
-        covariance = search.covariance(values)
-        intervals = dict(zip(family.ranges, search.intervals(values, covariance, method.level), strict=True))
-        nodes = search.nodes(values, covariance)
-    value, population, _ = search.at(values)
     # A person's belief is averaged over what the parameters of the rule may be: with the best ones alone, intervals of
     # theta after many suggestions are too short.
-    joint, last = _beliefs(log, search, nodes)
+    points, shares = np.zeros((1, 0)), np.ones(1)
+    if family.ranges:
+        covariance = search.covariance(values)
+        ends = zip(family.ranges, search.intervals(values, covariance, method.level), strict=True)
+        intervals = {name: (family.parameter(name, low), family.parameter(name, high)) for name, (low, high) in ends}
+        sample = search.sample(values, covariance)
+        points, shares = sample.points, sample.shares
+    value, population, _ = search.at(values)
+    joint, last = _beliefs(log, search, points, shares)
     both = joint.sum(axis=0)
     beta, theta = both.sum(axis=2), both.sum(axis=1)
     after, mass = last.transpose(1, 0, 2).reshape(len(last[0]), -1), joint.sum(axis=2).transpose(1, 0, 2)
@@ -181,21 +183,21 @@ def fit_influence(
     )
 
 
-def _beliefs(
-    log: TrustLog, search: RuleSearch, nodes: Sequence[tuple[tuple[float, ...], float]]
-) -> tuple[Floats, Floats]:
-    """Return the probabilities of beta and theta_0 with each node of the rule's parameters, and theta at last.
+def _beliefs(log: TrustLog, search: RuleSearch, points: Floats, shares: Floats) -> tuple[Floats, Floats]:
+    """Return the probabilities of beta and theta_0 with each point of the rule's parameters, and theta at last.
 
-    Shapes (nodes, K, B, T) and (nodes, K, T); the probabilities of a person sum to 1. `nodes` has parameters and the
-    probability of each.
+    Shapes (points, K, B, T) and (points, K, T); the probabilities of a person sum to 1. `points`, shape (points, P),
+    are of `RuleSearch.sample`, and `shares` their probabilities with the best population of each.
     """
-    joint, last = [], []
-    for values, mass in nodes:
-        _, population, logs = search.at(values)
-        found = np.multiply.outer(*population.weights(log)) * np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
-        joint.append(mass * found / found.sum(axis=(1, 2), keepdims=True))
-        last.append(log.thetas(search.family.rule(values), carry=search.carry)[1])
-    return np.array(joint), np.array(last)
+    joint, last, logs = [], [], np.log(shares)
+    for at, point in enumerate(points.tolist()):
+        best, population, table = search.at(point)
+        found, average = population.posteriors(log, table)
+        logs[at] += average - best
+        joint.append(found)
+        last.append(log.thetas(search.family.rule(point), carry=search.carry)[1])
+    mass = np.exp(logs - logs.max())
+    return np.array(joint) * (mass / mass.sum())[:, None, None, None], np.array(last)
 
 
 def _edges(nodes: Floats) -> Floats:
