@@ -11,6 +11,8 @@ from itertools import product
 import numpy as np
 import pytest
 from conftest import KITTING, invoke, kit
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.optimize import brentq, linprog
 from test_joint import COSTS, pool_of
 
@@ -40,15 +42,17 @@ USUAL = RelaxationOptions()
 
 
 def made(
-    price: np.ndarray, workers: int = 1, pool: Pool | None = None, options: RelaxationOptions = USUAL
+    price: np.ndarray, workers: int = 1, pool: Pool | None = None, options: RelaxationOptions = USUAL, robots: int = 1
 ) -> InformationRelaxation:
+    """Return the relaxation of two people; with several robots, of three, two of whom are alike."""
     pool = pool or pool_of(*COSTS[0])
     lattices = []
     with_outer = pool.policies[0].size == np.inf
     for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), with_outer=with_outer):
         visits = kind.at(price)
         lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
-    return InformationRelaxation(lattices, price, workers=workers, options=options)
+    people = [*lattices, lattices[0]] if robots > 1 else lattices
+    return InformationRelaxation(people, price, workers=workers, options=options, robots=robots)
 
 
 @pytest.fixture(scope="module")
@@ -71,13 +75,18 @@ def short_sighted(request: pytest.FixtureRequest) -> InformationRelaxation:
 
 
 @pytest.fixture(scope="module")
-def truncated() -> InformationRelaxation:
-    """Two people whose tasks are truncated after one state, with prices, and few enough steps to enumerate all
-    decisions.
+def two_robots() -> InformationRelaxation:
+    """Two robots, three people, and few enough steps to enumerate all decisions."""
+    return made(PRICE[1:4], options=RelaxationOptions(free_steps=1), robots=2)
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def truncated(request: pytest.FixtureRequest) -> InformationRelaxation:
+    """People whose tasks are truncated after one state, with prices, and few enough steps to enumerate all decisions.
     """
     setting = Setting(gamma=0.95, c_suggest=0.05, c_move=0.1)
     pool = Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=3, region=1)
-    return made(PRICE[1:4], pool=pool, options=RelaxationOptions(free_steps=1))
+    return made(PRICE[1:4], pool=pool, options=RelaxationOptions(free_steps=1), robots=request.param)
 
 
 def drawn(robot: InformationRelaxation, seeds: Iterable[int]) -> list[SamplePath]:
@@ -197,6 +206,21 @@ def test_later_conflicts_count_less() -> None:
     assert lost(1, rows, scale) == pytest.approx(0.9 * each)
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 5), st.lists(st.floats(0, 1), min_size=1, max_size=5), st.floats(0, 2))
+def test_a_step_loses_what_fewer_robots_than_people_cannot_do(robots: int, below: list[float], price: float) -> None:
+    """U of one step equals the mean over all combinations of people who need a robot at 0.5 above its price."""
+    scale = Scale.of(np.array([price]), 0.9, 1.0, USUAL, robots)
+    rows = np.zeros((len(below), scale.size))
+    rows[:, 4:-1] = 1.0
+    rows[:, 1:4] = np.array(below)[:, None]
+    rows[:, -1] = 0.5 * (1 - np.array(below))
+    expected = robots * price - min(robots, len(below)) * price + rows[:, -1].sum()
+    for need in product([0, 1], repeat=len(below)):
+        expected -= 0.5 * min(robots, sum(need)) * np.where(need, 1 - np.array(below), below).prod()
+    assert lost(0, rows, scale) == pytest.approx(expected, abs=1e-9)
+
+
 def test_late_conflicts_never_count_in_full() -> None:
     """Two people want the robot at once in each step of a long episode; late steps count less, however near they
     are.
@@ -247,9 +271,9 @@ def least(
     people = robot.people
     ended = {END: 0, LEFT: 1}
     here = [p.rows.row[w.of[j] if j >= 0 else ended[j]] for p, w, j in zip(people, wishes, state, strict=True)]
-    paid = robot.price * robot.discount * (LEFT not in state)
+    paid, unpaid = robot.price * robot.discount, max(0, robot.robots - state.count(LEFT))
     if all(j < 0 for j in state):
-        return float(paid[t:].sum()) - loss(t, here)
+        return unpaid * float(paid[t:].sum()) - loss(t, here)
     if t == robot.steps:
         return -loss(t, here)
 
@@ -259,9 +283,9 @@ def least(
     best = np.inf
     for chosen in product(*(edges(graph, j) for graph, j in zip(graphs, state, strict=True))):
         with_robot = sum(bool(g.attends[e]) for g, e in zip(graphs, chosen, strict=True) if e >= 0)
-        if with_robot > 1:
+        if with_robot > robot.robots:
             continue
-        cost = (1 - with_robot) * paid[t] - loss(t, here)
+        cost = max(0, unpaid - with_robot) * paid[t] - loss(t, here)
         cost += sum(float(g.cost[e]) for g, e in zip(graphs, chosen, strict=True) if e >= 0)
         after = [w.mean[e] if e >= 0 else p.rows.row[ended[e]] for p, w, e in zip(people, wishes, chosen, strict=True)]
         cost += loss(t + 1, after)
@@ -276,10 +300,23 @@ def test_the_search_finds_the_least(
     alpha: float, short_sighted: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
     """The search equals enumeration; if it stops early, its bound is not lower."""
-    robot, found, given_up = short_sighted, [], 0
-    for seed in range(6):
+    check_the_search(short_sighted, alpha, monkeypatch)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.75])
+def test_the_search_for_two_robots_finds_the_least(
+    alpha: float, two_robots: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    check_the_search(two_robots, alpha, monkeypatch, paths=3)
+
+
+def check_the_search(
+    robot: InformationRelaxation, alpha: float, monkeypatch: pytest.MonkeyPatch, paths: int = 6
+) -> None:  # fmt: skip
+    found, given_up = [], 0
+    for seed in range(paths):
         (path,) = drawn(robot, [seed])
-        whole = least(robot, path, alpha, (0, 0), 0, {})
+        whole = least(robot, path, alpha, (0,) * len(robot.people), 0, {})
         bound = robot.bound(path, alpha)
         assert bound == pytest.approx(robot.value - alpha * robot.lost - whole, abs=1e-9)
         with monkeypatch.context() as patch:
@@ -296,10 +333,10 @@ def test_the_search_finds_the_least(
 def test_the_search_finds_the_least_where_people_leave_truncated_tasks(
     alpha: float, truncated: InformationRelaxation
 ) -> None:
-    """Once a person has left, steps in which the robot attends to no other person are not refunded."""
+    """As many robots as people have left are not refunded the prices of steps without a person."""
     left = 0
     for path in drawn(truncated, range(6)):
-        whole = least(truncated, path, alpha, (0, 0), 0, {})
+        whole = least(truncated, path, alpha, (0,) * len(truncated.people), 0, {})
         expected = truncated.value - alpha * truncated.lost - whole
         assert truncated.bound(path, alpha) == pytest.approx(expected, abs=1e-9)
         left += any((graph.to == LEFT).any() for graph in path.graphs)

@@ -16,15 +16,19 @@ from hypothesis import strategies as st
 from teams import state
 
 from assist.certify.options import BoundOptions
+from assist.certify.prices import kinds_of
 from assist.certify.team_bound import upper_bound
+from assist.coupled import Agents, joint_optimum
 from assist.people.choices import Choices
 from assist.people.human import Population
+from assist.person.qmdp import qmdp
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
 from assist.team.action_check import check
 from assist.team.assignment import assigned
+from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.policies import POLICIES
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
@@ -227,9 +231,56 @@ def test_a_team_has_a_whole_number_of_robots(robots: object) -> None:
     assert Setting(**Setting(robots=3).as_dict()).robots == 3
 
 
-def test_what_several_robots_cannot_do_yet(strangers: Pool) -> None:
-    with pytest.raises(ValueError, match="robots 2: expected 1, as the bound from sample paths has one robot"):
-        upper_bound(of(strangers, 2), paths=30)
+def as_agents(visits: AttentionSubproblem, people: int) -> Agents:
+    """Return people whose beta and theta the robots know, with a robot that comes and goes, as Markov decision processes.
+    """
+    pomdp, choices = visits.pomdp, visits.pomdp.model.choices
+    (known,) = np.flatnonzero(pomdp.prior)
+    shape = (pomdp.robot_costs.shape[1], len(pomdp.robot_actions))
+    P, R = np.zeros((*shape, shape[1])), np.zeros(shape)
+    for x, r in itertools.product(range(shape[1]), range(shape[0])):
+        if pomdp.final[x] or r >= pomdp.robot_actions[x]:
+            P[r, x, x] = 1.0
+            continue
+        R[r, x], place = -pomdp.robot_costs[x, r], pomdp.afterstate[x, r]
+        for a in np.flatnonzero(choices.applicable[place]):
+            chance = pomdp.likelihood(np.array([x]), np.array([r]), np.array([a])).reshape(-1)[known]
+            P[r, x, choices.targets[place, a]] += chance
+            R[r, x] -= chance * choices.costs[place, a]
+    allowed = np.arange(shape[0])[:, None] < pomdp.robot_actions
+    start = np.full(people, choices.initial)
+    return Agents([P], [R], visits.attended().T[None], start, pomdp.gamma, allowed[None], np.zeros(people, dtype=int))
+
+
+@pytest.mark.parametrize(("robots", "window"), [(1, 3), (2, 3), (2, 0)])
+def test_samples_are_not_below_the_joint_optimum(robots: int, window: int) -> None:
+    """Three alike people whose beta and theta are known, so that all joint states can be enumerated."""
+    task = graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 4), (1, 2, 1)], start=3)
+    setting = Setting(
+        knowledge="exact", gamma=0.9, c_suggest=0.05, c_move=0.05, robots=robots, trust="constant", lapse=0.0
+    )
+    population = Population(beta=(0.3, 0.3), theta=(0.5, 0.5))
+    pool = Pool.sample(Choices.of(sweep(task)), 3, seed=1, setting=setting, population=population)
+    pomdp = pool.policies[0].pomdp
+    prior = np.zeros_like(pomdp.prior)
+    prior[0, len(pomdp.grid.theta) // 2] = 1.0
+    pool = replace(pool, policies=(qmdp(replace(pomdp, prior=prior)),))
+    (kind,) = kinds_of(pool, (0, 1, 2), setting.travel(3), 0)
+    best = joint_optimum(as_agents(kind.at(np.zeros(0)), 3), robots)
+    found = upper_bound(pool, window=window, gap=1e-6, paths=40, options=BoundOptions(price_episodes=200))
+    assert found.sampled is not None
+    assert found.sampled.mean + 3 * found.sampled.stderr >= best.value
+    assert found.proven >= best.value
+    assert found.sampled.mean < found.proven - 0.3 * (found.proven - best.value)  # of what prices lose
+    attended = found.policy()
+    certificate = found.certify(attended, episodes=2000)
+    assert certificate.value - 3 * certificate.value_stderr <= best.value
+
+
+def test_nothing_is_sampled_where_no_robot_has_to_choose(strangers: Pool) -> None:
+    found = upper_bound(of(strangers, 3), (0, 1, 2), paths=30, gap=1e-2)
+    assert found.sampled is None
+    assert found.upper == found.proven
 
 
 def test_commands_with_several_robots(tmp_path: Path) -> None:
@@ -247,6 +298,6 @@ def test_commands_with_several_robots(tmp_path: Path) -> None:
     )  # fmt: skip
     record = json.loads(found.stdout)
     assert record["value"] - 3 * record["value_stderr"] <= record["upper"]
-    found = invoke("bound", "kitting/tiny", "--humans", 3, "--robots", 2, "--samples", 40, *costs)
-    assert found.exit_code == 2
-    assert "--samples with --robots 2: expected one robot" in found.stderr
+    more = ("--samples", 30, "--episodes", 100, "--gap", 0.05)
+    found = invoke("bound", "kitting/tiny", "--humans", 2, "--robots", 2, *more, *costs[:-1])
+    assert "sample" not in found.stdout  # as no robot has to choose

@@ -54,10 +54,11 @@ def sampled(run: Computation, relaxed: Relaxation, together: int) -> SampledBoun
         return 1.0 - (time.perf_counter() - begun) / max(1e-9, run.start + run.limit - begun)
 
     with suppress(OutOfTimeError):
-        robot = InformationRelaxation(
-            _belief_nodes(relaxed), relaxed.price, together, left, run.workers, run.options.relaxation
-        )
-        return robot.sampled(run.paths, run.seed)
+        team = InformationRelaxation(
+            _belief_nodes(relaxed), relaxed.price, together, left, run.workers, run.options.relaxation,
+            run.pool.setting.robots,
+        )  # fmt: skip
+        return team.sampled(run.paths, run.seed)
     return None
 
 

@@ -34,7 +34,7 @@ on goals and the sum over people is linear; goals of different people may depend
 V_kg are those with the unknown goal: steps that are optimal for any goal may be suggested. V_kg ends when the goal is
 reached, where a robot that does not see this could only pay for more.
 
-The prices only enforce that the robot is in one place on average. If sample paths are requested, an information
+The prices only enforce on average that M robots attend to M people. If sample paths are requested, an information
 relaxation enforces it in every step (`assist.certify.information_relaxation.sampled_bound`). This bound holds with a
 confidence level. It uses the subproblems at the prices, or those without prices if their bounds are lower. Subproblems
 without prices need no step in their states, so that the solver gets further in the same time, and the sample paths
@@ -222,8 +222,8 @@ def upper_bound(
         solved at a time may take as much again each.
     paths : int
         Number of sample paths that tighten the bound; with 0, the bound holds with certainty. They are useful for teams
-        of up to about six people. A time limit reduces the number. If the preparation exceeds the time, no path is
-        sampled.
+        of up to about six people. A time limit reduces the number. If the preparation exceeds the time, or if everybody
+        has a robot, no path is sampled.
     seed : int or Generator
     jobs : int, optional
         Number of subproblems and of sample paths that are processed at a time; by default the number of processors.
@@ -234,8 +234,7 @@ def upper_bound(
     Raises
     ------
     ValueError
-        A parameter is out of its range; or sample paths are requested for several robots, or for people whose goal is
-        unknown.
+        A parameter is out of its range; or sample paths are requested for people whose goal is unknown.
     LimitError
         The subproblems would exceed the memory limit.
     """
@@ -244,7 +243,6 @@ def upper_bound(
     limit = math.inf if time_limit is None else positive("time_limit", time_limit)
     members = _members(pool, team)
     if whole("paths", paths, 0):
-        pool.setting.require_one_robot("the bound from sample paths")
         pool.choices(members[0]).require_one_goal("the bound from sample paths")
     travel = travel or pool.setting.travel(len(members))
     if len(travel) != len(members):
@@ -257,7 +255,7 @@ def upper_bound(
     together, kinds, price = truncated_prices(run, window) if run.needs_outer else run.prices(window)
     recorder = sample_paths.recorder(run, kinds, price, together) if run.paths and not run.needs_outer else None
     relaxed, sampled = run.relaxed(kinds, price, start + run.for_people, recorder), None
-    if run.paths and len(members) > 1:
+    if run.paths and len(members) > pool.setting.robots:  # otherwise no robot ever has to choose
         relaxed = sample_paths.without_prices(run, relaxed, recorder)
         sampled = sample_paths.sampled(run, relaxed, together)
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper

@@ -49,8 +49,6 @@ def bound(
     from .output.person_bounds import show_samples
 
     start = time.perf_counter()
-    if samples and team["robots"] > 1:
-        raise click.UsageError(f"--samples with --robots {team['robots']}: expected one robot")
     if samples and problems:
         raise click.UsageError("--samples with --goals: expected people whose goal is known")
     with policy_errors():
@@ -84,5 +82,5 @@ def bound(
         f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; solving each person's "
         f"problem exactly would lower the gap by at most {best.slack_percent:.2f} percentage points"
     )
-    if samples and len(found.team) > 1:
+    if samples and len(found.team) > team["robots"]:
         show_samples(found)

@@ -1,24 +1,31 @@
-"""The expected loss when several people need the robot at the same time.
+"""The expected loss when more people need a robot at the same time than there are robots.
 
 Let each person be served by a robot of their own that acts optimally at the prices of the bound. Let G_k be the value
-of attention to person k in a step, and lambda its price. With all robots, the step contributes lambda + sum_k (G_k -
-lambda)^+ to the bound. One robot, which attends to at most one person, yields at most max_k G_k^+. So the step loses at
-least
+of attention to person k in a step, and lambda its price. With all these robots, the step contributes M lambda + sum_k
+(G_k - lambda)^+ to the bound. M robots, which attend to at most M people, yield at most the sum of the M largest G_k^+.
+Let N(g) be the number of people with G_k > g. Then this sum is the integral of min(M, N(g)) over g >= 0, so that the
+step loses at least
 
-    lambda + sum_k (G_k - lambda)^+ - max_k G_k^+.
+    M lambda + sum_k (G_k - lambda)^+ - integral over g of min(M, N(g)).
 
 The expected discounted loss from a state in step t on, with robots of their own until then, is
 
-    U = sum_s w_s gamma^(t+s) ( lambda + sum_k E (G_k - lambda)^+ - integral over g of (1 - prod_k P(G_k <= g)) )
+    U = sum_s w_s gamma^(t+s) ( M lambda + sum_k E (G_k - lambda)^+ - integral over g of E min(M, N(g)) )
 
-with lambda and G of step t + s and all w_s = 1, because people are independent: the integral is E max_k G_k^+. With a
-single robot, people who receive no attention need it later, so that this prediction is not exact. Therefore later steps
-have a smaller weight w_s = fading^s (`RelaxationOptions`), which rises to 1 as the step approaches. Steps late in an
-episode never get the full weight (`Scale.counts`).
+with lambda and G of step t + s and all w_s = 1. As people are independent, N(g) has a Poisson binomial distribution,
+and E min(M, N) = M - sum_{n < M} (M - n) P(N = n). With one robot this is 1 - prod_k P(G_k <= g). With M robots, people
+who receive no attention need it later, so that this prediction is not exact. Therefore later steps have a smaller
+weight w_s = fading^s (`RelaxationOptions`), which rises to 1 as the step approaches. Steps late in an episode never get
+the full weight (`Scale.counts`).
 
 For each node of a person, `Congestion` needs the distribution of G at each later step, on a few levels g. U is linear
 in each person's distribution. So the mean of U over the outcomes of an action is U of the mean distributions. This
 makes it a penalty whose conditional mean can be computed for any number of people.
+
+Within an interval between two levels, U uses the mean of P(G_k <= g). *Claim.* The term of the present step is still
+at most the loss. *Proof.* For known G_k and g uniform in the interval, the events G_k > g are nested, and U treats them
+as independent events of the same probabilities. The function min(M, .) is concave. Nested events have the sum that is
+largest in the convex order, hence the smallest mean of min(M, N). So U subtracts at least the integral.
 """
 
 from __future__ import annotations
@@ -63,6 +70,8 @@ class Scale(NamedTuple):
         Weight of a conflict by the number of steps ahead.
     counts : float array, shape (W + 1,)
         Largest weight of a conflict by its step from the beginning; it does not increase.
+    idle : float array, shape (M,)
+        Number of robots without a person if 0, 1, ..., M - 1 people need one: M, M - 1, ..., 1.
     """
 
     price: Floats
@@ -71,14 +80,18 @@ class Scale(NamedTuple):
     discount: Floats
     weight: Floats
     counts: Floats
+    idle: Floats
 
     @classmethod
-    def of(cls, price: Floats, gamma: float, unit: float, options: RelaxationOptions) -> Scale:
+    def of(cls, price: Floats, gamma: float, unit: float, options: RelaxationOptions, robots: int = 1) -> Scale:
         """Return the scale for W steps with these prices; `unit` is the cost of the cheapest action."""
         ahead = np.arange(len(price) + 1.0)
         counts = np.exp(-np.maximum(ahead - options.full_weight_steps, 0.0) / options.decay_steps)
         weight = options.fading ** ahead[: min(options.steps_ahead, len(price))]
-        return cls(np.array(price), unit * np.diff(LEVELS), unit * LEVELS, gamma**ahead, weight, counts)
+        return cls(
+            np.array(price), unit * np.diff(LEVELS), unit * LEVELS, gamma**ahead, weight, counts,
+            np.arange(robots, 0.0, -1.0),
+        )  # fmt: skip
 
     @property
     def size(self) -> int:
@@ -89,9 +102,8 @@ class Scale(NamedTuple):
 class Rows(NamedTuple):
     """A row for each node: the distribution of G in the following steps. Row 0 is that of `END`, row 1 of `LEFT`.
 
-    A person at the goal needs nothing. A person who has left a truncated task may use the robot at its price in every
-    step, so that their G is the price. Then a step in which the robot attends to no one else loses nothing, as in the
-    search.
+    A person at the goal needs nothing. A person who has left a truncated task may use a robot at its price in every
+    step, so that their G is the price. Then a robot that attends to no one else loses nothing, as in the search.
 
     The blocks of a node refer to numbers of steps ahead, so that one row serves a node in every step.
 
@@ -327,16 +339,24 @@ def _fill_demand(
 def lost(step: int, rows: Floats, scale: Scale) -> float:
     """Return U from a step on, discounted to step 0, for people with these rows, shape (K, A * (L + 2))."""
     levels = len(scale.width)
-    size = levels + 2
+    size, robots = levels + 2, len(scale.idle)
+    need = np.empty(robots)  # the probability that so many people need a robot, for fewer people than robots
     total = 0.0
     for s in range(min(len(scale.weight), len(scale.price) - step)):
-        one = scale.price[step + s]
+        one = robots * scale.price[step + s]
         for k in range(len(rows)):
             one += rows[k, (s + 1) * size - 1]
         for i in range(levels + 1):
-            below = 1.0
+            need[0] = 1.0
+            need[1:] = 0.0
             for k in range(len(rows)):
-                below *= rows[k, s * size + i]
-            one -= (scale.width[i - 1] if i else scale.price[step + s]) * (1.0 - below)
+                below = rows[k, s * size + i]
+                for n in range(robots - 1, 0, -1):
+                    need[n] = need[n] * below + need[n - 1] * (1.0 - below)
+                need[0] *= below
+            attended = float(robots)
+            for n in range(robots):
+                attended -= scale.idle[n] * need[n]
+            one -= (scale.width[i - 1] if i else scale.price[step + s]) * attended
         total += scale.weight[s] * scale.counts[step + s] * scale.discount[step + s] * one
     return total

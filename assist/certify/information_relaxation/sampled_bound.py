@@ -1,7 +1,7 @@
 """A tighter bound on team policies from samples: an information relaxation with a penalty.
 
-The bound of `assist.certify.team_bound` enforces only on average that the robot is in one place. Here the robot is in
-one place in every step, but it knows all sample paths in advance. It pays a penalty whose mean is 0 for every policy
+The bound of `assist.certify.team_bound` enforces only on average that M robots attend to at most M people. Here this
+holds in every step, but the robots know all sample paths in advance. They pay a penalty whose mean is 0 for every policy
 without this knowledge (Brown, Smith and Sun, "Information relaxations and duality in stochastic dynamic programs",
 2010; for weakly coupled problems with Lagrangian penalties: Ye, Zhu and Zhou, arXiv 1405.3363, 2014).
 
@@ -22,30 +22,31 @@ W)(s_T). On every sample path it is at most its value for the best actions on th
 
 **Choice of W.** V is the sum of the prices to be paid and of the upper bounds of the people. W = V - alpha U, with U of
 `assist.certify.information_relaxation.congestion`. The state s consists of nodes of
-`assist.certify.information_relaxation.belief_nodes`, which give the robot more information. For alpha = 0, D is D_V:
-the regrets of all people, plus the price of a step in which the robot attends to no one. The bound is then that of the
-prices, minus what is lost on each path. Every alpha gives a valid bound. It is chosen on separate sample paths.
+`assist.certify.information_relaxation.belief_nodes`, which give the robots more information. For alpha = 0, D is D_V:
+the regrets of all people, plus the price of the step for each robot that attends to no one. The bound is then that of
+the prices, minus what is lost on each path. Every alpha gives a valid bound. It is chosen on separate sample paths.
 
 **People who leave a truncated task.** The upper bound u(t, y) of a leaf y is an upper bound on the person's return from
 step t on with a robot of their own, whose attention has the price lambda_t. The theorem needs rewards r of a process
-whose value no policy of the team exceeds. Let a_k be 1 in a step in which the robot attends to person k, and 0
-otherwise. Let c_k be the person's reward, and let
+whose value no policy of the team exceeds. Let a_k be 1 in a step in which a robot attends to person k, and 0
+otherwise. Let c_k be the person's reward, let L people have left so far, and let
 
     r_t = sum over k still in the truncated task of (c_k - lambda_t a_k) + g_t,
+    g_t = lambda_t min(M, L + sum over k still in the truncated task of a_k).
 
-where g_t = lambda_t sum_k a_k while all people are in the truncated task or at the goal, and g_t = lambda_t from the
-step on in which a first person has left. A person who leaves adds u(t, y) once.
+A person who leaves adds u(t, y) once.
 
 *Claim.* The mean of the discounted sum of r is at least the mean return of every policy of the team.
 
-*Proof.* The team's reward in a step is sum_k c_k = sum_k (c_k - lambda_t a_k) + lambda_t sum_k a_k. One robot attends
-to at most one person, so that sum_k a_k <= 1, and prices are at least 0. Hence the last term is at most g_t in every
-step. For a person who has left, the mean of the discounted sum of c_k - lambda_t a_k, given all observations until
-then, is at most u(t, y), because u bounds every way of attending to this person.
+*Proof.* The team's reward in a step is sum_k c_k = sum_k (c_k - lambda_t a_k) + lambda_t sum_k a_k. M robots attend to
+at most M people, so that sum_k a_k <= M, and to at most L of those who have left. As prices are at least 0, the last
+term is at most g_t in every step. For a person who has left, the mean of the discounted sum of c_k - lambda_t a_k, given
+all observations until then, is at most u(t, y), because u bounds every way of attending to this person.
 
-So D contains the term lambda_t - g_t: a step without attention costs its price while no person has left, and nothing
-afterwards. The prices of the steps after all people have finished are refunded on the same condition. If they were
-refunded although the bound of a leaf has paid them, they would be counted twice, and the result would not be a bound.
+So D contains the term M lambda_t - g_t: a robot without a person costs the price of the step, except for as many robots
+as people have left. The prices of the steps after all people have finished are refunded on the same condition. If they
+were refunded although the bound of a leaf has paid them, they would be counted twice, and the result would not be a
+bound.
 
 **The search.** The minimum on a sample path is found by A* on the product of all people's graphs. Its heuristic is
 admissible:
@@ -53,13 +54,16 @@ admissible:
     D(s, a) >= (1 - alpha counts_t) D_V(s, a) - alpha sum_k fall_k(a).
 
 *Proof.* D = D_V - alpha (U(s) - E[U(s') | s, a]). The term of step t in U(s) is counts_t times a lower bound on the
-loss of every action in this step, hence at most counts_t D_V(s, a). The later terms of U(s) are the mean of U(s') after
-everyone's best action, with the weights before the step. After a, this mean is lower by at most sum_k fall_k(a), the
-sum of `AttentionDemand.fall`, which also covers Q-values above the bound of their node. As a step approaches, its
-weight does not decrease, and every term is at least 0. So E[U(s') | s, a] is at least the later terms minus that sum.
+loss of every action in this step, hence at most counts_t D_V(s, a). (A person who has left counts there as one with G =
+lambda_t. They cause no regret, and a robot with them costs nothing, as in D.) The later terms of U(s) are the mean of
+U(s') after everyone's best action, with the weights before the step. After a, this mean is lower by at most sum_k
+fall_k(a), the sum of `AttentionDemand.fall`, which also covers Q-values above the bound of their node: in E min(M, N),
+the coefficient of P(G_k > g) is the probability that fewer than M others need a robot, so that it is between 0 and 1. As
+a step approaches, its weight does not decrease, and every term is at least 0. So E[U(s') | s, a] is at least the later
+terms minus that sum.
 
-The right-hand side is a sum over people with the constraint that one of them receives attention. Prices for this sample
-path relax the constraint and separate it. The least sums are the heuristic. If the search exceeds its limit of
+The right-hand side is a sum over people with the constraint that at most M of them receive attention. Prices for this
+sample path relax the constraint and separate it. The least sums are the heuristic. If the search exceeds its limit of
 expansions, the smallest estimate of an open state is a lower bound on the minimum, and takes its place.
 
 The mean over sample paths has a standard error, so that the bound holds with a confidence level. People and paths are
@@ -173,12 +177,14 @@ class InformationRelaxation:
     price : float array, shape (W,)
         Prices of the steps that the subproblems distinguish.
     steps : int
-        The robot is in one place at a time for at least so many steps, and for `free_steps` steps without a price.
+        Each robot is in one place at a time for at least so many steps, and for `free_steps` steps without a price.
     left : callable
         Called with the number of processed paths; returns the share of the time that remains, at most 0 if none.
     workers : int
         Number of people and of paths that are processed at a time.
     options : RelaxationOptions, optional
+    robots : int
+        M, the number of robots.
 
     Raises
     ------
@@ -189,6 +195,7 @@ class InformationRelaxation:
     def __init__(
         self, belief_nodes: Sequence[BeliefNodes], price: Floats, steps: int = 0,
         left: Callable[[int], float] = lambda _: 1.0, workers: int = 1, options: RelaxationOptions | None = None,
+        robots: int = 1,
     ) -> None:  # fmt: skip
         self.left, self.done, self.workers = left, 0, workers
         self.options = options = options or RelaxationOptions()
@@ -197,12 +204,13 @@ class InformationRelaxation:
         unit = min(task.unit for task in tasks)
         self.steps = max(steps, len(price) + options.free_steps)
         self.price = np.append(price, np.zeros(self.steps + 1 - len(price)))
-        self.scale = Scale.of(self.price[: min(self.steps, options.congestion_steps)], gamma, unit, options)
+        self.scale = Scale.of(self.price[: min(self.steps, options.congestion_steps)], gamma, unit, options, robots)
         kinds = {id(one): Congestion(one, self.scale, self._go_on, options.rows_per_check) for one in belief_nodes}
         self.kinds, self.people = list(kinds.values()), [kinds[id(one)] for one in belief_nodes]
+        self.robots = robots
         self.discount: Floats = np.power(gamma, np.arange(self.steps + 1))
         # All prices are paid, including those of steps whose conflicts do not count in U.
-        self.value = float(self.price @ self.discount) + sum(one.value for one in belief_nodes)
+        self.value = robots * float(self.price @ self.discount) + sum(one.value for one in belief_nodes)
         roots = dict(zip(kinds, self._each(Congestion.at_root, self.kinds), strict=True))
         self.lost = lost(0, np.array([roots[id(one)] for one in belief_nodes]), self.scale)
 
@@ -230,17 +238,17 @@ class InformationRelaxation:
         ]
 
     def bound(self, path: SamplePath, alpha: float) -> float:
-        """Return the largest return, minus the penalty, of a robot that knows this sample path."""
+        """Return the largest return, minus the penalty, of robots that know this sample path."""
         counted = np.zeros(len(self.price))  # the part of D_V of each step that U contains
         counted[: len(self.scale.price)] = alpha * self.scale.counts[:-1]
         least = []
         for graph, single in zip(path.graphs, path.demand, strict=True):
             step = np.repeat(np.arange(len(graph.layer) - 1), np.diff(graph.edge[graph.layer]))
             least.append(graph._replace(cost=(1 - counted[step]) * graph.cost - alpha * single.fall))
-        # Once a person has left, a step without attention costs nothing.
+        # Once people have left, as many robots without a person cost nothing.
         left = any((graph.to == LEFT).any() for graph in path.graphs)
         ahead, heuristic = _path_prices(
-            least, np.zeros_like(counted) if left else (1 - counted) * self.price, self.discount
+            least, np.zeros_like(counted) if left else (1 - counted) * self.price, self.discount, self.robots
         )
         team = _Team.of(path, [person.rows.row for person in self.people], heuristic)
         most = self.options.max_expansions // len(self.people)
@@ -313,13 +321,15 @@ class InformationRelaxation:
         return alphas[best]
 
 
-def _path_prices(graphs: list[SampleGraph], price: Floats, discount: Floats) -> tuple[Floats, list[Floats]]:
+def _path_prices(
+    graphs: list[SampleGraph], price: Floats, discount: Floats, robots: int
+) -> tuple[Floats, list[Floats]]:
     """Optimise prices for one sample path that maximise the sum of the people's least costs (a subgradient method).
 
     Returns
     -------
     ahead : float array, shape (T + 2,)
-        Contribution of the robot's attention from each step on.
+        Contribution of all robots' attention from each step on.
     values : list of float arrays, shape (n,)
         Least cost of each person from each node of their graph on.
     """
@@ -331,11 +341,11 @@ def _path_prices(graphs: list[SampleGraph], price: Floats, discount: Floats) -> 
         values = [np.zeros(len(graph.node)) for graph in graphs]
         for graph, value in zip(graphs, values, strict=True):
             _least(graph, surcharge * discount[:steps], value, busy)
-        ahead = np.append(np.cumsum((-surcharge * discount[:steps])[::-1])[::-1], [0.0, 0.0])
+        ahead = np.append(robots * np.cumsum((-surcharge * discount[:steps])[::-1])[::-1], [0.0, 0.0])
         total = ahead[0] + sum(float(value[0]) for value in values)
         if total > best:
             best, kept = total, (ahead, values)
-        slope = busy - 1
+        slope = busy - robots
         past += slope**2
         surcharge = np.maximum(-price[:steps], surcharge + 0.3 * slope / np.sqrt(past))
     return kept
@@ -378,9 +388,9 @@ def _copy(to: Floats, row: Floats) -> None:
 
 @njit()
 def _advance(
-    state: Ints, total: float, estimate: float, attended: int, edge: int, idle: Ints, row: Floats, team: _Team
-) -> tuple[float, float]:
-    """Move every person to their next node, in place: along `edge` if attended, otherwise along their `idle` edge.
+    state: Ints, total: float, estimate: float, edge: Ints, row: Floats, team: _Team
+) -> tuple[float, float]:  # fmt: skip
+    """Move every person to their next node along an edge, in place.
 
     Return `total` plus the costs, and `estimate` plus the lower bounds of the nodes. `row` receives the rows of the
     nodes, averaged over what is not yet known.
@@ -389,7 +399,7 @@ def _advance(
         if state[i] < 0:
             _copy(row[i], team.row[state[i]])
             continue
-        does = edge if i == attended else idle[i]
+        does = edge[i]
         total += team.cost[does]
         state[i] = team.to[does]
         _copy(row[i], team.mean[does])
@@ -408,23 +418,56 @@ def _code(t: int, state: Ints, radix: Ints, team: _Team) -> int:
 
 
 @njit()
-def _without_attention(state: Ints, idle: Ints, team: _Team) -> int:
-    """Fill in each person's edge without attention, `END` if there is none; return the person who then must have it.
+def _next_attending(edge: int, node: int, team: _Team) -> int:
+    """Return the next edge of a node after this one that takes attention, `END` if there is none."""
+    for e in range(edge + 1, team.edge[node + 1]):
+        if team.attends[e]:
+            return e
+    return END
 
-    A robot on its way to a person continues. The number is -1 if there is no such person.
+
+@njit()
+def _first_actions(state: Ints, idle: Ints, edge: Ints, team: _Team) -> int:
+    """Fill in each person's edge without attention, `END` if there is none; return the number of the latter.
+
+    A robot on its way to a person continues, so that the person receives attention. `edge` receives the first joint
+    action: attention only to them.
     """
-    forced = -1
+    attended = 0
     for k in range(len(state)):
-        idle[k] = END
+        idle[k] = edge[k] = END
         if state[k] < 0:
             continue
         for e in range(team.edge[state[k]], team.edge[state[k] + 1]):
             if not team.attends[e]:
-                idle[k] = e
+                idle[k] = edge[k] = e
                 break
         if idle[k] == END:
-            forced = k
-    return forced
+            edge[k] = _next_attending(team.edge[state[k]] - 1, state[k], team)
+            attended += 1
+    return attended
+
+
+@njit()
+def _next_actions(state: Ints, idle: Ints, edge: Ints, attended: int, robots: int, team: _Team) -> int:
+    """Change `edge` to the next joint action that takes at most so many robots, of which `attended` are taken.
+
+    Return the number of people who receive attention, -1 if there are no more actions. The actions are counted like a
+    number whose first digit is that of the first person.
+    """
+    for k in range(len(state)):
+        if state[k] < 0:
+            continue
+        without = edge[k] == idle[k]
+        if not without or attended < robots:
+            more = _next_attending(team.edge[state[k]] - 1 if without else edge[k], state[k], team)
+            if more != END:
+                edge[k] = more
+                return attended + without
+        if not without and idle[k] != END:
+            attended -= 1
+        edge[k] = idle[k] if idle[k] != END else _next_attending(team.edge[state[k]] - 1, state[k], team)
+    return -1
 
 
 @njit(nogil=True)
@@ -435,7 +478,7 @@ def _astar(
 
     Prices are discounted.
     """
-    people = len(team.first) - 1
+    people, robots = len(team.first) - 1, len(scale.idle)
     start, estimate = team.first[:-1].copy(), ahead[0]
     for k in range(people):
         estimate += team.heuristic[start[k]]
@@ -448,7 +491,7 @@ def _astar(
     exact = product < 2.0**62  # otherwise repeated states are not detected, which only takes longer
     seen = Dict.empty(numba.types.int64, numba.types.float64)
     here, next_ = np.ones((people, team.row.shape[1])), np.ones((people, team.row.shape[1]))
-    idle = np.empty(people, np.int64)
+    idle, edge = np.empty(people, np.int64), np.empty(people, np.int64)
     expanded = 0
     while len(heap):
         estimate, number = heapq.heappop(heap)
@@ -463,11 +506,12 @@ def _astar(
         expanded += 1
         if expanded > most:
             return estimate
-        finished, left = True, False
+        finished, refund = True, robots  # prices are refunded to robots without a person, except one for each who left
         for k in range(people):
             _copy(here[k], team.row[state[k]])
-            finished, left = finished and state[k] < 0, left or state[k] == LEFT
-        refund = 0.0 if left else 1.0  # prices of steps without attention are refunded only while no person has left
+            finished = finished and state[k] < 0
+            if state[k] == LEFT and refund:
+                refund -= 1
         loss = alpha * lost(t, here, scale)
         if finished or t == steps:  # the end: the remaining return is bounded by V
             total = cost - loss + (refund * price[t:].sum() if finished else 0.0)
@@ -476,24 +520,17 @@ def _astar(
             times.append(-1)
             heapq.heappush(heap, (total, len(states) - 1))
             continue
-        forced = _without_attention(state, idle, team)
-        for k in range(-1, people):
-            if (forced >= 0 and k != forced) or (k >= 0 and state[k] < 0):
-                continue
-            first, end = 0, 1
-            if k >= 0:
-                first, end = team.edge[state[k]], team.edge[state[k] + 1]
-            for e in range(first, end):
-                if k >= 0 and not team.attends[e]:
-                    continue
-                total = cost - loss
-                if k < 0:
-                    total += refund * price[t]
-                then = state.copy()
-                total, estimate = _advance(then, total, ahead[t + 1], k, e, idle, next_, team)
-                total += alpha * lost(t + 1, next_, scale)
-                states.append(then)
-                costs.append(total)
-                times.append(t + 1)
-                heapq.heappush(heap, (total + estimate, len(states) - 1))
+        attended = _first_actions(state, idle, edge, team)
+        while attended >= 0:
+            total = cost - loss
+            if attended < refund:
+                total += (refund - attended) * price[t]
+            then = state.copy()
+            total, estimate = _advance(then, total, ahead[t + 1], edge, next_, team)
+            total += alpha * lost(t + 1, next_, scale)
+            states.append(then)
+            costs.append(total)
+            times.append(t + 1)
+            heapq.heappush(heap, (total + estimate, len(states) - 1))
+            attended = _next_actions(state, idle, edge, attended, robots, team)
     return np.inf
