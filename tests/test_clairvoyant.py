@@ -82,8 +82,7 @@ def two_robots() -> InformationRelaxation:
 
 @pytest.fixture(scope="module", params=[1, 2])
 def truncated(request: pytest.FixtureRequest) -> InformationRelaxation:
-    """People whose tasks are truncated after one state, with prices, and few enough steps to enumerate all decisions.
-    """
+    """People whose tasks are truncated after one state, with prices, and few steps, so that decisions can be listed."""
     setting = Setting(gamma=0.95, c_suggest=0.05, c_move=0.1)
     pool = Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=3, region=1)
     return made(PRICE[1:4], pool=pool, options=RelaxationOptions(free_steps=1), robots=request.param)
@@ -325,7 +324,7 @@ def check_the_search(
         assert early >= bound - 1e-9
         given_up += early > bound + 1e-3
         found.append(whole)
-    assert np.ptp(found) > 0.05
+    assert np.ptp(found) > 0.01
     assert given_up
 
 

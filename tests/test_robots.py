@@ -232,8 +232,7 @@ def test_a_team_has_a_whole_number_of_robots(robots: object) -> None:
 
 
 def as_agents(visits: AttentionSubproblem, people: int) -> Agents:
-    """Return people whose beta and theta the robots know, with a robot that comes and goes, as Markov decision processes.
-    """
+    """Return people whose beta and theta the robots know, each with a robot that comes and goes."""
     pomdp, choices = visits.pomdp, visits.pomdp.model.choices
     (known,) = np.flatnonzero(pomdp.prior)
     shape = (pomdp.robot_costs.shape[1], len(pomdp.robot_actions))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..team.attention_subproblem import AttentionSubproblem
-from ..team.state import TeamAction, TeamPolicy, TeamState
+from ..team.state import BASE, TeamAction, TeamPolicy, TeamState
 from ..team.time_expansion import AWAY, HERE
 
 
@@ -17,8 +17,8 @@ class BeliefRecorder:
     Attributes
     ----------
     visited : list of lists of (int, int array, int array, float array)
-        For each place: a step, and for all teams with an active person there the task state, the robot's position
-        (`team.time_expansion`), and the belief, shape (n, B, T).
+        For each place: a step, and for all teams with an active person there the task state, the position of a robot
+        (`team.time_expansion`), and the belief, shape (n, B, T). A robot under way counts as away.
     """
 
     uses_belief = True
@@ -31,9 +31,12 @@ class BeliefRecorder:
         """Record the states and beliefs of the teams, and return the other policy's action."""
         if team.step < self.steps:
             assert team.belief is not None
+            location = team.location.reshape(len(team.x), -1)
+            if team.free is not None:
+                location = np.where(team.free, location, BASE)
             for k, visited in enumerate(self.visited):
                 at = np.flatnonzero(team.active[:, k])
-                here = np.where(team.location[at] == k, HERE, AWAY)
+                here = np.where((location[at] == k).any(axis=1), HERE, AWAY)
                 visited.append((team.step, team.x[at, k], here, team.belief[at, k]))
         return self.policy(team)
 

@@ -1,9 +1,9 @@
 """A tighter bound on team policies from samples: an information relaxation with a penalty.
 
 The bound of `assist.certify.team_bound` enforces only on average that M robots attend to at most M people. Here this
-holds in every step, but the robots know all sample paths in advance. They pay a penalty whose mean is 0 for every policy
-without this knowledge (Brown, Smith and Sun, "Information relaxations and duality in stochastic dynamic programs",
-2010; for weakly coupled problems with Lagrangian penalties: Ye, Zhu and Zhou, arXiv 1405.3363, 2014).
+holds in every step, but the robots know all sample paths in advance. They pay a penalty whose mean is 0 for every
+policy without this knowledge (Brown, Smith and Sun, "Information relaxations and duality in stochastic dynamic
+programs", 2010; for weakly coupled problems with Lagrangian penalties: Ye, Zhu and Zhou, arXiv 1405.3363, 2014).
 
 **Theorem.** Assume that W(s) is any function of the team's state that is 0 where all people have finished, and that
 V(s) is an upper bound on the value of every policy from s on, both discounted to step 0. Let r be the reward,
@@ -40,8 +40,8 @@ A person who leaves adds u(t, y) once.
 
 *Proof.* The team's reward in a step is sum_k c_k = sum_k (c_k - lambda_t a_k) + lambda_t sum_k a_k. M robots attend to
 at most M people, so that sum_k a_k <= M, and to at most L of those who have left. As prices are at least 0, the last
-term is at most g_t in every step. For a person who has left, the mean of the discounted sum of c_k - lambda_t a_k, given
-all observations until then, is at most u(t, y), because u bounds every way of attending to this person.
+term is at most g_t in every step. For a person who has left, the mean of the discounted sum of c_k - lambda_t a_k,
+given all observations until then, is at most u(t, y), because u bounds every way of attending to this person.
 
 So D contains the term M lambda_t - g_t: a robot without a person costs the price of the step, except for as many robots
 as people have left. The prices of the steps after all people have finished are refunded on the same condition. If they
@@ -58,7 +58,7 @@ loss of every action in this step, hence at most counts_t D_V(s, a). (A person w
 lambda_t. They cause no regret, and a robot with them costs nothing, as in D.) The later terms of U(s) are the mean of
 U(s') after everyone's best action, with the weights before the step. After a, this mean is lower by at most sum_k
 fall_k(a), the sum of `AttentionDemand.fall`, which also covers Q-values above the bound of their node: in E min(M, N),
-the coefficient of P(G_k > g) is the probability that fewer than M others need a robot, so that it is between 0 and 1. As
+the coefficient of P(G_k > g) is the probability that fewer than M others need a robot, which is between 0 and 1. As
 a step approaches, its weight does not decrease, and every term is at least 0. So E[U(s') | s, a] is at least the later
 terms minus that sum.
 
