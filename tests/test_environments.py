@@ -17,7 +17,7 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from assist import Pool, simulate
 from assist.interop.gymnasium import ID, TeamEnv, TeamVectorEnv
-from assist.interop.pettingzoo import parallel_env
+from assist.interop.pettingzoo import RobotsEnv, StationsEnv, parallel_env
 from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.people.trust_rules import outcome_at_disagreement
@@ -241,4 +241,61 @@ def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None
     with pytest.raises(ValueError, match=r"expected 0 to \d+, for each of 2 robots"):
         env.unwrapped.step(0)
     with pytest.raises(ValueError, match="robots 2: expected 1, as each station has one robot"):
-        parallel_env(instance="kitting/tiny", humans=2, setting=Setting(robots=2))
+        StationsEnv(instance="kitting/tiny", humans=2, setting=Setting(robots=2))
+
+
+@pytest.mark.parametrize("robots", [1, 2, 3])
+def test_pettingzoo_finds_nothing_wrong_with_moving_robots(
+    tiny_choices: Choices, robots: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pool = Pool.sample(tiny_choices, 3, seed=2, setting=Setting(robots=robots, travel_time=1, max_steps=30))
+
+    def make() -> object:
+        return RobotsEnv(pool, 2) if robots == 1 else parallel_env(instance=pool, humans=2)
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(action mask|Action mask|observation|NaN).*")
+        parallel_api_test(make(), num_cycles=60)
+        parallel_seed_test(make, num_cycles=20)
+        api_test(parallel_to_aec(make()), num_cycles=60)
+    assert capsys.readouterr().out.count("Passed") == 2
+    assert make().possible_agents == [f"robot_{number}" for number in range(robots)]
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_an_episode_of_agents_is_the_simulators(tiny_choices: Choices, robots: int) -> None:
+    """Agents that follow a team policy: same returns; each sees its own place first, and possible actions are legal."""
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(c_suggest=0.1, robots=robots))
+    found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5)
+    env = RobotsEnv(pool, 3)
+    chooses, returns = pool.policy("priority", env.team.travel), []
+    for episode in range(EPISODES):
+        seen, _ = env.reset(seed=5 if episode == 0 else None)
+        discounted, step = 0.0, 0
+        while env.agents:
+            for agent in env.agents:
+                assert seen[agent] in env.observation_space(agent)
+            first = [int(seen[agent]["location"][0]) for agent in env.agents]
+            assert first == (env.team.location.reshape(-1) + 1).tolist()
+            actions = env.encode(chooses(env.team))
+            assert all(seen[agent]["action_mask"][number] for agent, number in actions.items())
+            seen, reward, *_, info = env.step(actions)
+            assert not any(info[agent]["illegal"] for agent in info)
+            assert len(set(reward.values())) == 1
+            discounted += pool.setting.gamma**step * reward["robot_0"]
+            step += 1
+        returns.append(discounted)
+    assert returns == pytest.approx(found.discounted_return.tolist())
+
+
+def test_of_two_robots_that_want_the_same_person_the_first_goes_there(tiny_choices: Choices) -> None:
+    env = RobotsEnv(Pool.sample(tiny_choices, 2, seed=2, setting=Setting(robots=2)), 2)
+    env.reset(seed=1)
+    seen, *_, info = env.step({"robot_0": 1, "robot_1": 1})
+    assert [info[agent]["illegal"] for agent in env.agents] == [False, True]
+    assert seen["robot_0"]["location"].tolist() == [1, 0]
+    assert seen["robot_1"]["location"].tolist() == [0, 1]
+    with pytest.raises(ValueError, match="actions: expected one of robot_1"):
+        env.step({"robot_0": 0})
+    with pytest.raises(ValueError, match=r"action .* expected 0 to"):
+        env.step({"robot_0": 0, "robot_1": 999})

@@ -217,6 +217,11 @@ class TeamEnv(gymnasium.Env):
         """Whether a robot has arrived and may act."""
         return bool(self._desk.teams.free()[0].any())
 
+    @property
+    def actions(self) -> int:
+        """The number of actions of a robot."""
+        return self._desk.actions
+
     def encode(self, action: TeamAction) -> Any:
         """Return the number of a team policy's action, or an array of M numbers."""
         numbers = self._desk.encode(action)[0]

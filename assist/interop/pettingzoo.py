@@ -1,4 +1,7 @@
-"""A PettingZoo parallel environment: K stations, each with one person and one robot that assists this person."""
+"""PettingZoo parallel environments with one agent for each robot.
+
+In `StationsEnv` each of K people has a robot of their own. In `RobotsEnv` M robots move between K people.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,8 @@ from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.model_group import World
 from ..simulation.pool import Pool
 from ..team.settings import Setting
+from ..team.state import TeamAction, TeamState
+from .gymnasium import TeamEnv
 from .teams import Sight, Teams, pool_of
 
 try:
@@ -174,14 +179,148 @@ class StationsEnv(pettingzoo.ParallelEnv):
         """Do nothing; the environment holds no resources."""
 
 
-def parallel_env(instance: str | Path | Pool, humans: int = 2, **options: Any) -> StationsEnv:
-    """Return a parallel environment with one robot at each station.
+class RobotsEnv(pettingzoo.ParallelEnv):
+    """M robots that move between K people and decide at the same time: `TeamEnv` with one agent for each robot.
+
+    An agent's action is a number as in `TeamEnv`, for its robot. Its observation is that of the team, with the mask of
+    its own actions. In `location` and `free`, its own entry is the first, and the others follow in their order. A robot
+    that is sent to a person with whom another one is, or to whom one with a lower number goes, stays where it is; its
+    `info["illegal"]` says so. Every agent receives the team's reward. All terminate when all people have finished, and
+    are truncated after `setting.max_steps` steps.
+
+    Parameters
+    ----------
+    instance : str, Path or Pool
+        The task, by its file or name, or an existing pool.
+    humans : int
+        K, the number of people.
+    **options
+        Further arguments of `TeamEnv`. M is `setting.robots`.
+
+    Raises
+    ------
+    ValueError
+        As from `TeamEnv`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "kitassist_robots_v0",
+        "render_modes": TeamEnv.metadata["render_modes"],
+        "is_parallelizable": True,
+    }
+
+    def __init__(self, instance: str | Path | Pool, humans: int = 2, **options: Any) -> None:
+        self._env = TeamEnv(instance, humans, **options)
+        self.render_mode = self._env.render_mode
+        self._robots, self._robot_actions = self.pool.setting.robots, self._env.actions
+        self.possible_agents = [f"robot_{number}" for number in range(self._robots)]
+        self.agents: list[str] = []
+        self.observation_spaces = {agent: self._space() for agent in self.possible_agents}
+        self.action_spaces = {agent: gymnasium.spaces.Discrete(self._robot_actions) for agent in self.possible_agents}
+
+    def _space(self) -> Any:
+        spaces = gymnasium.spaces
+        return spaces.Dict(
+            {
+                **self._env.observation_space.spaces,
+                "action_mask": spaces.MultiBinary(self._robot_actions),
+                "free": spaces.MultiBinary(self._robots),
+                "location": spaces.MultiDiscrete([self._env.team.x.shape[1] + 1] * self._robots),
+            }
+        )
+
+    def observation_space(self, agent: str) -> Any:
+        """Return an agent's observation space, always the same object."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Any:
+        """Return an agent's action space, always the same object."""
+        return self.action_spaces[agent]
+
+    @property
+    def pool(self) -> Pool:
+        """The pool from which teams are drawn."""
+        return self._env.pool
+
+    @property
+    def team(self) -> TeamState:
+        """The state of the team as team policies read it."""
+        return self._env.team
+
+    def encode(self, action: TeamAction) -> dict[str, int]:
+        """Return the agents' actions for a team policy's action."""
+        return dict(zip(self.possible_agents, np.ravel(self._env.encode(action)).tolist(), strict=True))
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin the next episode, or the first one if a seed is given.
+
+        Parameters
+        ----------
+        seed : int, optional
+        options : dict, optional
+            As in `TeamEnv.reset`.
+        """
+        seen, info = self._env.reset(seed=seed, options=options)
+        self.agents = list(self.possible_agents)
+        return self._each(seen), self._informed(info)
+
+    def step(self, actions: dict[str, int]) -> tuple[dict[str, Any], ...]:
+        """Apply the robots' actions, then let each person who has not finished act once.
+
+        Raises
+        ------
+        ValueError
+            The action of a robot is missing or out of range.
+        """
+        if missing := [agent for agent in self.agents if agent not in actions]:
+            raise ValueError(f"actions: expected one of {missing[0]}")
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        numbers = np.array([int(actions[agent]) for agent in self.agents])
+        seen, reward, terminated, truncated, info = self._env.step(numbers if self._robots > 1 else numbers[0])
+        agents = self.agents
+        if terminated or truncated:
+            self.agents = []
+        same = (dict.fromkeys(agents, value) for value in (reward, terminated, truncated))
+        return self._each(seen), *same, self._informed(info)
+
+    def _each(self, seen: dict[str, Any]) -> dict[str, Any]:
+        mask = seen["action_mask"].reshape(self._robots, -1)
+        there, free = np.ravel(seen["location"]), np.ravel(seen["free"]).astype(np.int8)
+        found = {}
+        for number, agent in enumerate(self.possible_agents):
+            own = [number, *(other for other in range(self._robots) if other != number)]
+            changed = {"action_mask": mask[number], "free": free[own], "location": there[own]}
+            found[agent] = {name: np.array(value) for name, value in (seen | changed).items()}
+        return found
+
+    def _informed(self, info: dict[str, Any]) -> dict[str, Any]:
+        mask, illegal = info["action_mask"].reshape(self._robots, -1), np.ravel(info["illegal"]).tolist()
+        return {
+            agent: {**info, "action_mask": mask[number], "illegal": illegal[number]}
+            for number, agent in enumerate(self.possible_agents)
+        }
+
+    def render(self) -> Any:
+        """Return a picture of all tasks, as `TeamEnv.render` does."""
+        return self._env.render()
+
+    def close(self) -> None:
+        """Do nothing; the environment holds no resources."""
+
+
+def parallel_env(instance: str | Path | Pool, humans: int = 2, **options: Any) -> StationsEnv | RobotsEnv:
+    """Return a parallel environment: `StationsEnv`, or `RobotsEnv` if the setting has several robots.
 
     Parameters
     ----------
     instance : str, Path or Pool
     humans : int
     **options
-        Further arguments of `StationsEnv`.
+        Further arguments of the environment.
     """
-    return StationsEnv(instance, humans, **options)
+    setting = instance.setting if isinstance(instance, Pool) else options.get("setting")
+    several = setting is not None and setting.robots > 1
+    return RobotsEnv(instance, humans, **options) if several else StationsEnv(instance, humans, **options)
