@@ -7,7 +7,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c co
 # Hundreds of processes load the same modules: what Python makes of these is kept, whatever is otherwise wanted.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo live line test test-all coverage lint bench bench-smallest study docs wheel-check clean
+.PHONY: demo live line test test-all coverage lint javascript bench bench-smallest study docs wheel-check clean
 
 demo: $(VENV)/.demo
 	@mkdir -p demo
@@ -45,6 +45,13 @@ lint: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The scripts of the pages: their types, faults that a linter finds, and tests of what they share. Needs npm.
+javascript:
+	@if ! command -v npm >/dev/null; then echo "The scripts of the pages are not checked: there is no npm"; \
+	elif ! npm --prefix tests/javascript install --silent --no-audit --no-fund --no-package-lock; then \
+		echo "The scripts of the pages are not checked: npm cannot install what tests/javascript/package.json names"; \
+	else npm --prefix tests/javascript run --silent check; fi
 
 bench: $(VENV)/.test
 	$(BIN)/python bench/run.py

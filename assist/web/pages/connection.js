@@ -1,15 +1,15 @@
 // Connection to the service: a socket that reconnects, and requests that are repeated under the same id until they are
 // answered, even after the page was reloaded.
 
-import { text } from "./page.js";
+import { text, wait } from "./page.js";
 
 const root = new URL("../", import.meta.url); // address of the service, under any path
 const parts = location.pathname.slice(root.pathname.length).split("/").filter(Boolean);
 const seat = ["join", "part"].includes(parts[0]); // the page of one person
 const conducts = parts[0] === "operator" || (parts[0] === "study" && parts[1] === "operator");
 const depth = seat || (conducts && parts[0] === "study") ? 2 : 1; // parts of the path without a token
-export const person = seat ? decodeURIComponent(parts[1] ?? "") : null;
-const subject = conducts ? "operator" : `person ${person ?? "?"}`;
+export const person = seat ? decodeURIComponent(parts[1] ?? "") : "";
+const subject = conducts ? "operator" : `person ${person || "?"}`;
 
 /** Names what this browser stores for the page. */
 export const place = `${root.pathname} ${subject}`;
@@ -17,7 +17,7 @@ export const place = `${root.pathname} ${subject}`;
 // The token of the link, behind # or, in links of earlier versions, at the end of the path; null if there is a cookie.
 let token = location.hash.slice(1) || parts[depth] || null;
 
-/** What names the caller: the token, or the cookie that is used in its place. */
+/** What names the caller: the token, or the cookie that is used in its place. @type {() => Record<string, string>} */
 const credentials = () => (token === null ? { "Kitassist-Caller": encodeURIComponent(subject) } : { Authorization: `Bearer ${token}` });
 const protocol = () => (token === null ? `caller.${encodeURIComponent(subject)}` : `token.${token}`);
 
@@ -54,7 +54,11 @@ export function pathOf(name, rest = "") {
   return `/api/people/${encodeURIComponent(name)}${rest}`;
 }
 
-/** Send a request once. Throws Refused if the service refuses it, and another error if the service is not reached. */
+/**
+ * Send a request once. Throws Refused if the service refuses it, and another error if the service is not reached.
+ * @param {string} path
+ * @param {{ method?: string, body?: object }} options
+ */
 export async function ask(path, { method = "GET", body } = {}) {
   const answer = await fetch(address(path), {
     method,
@@ -73,9 +77,8 @@ export async function ask(path, { method = "GET", body } = {}) {
   throw new Refused(answer.status, String(detail));
 }
 
+/** @type {(path: string, options?: { method?: string, body?: object }) => Promise<any>} */
 export const askJson = async (path, options) => (await ask(path, options)).json();
-
-const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
 /** Whether an error is temporary, so that the request may succeed later. */
 export const passes = (error) => !(error instanceof Refused) || error.status > 500 || [408, 425, 429].includes(error.status);
@@ -94,7 +97,7 @@ export class Outbox {
     this.waiting = waiting;
     this.running = false;
     try {
-      this.kept = JSON.parse(sessionStorage.getItem(this.key)) ?? null;
+      this.kept = JSON.parse(sessionStorage.getItem(this.key) ?? "null");
     } catch {
       this.kept = null;
     }
@@ -122,25 +125,26 @@ export class Outbox {
   }
 
   async resume() {
-    if (this.running || !this.busy) return;
+    if (this.running || this.kept === null) return;
     this.running = true;
-    for (let pause = 250; this.busy; pause = Math.min(2 * pause, SLOWEST)) {
+    const tell = await this.deliver(this.kept);
+    this.keep(null);
+    this.running = false;
+    tell();
+  }
+
+  /** Repeat a request until it is answered or refused; return what tells the page. */
+  async deliver({ path, body }) {
+    for (let pause = 250; ; pause = Math.min(2 * pause, SLOWEST)) {
       try {
-        const answer = await askJson(this.kept.path, { method: "POST", body: this.kept.body });
-        const { body } = this.kept;
-        this.keep(null);
-        this.answered(answer, body);
+        const answer = await askJson(path, { method: "POST", body });
+        return () => this.answered(answer, body);
       } catch (error) {
-        if (passes(error)) {
-          this.waiting(error);
-          await wait(pause);
-        } else {
-          this.keep(null);
-          this.refused(error);
-        }
+        if (!passes(error)) return () => this.refused(error);
+        this.waiting(error);
+        await wait(pause);
       }
     }
-    this.running = false;
   }
 }
 
@@ -151,8 +155,10 @@ export class Channel {
     this.message = message;
     this.state = state;
     this.pause = 200;
+    this.over = false;
+    /** @type {WebSocket | null} */
     this.socket = null;
-    this.timer = null;
+    this.timer = 0;
     addEventListener("online", () => this.hurry());
     document.addEventListener("visibilitychange", () => document.hidden || this.hurry());
     addEventListener("pageshow", () => this.hurry());
@@ -179,7 +185,7 @@ export class Channel {
       if (socket === this.socket) this.message(JSON.parse(event.data));
     };
     socket.onclose = (event) => {
-      if (socket === this.socket) this.closed(event.code);
+      if (socket === this.socket && !this.over) this.closed(event.code);
     };
   }
 

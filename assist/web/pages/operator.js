@@ -1,7 +1,7 @@
 // The operator's page: people's progress, the beliefs about them, the robot, and the log.
 
 import { Channel, Refused, ask, askJson, newId, pathOf } from "./connection.js";
-import { at, clock, complain, element } from "./page.js";
+import { all, at, clock, complain, element, focused } from "./page.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const WIDTH = 300;
@@ -9,7 +9,7 @@ const HEIGHT = 70;
 const LEFT = 20;
 
 let team = null;
-let links = {};
+const links = {};
 
 const one = (value) => (Math.abs(value) < 0.05 ? "0" : value.toFixed(1).replace(/\.0$/, ""));
 const spread = (mean, ends) => `${mean.toFixed(2)} (${ends.map((end) => end.toFixed(2)).join(" to ")})`;
@@ -178,9 +178,9 @@ function showTasks() {
 
 /** Redraw, and keep the keyboard focus. */
 function keepingFocus(redraw) {
-  const key = document.activeElement?.dataset?.key;
+  const key = focused()?.dataset.key;
   redraw();
-  if (key) [...document.querySelectorAll("[data-key]")].find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
+  if (key) all("[data-key]").find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
 }
 
 async function tell(path, options, said) {

@@ -1,6 +1,16 @@
 // What the pages share: elements, messages, and texts and numbers in the page's language.
 
-export const at = (id) => document.getElementById(id);
+/** The element of an id. @type {<Id extends string>(id: Id) => Id extends keyof Elements ? Elements[Id] : HTMLElement} */
+export const at = (id) => /** @type {any} */ (document.getElementById(id));
+
+/** The first element of a selector, which has one. @type {(selector: string, within?: ParentNode) => any} */
+export const first = (selector, within = document) => within.querySelector(selector);
+
+/** All elements of a selector. @type {(selector: string, within?: ParentNode) => any[]} */
+export const all = (selector, within = document) => [...within.querySelectorAll(selector)];
+
+/** The element that has the focus. @type {() => HTMLElement | null} */
+export const focused = () => /** @type {HTMLElement | null} */ (document.activeElement);
 
 export const language = document.documentElement.lang;
 const TEXTS = JSON.parse(at("texts").textContent); // the service writes them into the page
@@ -12,12 +22,15 @@ export function text(key, values = {}) {
 }
 
 /** A number as it is written in the page's language, with so many digits after the decimal sign, or as many as it has. */
-export const figure = (value, digits = null) => value.toLocaleString(language, {
-  minimumFractionDigits: digits ?? 0, maximumFractionDigits: digits ?? 6, useGrouping: false,
+export const figure = (value, digits = -1) => value.toLocaleString(language, {
+  minimumFractionDigits: Math.max(digits, 0), maximumFractionDigits: digits < 0 ? 6 : digits, useGrouping: false,
 });
 
 /** A refusal of the service as a sentence. */
 export const sentence = (why) => `${why.charAt(0).toUpperCase()}${why.slice(1)}${/[.!?]$/.test(why) ? "" : "."}`;
+
+/** A promise that is kept after some milliseconds. */
+export const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
 /** Minutes and seconds. */
 export const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;

@@ -1,7 +1,7 @@
 // A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
-import { Channel, Outbox, Refused, address, askJson, passes, pageOf, pathOf, person, place } from "./connection.js";
-import { at, clock, complain, figure, language, sentence, text } from "./page.js";
+import { Channel, Outbox, Refused, askJson, passes, pageOf, pathOf, person, place } from "./connection.js";
+import { all, at, clock, complain, figure, first, focused, language, sentence, text } from "./page.js";
 
 const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
 const WIDTHS = [320, 400, 520, 640, 760, 960];
@@ -82,7 +82,7 @@ function showStudy(study) {
   at("person").textContent = text(study.kind === "practice" ? "task.practice" : "task.title");
   document.title = at("person").textContent;
   at("undo").hidden = at("again").hidden = true;
-  at("leave").querySelector("a").href = pageOf("part", "?leave");
+  first("a", at("leave")).href = pageOf("part", "?leave");
   at("onward").hidden = at("leave").hidden = false;
   at("onward").disabled = outbox.busy;
 }
@@ -161,17 +161,17 @@ async function compare() {
 
 function showActions() {
   const list = at("actions");
-  const inside = list.contains(document.activeElement);
-  const before = inside ? document.activeElement.textContent : null;
+  const before = list.contains(focused()) ? focused()?.textContent : null;
   fill(list, view.applicable.map((action) => {
     const line = item(words(action), () => act(action));
-    line.firstChild.disabled = outbox.busy;
-    line.firstChild.dataset.action = action;
+    const button = first("button", line);
+    button.disabled = outbox.busy;
+    button.dataset.action = action;
     if (action === open()) line.classList.add("suggested");
     return line;
   }));
-  if (inside && !outbox.busy) {
-    const buttons = [...list.querySelectorAll("button")];
+  if (before !== null && !outbox.busy) {
+    const buttons = all("button", list);
     (buttons.find((button) => button.textContent === before) ?? buttons[0] ?? at("choices-title")).focus();
   }
 }
@@ -198,7 +198,7 @@ function showEnd() {
 function showDrawing() {
   for (const part of ["suggestion", "against", "menu-list", "actions"]) at(part).lang = drawn.language;
   const parsed = new DOMParser().parseFromString(drawn.svg, "image/svg+xml").documentElement;
-  const svg = document.importNode(parsed, true);
+  const svg = /** @type {any} */ (document.importNode(parsed, true));
   svg.removeAttribute("width");
   svg.removeAttribute("height");
   at("drawing").replaceChildren(svg);
@@ -208,7 +208,7 @@ function showDrawing() {
   at("goal").value = done;
   at("goal").textContent = at("wanted-count").textContent = text("task.count", { done, all: drawn.goal.length });
   at("goal-word").textContent = text("task.goal_count", { done, all: drawn.goal.length });
-  at("goal").parentElement.hidden = at("wanted").parentElement.hidden = !drawn.goal.length; // unknown to the server
+  first(".goal").hidden = first(".choices details").hidden = !drawn.goal.length; // unknown to the server
   fill(at("wanted"), drawn.goal.map((one) => {
     const line = document.createElement("li");
     line.className = one.done ? "so" : "open";
@@ -220,8 +220,8 @@ function showDrawing() {
 
 /** Buttons over the objects of the drawing, since an image cannot contain buttons. */
 function showTargets(svg) {
-  const inside = at("targets").contains(document.activeElement);
-  const before = inside ? document.activeElement.dataset.object : null;
+  const inside = at("targets").contains(focused());
+  const before = inside ? focused()?.dataset.object : null;
   const { width, height } = svg.viewBox.baseVal;
   const suggested = open() === null ? [] : objectsOf(open());
   const buttons = [];
@@ -261,7 +261,7 @@ function choose(name, button) {
   at("menu-title").textContent = text(chosen.length > 1 ? "task.with_both" : "task.with", { object: chosen[0], other: chosen[1] });
   fill(at("menu-list"), possible.map((action) => item(words(action), () => act(action))));
   const can = new Set(possible.flatMap(objectsOf));
-  for (const group of at("drawing").querySelectorAll("[data-object]")) {
+  for (const group of all("[data-object]", at("drawing"))) {
     group.classList.toggle("ka-acted", chosen.includes(group.dataset.object));
     group.classList.toggle("ka-can", !chosen.includes(group.dataset.object) && can.has(group.dataset.object));
   }
@@ -269,7 +269,7 @@ function choose(name, button) {
   menu.hidden = false;
   menu.style.setProperty("--left", `${Math.max(0, Math.min(button.offsetLeft, at("stage").clientWidth - menu.offsetWidth))}px`);
   menu.style.setProperty("--top", `${button.offsetTop + button.offsetHeight + 6}px`);
-  at("menu-list").querySelector("button").focus({ preventScroll: true });
+  first("button", at("menu-list")).focus({ preventScroll: true });
   menu.scrollIntoView({ block: "nearest" });
   say(`${at("menu-title").textContent} ${possible.map(words).join("; ")}.`);
 }
@@ -279,8 +279,8 @@ function closeMenu(back = true) {
   at("menu").hidden = true;
   const name = chosen.at(-1);
   chosen = [];
-  for (const group of at("drawing").querySelectorAll(".ka-can, .ka-acted")) group.classList.remove("ka-can", "ka-acted");
-  if (back) at("targets").querySelector(`[data-object="${CSS.escape(name)}"]`)?.focus();
+  for (const group of all(".ka-can, .ka-acted", at("drawing"))) group.classList.remove("ka-can", "ka-acted");
+  if (back) first(`[data-object="${CSS.escape(name)}"]`, at("targets"))?.focus();
 }
 
 // Requests.
@@ -288,7 +288,7 @@ function closeMenu(back = true) {
 function act(action) {
   const suggestion = view.suggestion;
   const followed = suggestion === null ? null : action === suggestion;
-  const within = at("menu").contains(document.activeElement) || at("targets").contains(document.activeElement);
+  const within = at("menu").contains(focused()) || at("targets").contains(focused());
   closeMenu(within);
   chosen = [];
   complain(null);
@@ -359,7 +359,7 @@ async function refresh() {
 /** Disable the page of a person who has left the team. */
 function leave(why) {
   closeMenu(false);
-  for (const part of [".work", "#advice", "#done"]) document.querySelector(part).hidden = true;
+  for (const part of [".work", "#advice", "#done"]) first(part).hidden = true;
   complain(why);
 }
 
@@ -426,7 +426,8 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "Escape") closeMenu();
 });
 document.addEventListener("click", (event) => {
-  if (!at("menu").hidden && !at("menu").contains(event.target) && !at("targets").contains(event.target)) closeMenu(false);
+  const clicked = /** @type {Node} */ (event.target);
+  if (!at("menu").hidden && !at("menu").contains(clicked) && !at("targets").contains(clicked)) closeMenu(false);
 });
 let across = 0;
 new ResizeObserver(() => {

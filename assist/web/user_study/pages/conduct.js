@@ -1,15 +1,15 @@
 // The experimenter's page: participants and their progress, dropouts, the sizes of conditions, and the export.
 
 import { Refused, ask, askJson } from "../../pages/connection.js";
-import { at, clock, complain } from "../../pages/page.js";
+import { all, at, clock, complain, focused } from "../../pages/page.js";
 
 const BETWEEN = 2000; // milliseconds between two updates
 const LEFT = ["gone", "withdrew", "declined", "full", "unmatched"];
 const STATES = { done: "completed", gone: "dropped out", withdrew: "withdrew", declined: "no consent", full: "study full", unmatched: "no group" };
 
-function cell(content, kind = null) {
+function cell(content, kind = "") {
   const made = document.createElement("td");
-  if (kind !== null) made.className = kind;
+  if (kind) made.className = kind;
   made.append(content ?? "");
   return made;
 }
@@ -84,7 +84,7 @@ function show(study) {
     cell(participants.filter((one) => one.number === number + 1 && one.status === "here").length, "count"),
     cell(participants.filter((one) => one.number === number + 1 && LEFT.includes(one.status)).length, "count"),
   ])));
-  const key = document.activeElement?.dataset?.key;
+  const key = focused()?.dataset.key;
   at("people").replaceChildren(...[...participants].reverse().map((one) => {
     const state = STATES[one.status] ?? (one.connected ? "connected" : "not connected");
     return row([
@@ -93,7 +93,7 @@ function show(study) {
       cells(one.status === "here" ? [remover(one.code)] : [], one.erased ? [] : [eraser(one.code)]),
     ], one.status === "here" ? "" : "over");
   }));
-  if (key) [...document.querySelectorAll("[data-key]")].find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
+  if (key) all("[data-key]").find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
 }
 
 let timer = null;

@@ -1,7 +1,7 @@
 // A participant's page: consent, instructions, questionnaires and the end. It redirects to the page of tasks.
 
-import { Channel, Outbox, Refused, address, askJson, passes, pageOf, pathOf, person, place } from "../../pages/connection.js";
-import { at, complain, element, language, sentence, text } from "../../pages/page.js";
+import { Channel, Outbox, Refused, askJson, passes, pageOf, pathOf, person, place } from "../../pages/connection.js";
+import { all, at, complain, element, language, sentence, text } from "../../pages/page.js";
 import { Questions } from "./questions.js";
 
 const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${rest}`;
@@ -17,7 +17,7 @@ const draftKey = () => `kitassist draft ${place} ${view.study.stage}`;
 
 function draft() {
   try {
-    return JSON.parse(sessionStorage.getItem(draftKey())) ?? {};
+    return JSON.parse(sessionStorage.getItem(draftKey()) ?? "{}");
   } catch {
     return {};
   }
@@ -143,7 +143,7 @@ function show() {
     at("progress").max = study.waiting.of;
     at("progress").value = study.waiting.here;
   }
-  for (const button of document.querySelectorAll("main .buttons button")) button.disabled = outbox.busy;
+  for (const button of all("main .buttons button")) button.disabled = outbox.busy;
   if (shown === key(study) && !(leaves && under)) return;
   const first = shown === null;
   shown = key(study);

@@ -1,6 +1,6 @@
 // The questions of a questionnaire. Each is a fieldset, so that screen readers announce it with its answers.
 
-import { element, figure, text } from "../../pages/page.js";
+import { at, element, figure, first, text } from "../../pages/page.js";
 
 const SCALES = ["slider", "nasa-tlx"];
 const POINTS = ["likert", "likert-grid"];
@@ -51,12 +51,12 @@ export class Questions {
   check() {
     const wrong = Object.values(this.items).map((item) => [item, this.problem(item)]).filter(([, problem]) => problem !== null);
     for (const [item, problem] of wrong) {
-      const error = document.getElementById(`error-${item.name}`);
+      const error = at(`error-${item.name}`);
       fieldset(item).classList.add("missing");
       error.textContent = problem;
       error.hidden = false;
     }
-    if (wrong.length) fieldset(wrong[0][0]).querySelector("input, textarea").focus();
+    if (wrong.length) first("input, textarea", fieldset(wrong[0][0])).focus();
     return wrong.length;
   }
 
@@ -64,7 +64,7 @@ export class Questions {
     if (value === undefined) delete this.answers[item.name];
     else this.answers[item.name] = value;
     fieldset(item).classList.remove("missing");
-    document.getElementById(`error-${item.name}`).hidden = true;
+    at(`error-${item.name}`).hidden = true;
     this.changed(this.answers);
   }
 
@@ -83,7 +83,7 @@ export class Questions {
         this.answer(item, undefined);
         const again = this.field(item);
         fieldset(item).replaceWith(again);
-        again.querySelector("input").focus();
+        first("input", again).focus();
       });
       made.append(clear);
     }
@@ -187,5 +187,5 @@ export class Questions {
   }
 }
 
-const fieldset = (item) => document.getElementById(`item ${item.name}`);
+const fieldset = (item) => at(`item ${item.name}`);
 const range = (item) => text(item.step === 1 ? "question.range" : "question.range_steps", { low: figure(item.min), high: figure(item.max), step: figure(item.step) });

@@ -1,13 +1,13 @@
 // The page of the join link: each browser becomes one participant, always the same one.
 
 import { Refused, address, askJson, newId, passes, place } from "../../pages/connection.js";
-import { at, sentence, text } from "../../pages/page.js";
+import { at, sentence, text, wait } from "../../pages/page.js";
 
 const KEY = `kitassist visit ${place}`;
 
 function kept() {
   try {
-    return JSON.parse(localStorage.getItem(KEY));
+    return JSON.parse(localStorage.getItem(KEY) ?? "null");
   } catch {
     return null;
   }
@@ -44,15 +44,13 @@ function bodyOf(id) {
   return signature ? { id, signature } : { id, key: browserKey() };
 }
 
-function tell(words, { begin = null, before = null } = {}) {
+function tell(words, { begin = "", before = "" } = {}) {
   at("text").textContent = words;
-  at("begin").hidden = begin === null;
-  if (begin !== null) at("begin").textContent = begin;
-  at("before").hidden = before === null;
-  if (before !== null) at("before").href = before;
+  at("begin").hidden = !begin;
+  if (begin) at("begin").textContent = begin;
+  at("before").hidden = !before;
+  if (before) at("before").href = before;
 }
-
-const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
 async function visit(id) {
   for (let pause = 250; ; pause = Math.min(2 * pause, 3000)) {

@@ -1,0 +1,117 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Socket, open } from "./browser.js";
+
+const json = (content, status = 200) => new Response(JSON.stringify(content), { status });
+const until = async (holds) => {
+  while (!holds()) await new Promise((resolve) => setTimeout(resolve, 5));
+};
+const noted = () => {
+  const told = [];
+  const note = (kind) => (...what) => told.push([kind, ...what]);
+  return { told, answered: note("answered"), refused: note("refused"), waiting: note("waiting") };
+};
+
+test("the token of a link becomes a cookie and leaves the address", async () => {
+  const { ask, asked } = await open("/join/ann%20b#secret?");
+  await until(() => !location.hash);
+  assert.deepEqual(asked.map((one) => one.path), ["/api/session", "/api/me"]);
+  assert.equal(asked[0].headers.Authorization, "Bearer secret?");
+  await ask("/api/me");
+  assert.deepEqual(asked[2].headers, { "Kitassist-Caller": "person%20ann%20b" });
+});
+
+test("without cookies the page goes on with the token", async () => {
+  const { ask, asked, pageOf, person } = await open("/join/ann#secret", { fetch: ({ path }) => json({}, path === "/api/me" ? 401 : 200) });
+  await until(() => asked.length === 2);
+  await assert.rejects(ask("/api/me"), { status: 401, message: "Use the complete link." });
+  assert.equal(asked[2].headers.Authorization, "Bearer secret");
+  assert.equal(person, "ann");
+  assert.match(pageOf("part", "?leave"), /\/part\/ann\?leave#secret$/);
+});
+
+test("the operator of a study is no participant", async () => {
+  const { ask, asked, person } = await open("/study/operator");
+  await ask("/api/study");
+  assert.equal(person, "");
+  assert.deepEqual(asked[0].headers, { "Kitassist-Caller": "operator" });
+});
+
+test("a refusal has the reason, or the status where no JSON comes", async () => {
+  const { ask, passes } = await open("/join/ann", { fetch: (_, n) => (n === 1 ? json({ detail: "no" }, 409) : new Response("<html>", { status: 502, statusText: "Bad Gateway" })) });
+  await assert.rejects(ask("/x"), { status: 409, message: "no" });
+  const error = await ask("/x").catch((one) => one);
+  assert.equal(error.message, "502 Bad Gateway");
+  assert.equal(passes(error), true);
+});
+
+test("an action survives bad gateways and lost answers under one id, and is answered once", async () => {
+  const { Outbox, asked } = await open("/join/ann", {
+    fetch: (_, n) => {
+      if (n === 1) throw new TypeError("network");
+      return n === 2 ? new Response("", { status: 502 }) : json({ seq: 7 });
+    },
+  });
+  const { told, ...tells } = noted();
+  const outbox = new Outbox("actions", tells);
+  assert.equal(outbox.send("/act", { action: "(a)" }), true);
+  assert.equal(outbox.send("/act", { action: "(b)" }), false); // one at a time
+  await until(() => !outbox.busy);
+  assert.equal(new Set(asked.map((one) => one.body)).size, 1);
+  assert.deepEqual(told.map(([kind]) => kind), ["waiting", "waiting", "answered"]);
+  assert.deepEqual(told[2][1], { seq: 7 });
+  assert.equal(outbox.send("/act", { action: "(b)" }), true);
+});
+
+test("an unanswered action is sent again after a reload", async () => {
+  const lost = await open("/join/ann", { fetch: () => new Promise(() => {}) });
+  new lost.Outbox("actions", noted()).send("/act", { action: "(a)" });
+  const { Outbox, asked } = await open("/join/ann", { stored: lost.stored });
+  const { told, ...tells } = noted();
+  const outbox = new Outbox("actions", tells);
+  assert.equal(outbox.busy, true);
+  await outbox.resume();
+  assert.equal(asked[0].body, lost.asked[0].body);
+  assert.deepEqual(told.map(([kind]) => kind), ["answered"]);
+  assert.equal(lost.stored.size, 0);
+});
+
+test("a refused action is not sent again", async () => {
+  const { Outbox, asked } = await open("/join/ann", { fetch: () => json({ detail: "not applicable" }, 409) });
+  const { told, ...tells } = noted();
+  const outbox = new Outbox("actions", tells);
+  outbox.send("/act", {});
+  await until(() => !outbox.busy);
+  assert.equal(told[0][1].message, "not applicable");
+  assert.equal(asked.length, 1);
+});
+
+test("a fault of the page after an answer is no lost request", async () => {
+  const { Outbox } = await open("/join/ann");
+  const { told, ...tells } = noted();
+  const outbox = new Outbox("actions", { ...tells, answered: () => { throw new Error("a fault"); } });
+  outbox.keep({ path: "/act", body: {} });
+  await assert.rejects(outbox.resume(), /a fault/);
+  assert.deepEqual([told, outbox.busy], [[], false]);
+});
+
+test("a lost socket is opened again; one that was refused or ended is not", async () => {
+  const { Channel } = await open("/join/ann");
+  const [states, messages] = [[], []];
+  const channel = new Channel("/events", { message: (one) => messages.push(one), state: (one) => states.push(one) });
+  Socket.all[0].opens();
+  Socket.all[0].onmessage({ data: '{"seq": 1}' });
+  Socket.all[0].close(1006);
+  await until(() => Socket.all.length === 2);
+  Socket.all[0].onmessage({ data: '{"seq": 0}' }); // late, of the old socket
+  Socket.all[1].opens();
+  assert.deepEqual([states, messages], [["connected", "lost", "connected"], [{ seq: 1 }]]);
+  assert.deepEqual(Socket.all[1].protocols, ["kitassist", "caller.person%20ann"]);
+  channel.end();
+  channel.hurry();
+  assert.deepEqual([states.length, Socket.all.length], [3, 2]);
+  const other = new Channel("/events", { message() {}, state: (one) => states.push(one) });
+  Socket.all[2].close(4403);
+  other.hurry();
+  assert.deepEqual([states.at(-1), Socket.all.length], ["over", 3]);
+});

@@ -1,0 +1,33 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { open } from "./browser.js";
+
+test("a text has its values, and its own form for one", async () => {
+  const { text } = await open("/join/ann");
+  assert.equal(text("a.of", { done: 0, all: 3 }), "0 of 3");
+  assert.equal(text("a.step", { n: 2 }), "2 steps");
+  assert.equal(text("a.step", { n: 1 }), "1 step");
+});
+
+test("numbers are written as in the page's language", async () => {
+  const { figure } = await open("/join/ann", { language: "de" });
+  assert.deepEqual([figure(0.5), figure(1234.5, 2), figure(2, 0), figure(2)], ["0,5", "1234,50", "2", "2"]);
+});
+
+test("a refusal is a sentence", async () => {
+  const { sentence } = await open("/join/ann");
+  assert.deepEqual(["no such task", "Is it?", "x"].map(sentence), ["No such task.", "Is it?", "X."]);
+});
+
+test("a clock has minutes and two digits of seconds", async () => {
+  const { clock } = await open("/join/ann");
+  assert.deepEqual([0, 9.9, 60, 3661].map(clock), ["0:00", "0:09", "1:00", "61:01"]);
+});
+
+test("a complaint is shown until there is none", async () => {
+  const { complain, elements } = await open("/join/ann");
+  complain("This is wrong.");
+  assert.deepEqual([elements.problem.textContent, elements.problem.hidden], ["This is wrong.", false]);
+  complain(null);
+  assert.deepEqual([elements.problem.textContent, elements.problem.hidden], ["", true]);
+});
