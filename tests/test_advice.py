@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -54,36 +55,42 @@ def after(
     return min(max((a * t + b) / (c * t + d), LEAST), 1 - LEAST), good, bad
 
 
-def test_the_likelihood_is_that_of_the_model() -> None:
+@pytest.mark.parametrize("slope", ["", "random confidence slope + "])
+def test_the_likelihood_is_that_of_the_model(slope: str) -> None:
     """One person at a time, in plain arithmetic, for a rule of the logit scale and each base."""
     log = simulated(4, 12, 0)
     log = AdviceLog(**vars(log) | {"advice_confidence": np.linspace(-0.5, 0.5, len(log))})
     for base in BASES:
-        model = AdviceModel.of(base, "L agreement + outcome at disagreement")
+        model = AdviceModel.of(base, f"{slope}L agreement + outcome at disagreement")
         own, total = model.parameters, 0.0
         nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+        # b1 differs between people under one of the rules: the mean over a second normal distribution.
+        others, shares = np.polynomial.hermite_e.hermegauss(11) if slope else (np.zeros(1), np.ones(1))
         for name in np.unique(log.person):
             rows = np.flatnonzero(log.person == name)
             mass = 0.0
-            for node, weight in zip(nodes, weights / weights.sum(), strict=True):
-                theta, product = 1 / (1 + math.exp(-(own["mu"] + own["sigma"] * node))), 1.0
+            for (node, weight), (other, share) in product(
+                zip(nodes, weights / weights.sum(), strict=True), zip(others, shares / shares.sum(), strict=True)
+            ):
+                theta, chance = 1 / (1 + math.exp(-(own["mu"] + own["sigma"] * node))), 1.0
+                b1 = own["b1"] + own.get("slope", 0.0) * other
                 theta = min(max(theta, LEAST), 1 - LEAST)
                 for i in rows:
                     c, s = log.confidence[i], 1 if log.agrees[i] else -1
                     z = math.log(theta / (1 - theta))
                     if base == "A":
-                        z += s * (own["b0"] + own["b1"] * c)
+                        z += s * (own["b0"] + b1 * c)
                     elif log.agrees[i]:
                         z = own["a0"] + own["a1"] * c
                     else:
-                        z -= own["b1"] * c
+                        z -= b1 * c
                     z += own.get("advised", 0.0) * log.advice_confidence[i]
                     p = LAPSE + (1 - 2 * LAPSE) / (1 + math.exp(-z))
-                    product *= p if log.follows[i] else 1 - p
+                    chance *= p if log.follows[i] else 1 - p
                     step = own["o"] if log.agrees[i] else own["g"] if log.right[i] else -own["l"]
                     theta = 1 / (1 + math.exp(-(math.log(theta / (1 - theta)) + step)))
                     theta = min(max(theta, LEAST), 1 - LEAST)
-                mass += weight * product
+                mass += weight * share * chance
             total += math.log(mass)
         assert model.predictions(log).sum() == pytest.approx(total, rel=1e-10)
         assert model.log_likelihood(log) == pytest.approx(total, rel=1e-10)

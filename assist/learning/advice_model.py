@@ -9,8 +9,10 @@ choice, -1 elsewhere, z is one of
 - base "E": a0 + a1 c where the advice is the own choice, else logit(theta) - b1 c: agreement does not inform theta;
 - base "EA": base "E" plus `advised` times the advisor's confidence, in all rows.
 
-The initial theta is integrated out by Gauss-Hermite quadrature, and its posterior is updated after each row, so that
-every row is predicted from the rows before it.
+Under two rules b1 differs between people, too: it is normal with the standard deviation `slope`.
+
+The initial theta, and b1 where it differs, are integrated out by Gauss-Hermite quadrature. Their posterior is updated
+after each row, so that every row is predicted from the rows before it.
 """
 
 from __future__ import annotations
@@ -39,6 +41,9 @@ NODES = 31
 
 POINTS, WEIGHTS = np.polynomial.hermite_e.hermegauss(NODES)
 WEIGHTS = WEIGHTS / WEIGHTS.sum()
+
+SLOPES, SLOPE_WEIGHTS = np.polynomial.hermite_e.hermegauss(11)
+SLOPE_WEIGHTS = SLOPE_WEIGHTS / SLOPE_WEIGHTS.sum()
 
 MOST_LOG_ODDS = 200.0
 """Limit of log-odds in compiled code, so that no exponential overflows."""
@@ -168,6 +173,11 @@ def _rules() -> dict[str, Rule]:
             "perceived reliability at disagreement", RELIABILITY, False, ("n0", "rk", "r0"), (5.0, 1.0, 0.4),
             lambda n, k, r: (n, k, r, 1, 0, 0, 0, 0),
         ),
+        Rule("random confidence slope", STEPS, True, ("slope",), (1.0,), lambda slope: (0,) * 8),  # noqa: ARG005
+        Rule(
+            "random confidence slope + L agreement + outcome at disagreement", STEPS, True, ("slope", "o", "g", "l"),
+            (1.0, 0.04, 0.08, 0.16), lambda slope, o, g, down: (o, 0, 0, 0, 0, 0, g, -down),  # noqa: ARG005
+        ),
         Rule(
             "beta counts, all forgotten", FORGOTTEN, False, ("n0", "gam"), (20.0, 0.95),
             lambda n, f: (n, f, Reliability().counts, 0, 0, 0, 0, 0),
@@ -195,7 +205,7 @@ BASES = {
 }
 """Parameters of each base, with values at which fits begin."""
 
-POSITIVE = {"sigma", "n0", "w", "ws", "wf"}
+POSITIVE = {"sigma", "slope", "n0", "w", "ws", "wf"}
 UNIT = {"gam", "r0"}
 
 
@@ -229,23 +239,34 @@ class AdviceModel:
         return dict(zip((*BASES[self.base], *self.rule.parameters), self.values, strict=True))
 
     def likelihood(self, log: AdviceLog) -> tuple[Floats, Floats]:
-        """Return the likelihood of each answer at each node, shape (N, K), and the log weights of the nodes, (K,)."""
-        found = np.empty((len(log), NODES))
+        """Return the likelihood of each answer at each node, shape (N, K), and the log weights of the nodes, (K,).
+
+        The nodes are those of theta_0; under rules whose b1 differs between people, these for each node of b1.
+        """
+        weights = self._nodes()[1]
+        found = np.empty((len(log), len(weights)))
         self._likelihood(found, log)
-        return found, np.log(WEIGHTS)
+        return found, np.log(weights)
+
+    def _nodes(self) -> tuple[Floats, Floats]:
+        """Return the nodes of b1, shape (M,), and the weights of all nodes, shape (M * NODES,)."""
+        own = self.parameters
+        if "slope" not in own:
+            return np.array([own["b1"]]), WEIGHTS
+        return own["b1"] + own["slope"] * SLOPES, np.multiply.outer(SLOPE_WEIGHTS, WEIGHTS).ravel()
 
     def _likelihood(self, found: Floats, log: AdviceLog) -> Floats:
         own = self.parameters
         start = np.clip(1 / (1 + np.exp(-(own["mu"] + own["sigma"] * POINTS))), LEAST, 1 - LEAST)
+        slopes, weights = self._nodes()
         rule = np.array(self.rule.coefficients(*self.values[len(BASES[self.base]) :]), dtype=float)
         by_agreement = self.base != "A"
-        agree = np.array([own["a0"], own["a1"]] if by_agreement else [own["b0"], own["b1"]])
-        other = np.array([0.0 if by_agreement else own["b0"], own["b1"]])
+        agree = np.array([own["a0"], own["a1"]] if by_agreement else [0.0, 0.0])
         totals = np.empty(int(log.first.sum()))
         _likelihood(
             found, totals, log.first, log.sequence, log.agrees, log.follows, log.right, log.shown, log.confidence,
-            log.advice_confidence * own.get("advised", 0.0), start, WEIGHTS, self.rule.kind, self.rule.logit, rule,
-            by_agreement, agree, other,
+            log.advice_confidence * own.get("advised", 0.0), np.tile(start, len(slopes)), weights, self.rule.kind,
+            self.rule.logit, rule, by_agreement, agree, own.get("b0", 0.0), slopes,
         )  # fmt: skip
         return totals
 
@@ -266,7 +287,7 @@ class AdviceModel:
 
     def log_likelihoods(self, log: AdviceLog) -> Floats:
         """Return the log probability of each person's answers: the sums of `predictions`, in the order of the log."""
-        return self._likelihood(np.empty((0, NODES)), log)
+        return self._likelihood(np.empty((0, len(self._nodes()[1]))), log)
 
     def log_likelihood(self, log: AdviceLog) -> float:
         """Return the log probability of all answers."""
@@ -450,16 +471,18 @@ def _likelihood(
     found: Floats, totals: Floats, first: NDArray[np.bool_], sequence: NDArray[np.int64], agrees: NDArray[np.bool_],
     follows: NDArray[np.bool_], right: NDArray[np.bool_], shown: NDArray[np.bool_], confidence: Floats, advised: Floats,
     start: Floats, weights: Floats, kind: int, logit: bool, rule: Floats, by_agreement: bool, agree: Floats,
-    other: Floats,
+    bonus: float, slopes: Floats,
 ) -> None:  # fmt: skip
     """Fill in people's log likelihoods, and in `found` that of each answer at each node, shape (N, K), if it has rows.
 
-    A person's is the log of the mean, over nodes, of the product of the likelihoods of their answers.
+    A person's is the log of the mean, over nodes, of the product of the likelihoods of their answers. The nodes are
+    those of theta_0 with each node of b1, `slopes`, shape (M,): `start` and `weights` have shape (K,), K a multiple of
+    M. `bonus` is b0, and `agree` has a0 and a1.
 
     What differs between nodes is rational in theta: exponentials are taken once for each row, and loops over nodes are
     vectorised.
     """
-    nodes, advisors = len(start), sequence.max() + 1
+    nodes, advisors, block = len(start), sequence.max() + 1, len(start) // len(slopes)
     theta, product, p = np.empty((advisors, nodes)), weights.copy(), np.empty(nodes)
     good, bad = np.zeros(advisors), np.zeros(advisors)
     person, of_all = -1, 1.0
@@ -469,17 +492,20 @@ def _likelihood(
             product[:], theta[:], of_all = weights, start, 1.0
             good[:], bad[:] = 0.0, 0.0
         a, c = sequence[i], confidence[i]
-        z = (agree[0] + agree[1] * c if agrees[i] else -other[0] - other[1] * c) + advised[i]
-        odds = math.exp(min(max(-z, -MOST_LOG_ODDS), MOST_LOG_ODDS))
         if agrees[i] and by_agreement:
-            same = LAPSE + (1.0 - 2.0 * LAPSE) / (1.0 + odds)
+            z = agree[0] + agree[1] * c + advised[i]
+            same = LAPSE + (1.0 - 2.0 * LAPSE) / (1.0 + math.exp(min(max(-z, -MOST_LOG_ODDS), MOST_LOG_ODDS)))
             p[:] = same if follows[i] else 1.0 - same
             of_all *= p[0]
         else:
             low, slope = (LAPSE, 1.0 - 2.0 * LAPSE) if follows[i] else (1.0 - LAPSE, 2.0 * LAPSE - 1.0)
-            for k in range(nodes):
-                p[k] = low + slope * theta[a, k] / (theta[a, k] + (1.0 - theta[a, k]) * odds)
-                product[k] *= p[k]
+            for j in range(len(slopes)):
+                z = bonus + slopes[j] * c
+                z = (z if agrees[i] else -z) + advised[i]
+                odds = math.exp(min(max(-z, -MOST_LOG_ODDS), MOST_LOG_ODDS))
+                for k in range(j * block, (j + 1) * block):
+                    p[k] = low + slope * theta[a, k] / (theta[a, k] + (1.0 - theta[a, k]) * odds)
+                    product[k] *= p[k]
         if len(found):
             found[i] = p
         if i + 1 == len(first) or first[i + 1]:
