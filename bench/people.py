@@ -36,7 +36,7 @@ from assist.learning.observations import EvaluatedStates, Observations
 from assist.learning.replay import Recording, situation
 from assist.people import TERMS, Situation, Term, features
 from planner import Instance, Table, cost_to_go, load
-from planner.search.distances import UNREACHED, backward
+from planner.search.distances import UNREACHED, plan_lengths
 
 ROOT = Path(__file__).resolve().parent.parent
 TOWER = ROOT / "domains" / "tower" / "domain.pddl"
@@ -60,7 +60,7 @@ def settled(table: Table, s: Situation) -> np.ndarray:
     for fact in table.task.goal:
         held = table.space.numbering.where([fact])
         kept = held[sources] & held[rows.targets]
-        ways = backward(rows.targets[kept], sources[kept], table.space.costs[kept], table.space.goal)
+        ways = plan_lengths(rows.targets[kept], sources[kept], table.space.goal)
         count += held & (ways != UNREACHED)
     return count[s.targets] - count[s.state][:, None]
 

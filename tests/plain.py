@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.grounding.semantics import derived, successors
 from planner.grounding.task import Fact, Task
+from planner.search.distances import UNREACHED
 from planner.states.packing import Ints
 from planner.states.state_space import Part, StateSpace
 
@@ -61,3 +63,19 @@ def explore(task: Task) -> StateSpace:
                 number[values] = len(waiting)
                 waiting.append(values)
     return StateSpace(task, len(number), 0, sum(map(len, after)), Listed(number, after))
+
+
+def distances(space: StateSpace) -> Ints:
+    """Return the cost-to-go of every state (Dijkstra 1959); `UNREACHED` where there is none."""
+    before: list[list[tuple[int, int]]] = [[] for _ in range(len(space))]
+    for target, source, cost in zip(space.transitions.targets, space.sources, space.costs, strict=True):
+        before[target].append((int(source), int(cost)))
+    found = np.full(len(space), UNREACHED)
+    waiting = [(0, int(state)) for state in np.flatnonzero(space.goal)]
+    while waiting:
+        distance, state = heapq.heappop(waiting)
+        if found[state] == UNREACHED:
+            found[state] = distance
+            for source, cost in before[state]:
+                heapq.heappush(waiting, (distance + cost, source))
+    return found

@@ -17,8 +17,8 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": """lazy_imports errors arrays files machine processes threads progress_reports progress_bars
-        progress jit limits workers typed_toml""",
+    "planner.system": """lazy_imports errors arrays files machine processes threads progress_reports progress jit
+        limits workers typed_toml""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations fragment formulas reader writer
         source validation validation_process built_problems""",
     "planner.grounding": "fast_downward cross_check task load semantics",

@@ -15,7 +15,7 @@ from planner.costtogo.cost_to_go import optimal_choices
 from planner.costtogo.verification import check_successors, sample
 from planner.grounding import fast_downward
 from planner.grounding.load import from_sas
-from planner.search.distances import UNREACHED, backward, compact, smallest_type
+from planner.search.distances import UNREACHED, compact, plan_lengths, smallest_type
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
 EDGES = [(1, 0, 5), (1, 2, 1), (2, 0, 3), (1, 3, 0), (3, 4, 0), (4, 0, 4), (4, 3, 0), (3, 1, 0), (2, 5, 1), (5, 6, 0)]
@@ -97,31 +97,11 @@ def test_a_table_without_any_finite_cost() -> None:
     assert compact(np.empty(0, dtype=np.int64)).dtype == np.uint8
 
 
-def test_distances_backwards_by_hand() -> None:
-    """Edges to the goal 0 from 1 (7), from 2 (1); from 1 to 2 (3), twice (4); 3 has none; 4 leads to 3, 5 to 1."""
+def test_numbers_of_actions_by_hand() -> None:
+    """Edges to the goal 0 from 1 and 2; from 1 to 2, twice; 3 has none; 4 leads to 3, 5 to 1."""
     targets, sources = np.array([0, 0, 2, 2, 3, 1]), np.array([1, 2, 1, 1, 4, 5])
-    costs, goal = np.array([7, 1, 4, 3, 1, 2]), np.array([True, False, False, False, False, False])
-    assert backward(targets, sources, costs, goal).tolist() == [0, 4, 1, UNREACHED, UNREACHED, 6]
-    assert backward(targets, sources, costs, np.zeros(6, dtype=bool)).tolist() == [UNREACHED] * 6
-
-    def stop(states: int) -> None:
-        raise LimitError(f"stopped with {states} states")
-
-    with pytest.raises(LimitError, match="stopped with 6 states"):
-        backward(targets, sources, costs, goal, check=stop)
-
-
-def test_free_edges_lead_round_a_circle_once() -> None:
-    """From 1 to the goal 0 for 3, and between 1 and 2 for nothing."""
-    rounds = list[int]()
-
-    def check(states: int) -> None:
-        rounds.append(states)
-        assert len(rounds) < 10
-
-    targets, sources, costs = np.array([0, 1, 2]), np.array([1, 2, 1]), np.array([3, 0, 0])
-    assert backward(targets, sources, costs, np.array([True, False, False]), check=check).tolist() == [0, 3, 3]
-    assert len(rounds) == 3  # the goal, 1, and 2
+    goal = np.array([True, False, False, False, False, False])
+    assert plan_lengths(targets, sources, goal).tolist() == [0, 1, 1, UNREACHED, UNREACHED, 2]
 
 
 def test_some_states_at_random(table: Table) -> None:

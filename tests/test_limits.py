@@ -19,7 +19,7 @@ from planner import Effect, LimitError, Operator, Task, Variable, instance
 from planner.costtogo.orbits import orbits
 from planner.search.ranking.linear_invariants import determined, invariants
 from planner.search.ranking.mutexes import Mutexes
-from planner.search.ranking.state_ranking import StateRanking, denser, plain
+from planner.search.ranking.state_ranking import StateRanking
 from planner.search.ranking.transition_normal_form import TNFOperator, exactly_one, split_operators
 from planner.search.ranking.variable_clusters import clusters
 from planner.search.state_registry import RegistrySpace
@@ -152,8 +152,7 @@ def test_messages_say_in_which_phase_time_ended() -> None:
         stop.set()
         for phase, search in (
             ("operators were split", lambda b: module.explored(task, b, 1, lambda *_: None, SweepOptions())),
-            ("an index was looked for", lambda b: plain(task, moves_of(task), b)),
-            ("an index was looked for", lambda b: denser(task, None, moves_of(task), b)),
+            ("an index was looked for", lambda b: module._denser(task, None, moves_of(task), b, 0.25)),
             ("operators were laid out", lambda b: RegistrySpace(task, b)),
         ):
             with pytest.raises(LimitError, match=f"^{how} while {phase}$"):

@@ -12,10 +12,10 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import KITTING, thinned
-from plain import explore
+from plain import distances, explore
 
 from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load, open_table, save_table
-from planner.search.distances import backward, compact
+from planner.search.distances import compact
 from planner.search.ranked_index import RankedIndex
 from planner.search.ranking.state_ranking import StateRanking
 from planner.search.ranking.transition_normal_form import exactly_one, split_operators
@@ -38,7 +38,7 @@ def check(task: Task, options: SweepOptions | None = None) -> Table:
     """Compare everything that a table says with the reference."""
     space = explore(task)
     rows = space.transitions
-    h = Table(space, compact(backward(rows.targets, space.sources, space.costs, space.goal)))
+    h = Table(space, compact(distances(space)))
     table = sweep(task, options=options)
     assert len(table) == len(space)
     assert table.space.transition_count == len(rows.actions)

@@ -8,7 +8,6 @@ disjunctions does, its task is swept by itself, and its table numbers the states
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -31,10 +30,7 @@ def sweep_goals(
     tasks: Sequence[Task],
     *,
     max_states: int | None = None,
-    memory_limit_mb: float | None = None,
-    deadline: float | None = None,
     threads: int | None = None,
-    stop: threading.Event | None = None,
     progress: Wanted = None,
 ) -> list[Table]:
     """Return the table of each task; the tasks differ in their goals only.
@@ -45,8 +41,8 @@ def sweep_goals(
     ----------
     tasks : sequence of Task
         One task for each goal.
-    max_states, memory_limit_mb, deadline, threads, stop, progress
-        As in `sweep`; the limits hold for all goals together, that of states for each enumeration.
+    max_states, threads, progress
+        As in `sweep`; the limit of states holds for each enumeration.
 
     Raises
     ------
@@ -57,7 +53,7 @@ def sweep_goals(
     """
     assert callable(progress)
     require_same_states(tasks)
-    budget = Budget.within(max_states, memory_limit_mb, deadline, stop)
+    budget = Budget.within(max_states)
     threads = threads or processors()
     enumerated: list[tuple[Task, list[tuple[int, Task]]]] = []  # first task of each enumeration, and its members
     for place, task in enumerate(tasks):

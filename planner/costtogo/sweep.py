@@ -21,8 +21,9 @@ from ..search.bucket_dijkstra import distances
 from ..search.forward_search import explore
 from ..search.kernels.ranked_successors import RankedOperators
 from ..search.ranked_index import RankedSpace
-from ..search.ranking.state_ranking import MANY, PHASE, StateRanking, denser, plain
-from ..search.ranking.transition_normal_form import TNFOperator, split_operators
+from ..search.ranking.mutexes import Mutexes
+from ..search.ranking.state_ranking import MANY, StateRanking
+from ..search.ranking.transition_normal_form import TNFOperator, exactly_one, split_operators
 from ..search.search_space import SearchSpace
 from ..search.state_registry import RegistrySpace
 from ..search.successor_generator import build_tests
@@ -31,6 +32,9 @@ from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError
 from ..system.machine import processors
 from ..system.progress import Progress, Wanted, shows_progress
 from .table import Table
+
+LOOKING = "an index was looked for"
+"""Phase in messages about limits: the construction of a ranking."""
 
 
 @dataclass(frozen=True)
@@ -162,10 +166,10 @@ def _plain(task: Task, budget: Budget) -> tuple[list[TNFOperator], StateRanking 
         moves = split_operators(task, budget.during("operators were split"))
         if moves is None:
             raise UnrankedError("its operators split into very many moves")
-        coding, moves = plain(task, moves, budget)
+        groups, moves = exactly_one(task, moves, budget.during(LOOKING))
+        return moves, StateRanking.of(task, groups, moves, budget.during(LOOKING))
     except (MemoryLimitError, MemoryError):
         raise UnrankedError("looking for an index took too much memory") from None
-    return moves, coding
 
 
 def _denser(
@@ -174,12 +178,18 @@ def _denser(
     """Return the moves and a ranking with at most as many ranks, a better one if the given one has too many."""
     why = "its states take more than 62 bits each"
     if coding is None or coding.size > MANY:
+        part = budget.part(share)
         try:
-            coding, moves = denser(task, coding, moves, budget.part(share))
+            mutexes = Mutexes.of(task, moves, part.during(LOOKING))
+            if mutexes is not None:
+                part = part.beside(mutexes.together.nbytes + mutexes.barred.nbytes)
+                found = StateRanking.dense(task, mutexes, part.during(LOOKING))
+                if found is not None and (coding is None or found.size < coding.size):
+                    return mutexes.moves, found
         except (MemoryLimitError, MemoryError):
             why = "looking for an index took too much memory"
         except LimitError:
-            budget.during(PHASE)(0)
+            budget.during(LOOKING)(0)
             why = "looking for an index took too long"
     if coding is None:
         raise UnrankedError(why)

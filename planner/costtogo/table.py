@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Task
-from ..search.distances import UNREACHED, backward
+from ..search.distances import UNREACHED, plan_lengths
 from ..states.packing import Ints
 from ..states.state_space import StateSpace, Transitions, state_numbers
 from .cost_to_go import optimal_choices, optimal_plan
@@ -131,11 +131,12 @@ class Table:
             cheapest = costs[rows.actions] + self.lookup(rows.targets) == self.lookup(sources)
             edges.append(np.stack([rows.targets, sources])[:, cheapest])
             layer = np.unique(rows.targets[cheapest & ~seen[rows.targets]])
-        place = np.cumsum(seen) - 1
-        targets, sources = place[np.hstack(edges)]
-        lengths = backward(targets, sources, np.ones_like(targets), self.is_goal(np.flatnonzero(seen)))
         result, known = np.full(len(wanted), UNREACHED), seen[wanted]
-        result[known] = lengths[place[wanted[known]]]
+        if known.any():
+            place = np.cumsum(seen) - 1
+            targets, sources = place[np.hstack(edges)]
+            lengths = plan_lengths(targets, sources, self.is_goal(np.flatnonzero(seen)))
+            result[known] = lengths[place[wanted[known]]]
         return result
 
     def optimal_choices(self) -> NDArray[np.bool_]:

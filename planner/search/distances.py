@@ -1,8 +1,6 @@
-"""Arrays of distances in small integer types, and distances from a goal over stored transitions."""
+"""Arrays of distances in small integer types, and numbers of actions over stored transitions."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,50 +30,16 @@ def compact(distance: NDArray[np.integer]) -> NDArray[np.unsignedinteger]:
     return retyped(distance, smallest_type(int(distance.max(where=finite, initial=0))))
 
 
-def backward(
-    targets: NDArray[np.signedinteger],
-    sources: Ints,
-    costs: Ints,
-    goal: NDArray[np.bool_],
-    *,
-    check: Callable[[int], None] = lambda _states: None,
-) -> Ints:
-    """Return the distance of every state to the goal states along the given edges (Dijkstra 1959).
+def plan_lengths(targets: NDArray[np.signedinteger], sources: Ints, goal: NDArray[np.bool_]) -> Ints:
+    """Return the least number of edges from every state to a goal state; `UNREACHED` where there is no path.
 
-    All states of one distance are settled at once.
-
-    Parameters
-    ----------
-    targets, sources, costs : int arrays, shape (m,)
-        Edges from `sources` to `targets`; costs of 0 or more.
-    goal : bool array, shape (n,)
-    check : callable, optional
-        Called with n before each distance; it may raise `LimitError`.
-
-    Returns
-    -------
-    int64 array, shape (n,)
-        `UNREACHED` where there is no path.
+    The edges lead from `sources` to `targets`, shape (m,); `goal` has shape (states,).
     """
-    by_target = np.argsort(targets, kind="stable")
-    into = np.concatenate([[0], np.cumsum(np.bincount(targets, minlength=len(goal)))])
-    sources, costs = sources[by_target], costs[by_target]
+    from scipy.sparse import csr_array  # slow to import
+    from scipy.sparse.csgraph import dijkstra
 
-    distance = np.full(len(goal), UNREACHED)
-    distance[goal] = 0
-    waiting = {0: [np.flatnonzero(goal)]}  # states by tentative distance
-    while waiting:
-        check(len(goal))
-        d = min(waiting)
-        frontier = np.unique(np.concatenate(waiting.pop(d)))
-        frontier = frontier[distance[frontier] == d]  # the others have a smaller distance, and are settled
-        counts = into[frontier + 1] - into[frontier]
-        starts = into[frontier] - np.concatenate([[0], np.cumsum(counts)[:-1]])
-        rows = np.repeat(starts, counts) + np.arange(counts.sum())
-        reached, through = sources[rows], d + costs[rows]
-        better = through < distance[reached]
-        reached, through = reached[better], through[better]
-        np.minimum.at(distance, reached, through)
-        for value in np.unique(through):
-            waiting.setdefault(int(value), []).append(reached[through == value])
-    return distance
+    into = csr_array((np.ones(len(targets)), (targets, sources)), shape=(len(goal), len(goal)))
+    lengths = dijkstra(into, indices=np.flatnonzero(goal), unweighted=True, min_only=True)
+    reached, found = np.isfinite(lengths), np.full(len(goal), UNREACHED)
+    found[reached] = lengths[reached]
+    return found

@@ -63,9 +63,9 @@ class Budget:
     def within(
         cls,
         max_states: int | None,
-        memory_mb: float | None,
-        deadline: float | None,
-        stop: StopSignal | None,
+        memory_mb: float | None = None,
+        deadline: float | None = None,
+        stop: StopSignal | None = None,
         lent: Callable[[], float] = float,
     ) -> Budget:
         """Return a budget of `memory_mb` megabytes, or of the memory available on the machine if that is less."""

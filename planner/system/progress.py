@@ -109,9 +109,8 @@ def told(progress: Wanted) -> Iterator[Progress]:
 
     Work that is part of other work is not shown by itself. The caller of the outer work has decided.
     """
-    part = bool(_displays or _work)
-    _work.append(token := object())
-    try:
+    part = bool(_work)
+    with _working():
         if callable(progress):
             yield progress
         elif part or not (_looked_at() if progress is None else progress):
@@ -119,8 +118,6 @@ def told(progress: Wanted) -> Iterator[Progress]:
         else:
             with stages(after=AFTER) as show:
                 yield show
-    finally:
-        _work.remove(token)
 
 
 def adding(show: Progress, what: str, total: int) -> Callable[[int], None]:
@@ -162,90 +159,103 @@ def compiling_line() -> Callable[[], None]:
     return say
 
 
-class _Display(Protocol):
-    """Shows a stage: a count, its total, and a line of text, which is `str(line)` at the time of drawing."""
+_work: list[object] = []
+"""A token of each display and each call of `told` that is active, whether something is shown or not."""
 
-    def show(self, line: object, done: int, total: int | None) -> None: ...
+
+@contextmanager
+def _working() -> Iterator[None]:
+    _work.append(token := object())
+    try:
+        yield
+    finally:
+        _work.remove(token)
+
+
+class _Display(Protocol):
+    """Shows a stage; its text is that at the time of drawing."""
+
+    def show(self, stage: Stage) -> None: ...
 
     def close(self) -> None: ...
 
 
-_displays: list[_Display] = []
-"""Displays that are shown now."""
-
-_work: list[object] = []
-"""Tokens of the calls of `told` that are active, whether shown or not."""
-
-
 @contextmanager
 def _display(after: float = 0.0) -> Iterator[Callable[[Stage], None]]:
-    """Yield a function that shows stages; the display is created with the first one."""
+    """Yield a function that shows stages; the display is created with the first one, but not within `after` seconds."""
     shown: list[_Display] = []
+    latest: list[Stage] = []
+    lock, due = threading.Lock(), not after
+
+    def draw() -> None:
+        nonlocal due
+        with lock:
+            due = True
+            if latest:
+                if not shown:
+                    shown.append(_made())
+                shown[0].show(latest[0])
 
     def show(stage: Stage) -> None:
-        if not shown:
-            shown.append(_Delayed(after) if after else _made())
-            _displays.append(shown[0])
-        shown[0].show(stage, stage.done, stage.total)
+        latest[:] = [stage]
+        if due:
+            draw()
 
-    try:
-        yield show
-    finally:
-        for display in shown:
-            _displays.remove(display)
-            display.close()
+    timer = threading.Timer(after, draw)
+    timer.daemon = True
+    with _working():
+        if after:
+            timer.start()
+        try:
+            yield show
+        finally:
+            timer.cancel()
+            with lock:
+                latest.clear()
+                for display in shown:
+                    display.close()
 
 
 def _made() -> _Display:
-    if sys.stderr.isatty():
-        from .progress_bars import Bar
-
-        return Bar()
     notebook = _notebook()
-    return _Lines() if notebook is None else _Line(notebook)
+    if sys.stderr.isatty():
+        return _Bar()
+    return _Lines() if notebook is None else _NotebookLine(notebook)
 
 
-class _Delayed:
-    """A display that appears only after some seconds."""
+class _Bar:
+    """A progress bar with a line of text, on a terminal."""
 
-    def __init__(self, seconds: float) -> None:
-        self._lock, self._display = threading.Lock(), list[_Display]()
-        self._latest: tuple[object, int, int | None] | None = None
-        self._timer = threading.Timer(seconds, self._begin)
-        self._timer.daemon = True
-        self._timer.start()
+    def __init__(self) -> None:
+        from rich.console import Console  # only where something is shown
+        from rich.progress import BarColumn, SpinnerColumn, TextColumn
+        from rich.progress import Progress as Bars
 
-    def show(self, line: object, done: int, total: int | None) -> None:
-        with self._lock:
-            self._latest = line, done, total
-            for display in self._display:
-                display.show(*self._latest)
+        text = TextColumn("{task.fields[stage]}", markup=False)
+        self._bars = Bars(SpinnerColumn(), BarColumn(), text, console=Console(stderr=True), transient=True)
+        self._task = self._bars.add_task("", total=None, stage="")
+        self._bars.start()
+
+    def show(self, stage: Stage) -> None:
+        if self._bars.tasks[0].total != stage.total:
+            self._bars.reset(self._task, total=stage.total)
+        self._bars.update(self._task, completed=stage.done, stage=stage)
 
     def close(self) -> None:
-        self._timer.cancel()
-        with self._lock:
-            self._latest = None
-            for display in self._display:
-                display.close()
-
-    def _begin(self) -> None:
-        with self._lock:
-            if self._latest is not None:
-                self._display.append(_made())
-                self._display[0].show(*self._latest)
+        self._bars.stop()
 
 
 class _Lines:
     """Prints a line at regular intervals."""
 
     def __init__(self, between: float | None = None) -> None:
-        self._line: object = ""
+        self._stage: object = ""
         self._between = BETWEEN_LINES if between is None else between
         self._ended = threading.Event()
         threading.Thread(target=self._print, daemon=True).start()
 
-    def show(self, line: object, done: int, total: int | None) -> None:  # noqa: ARG002  the line contains them
-        self._line = line
+    def show(self, stage: Stage) -> None:
+        self._stage = stage
 
     def close(self) -> None:
         self._ended.set()
@@ -253,13 +263,13 @@ class _Lines:
     def _print(self) -> None:
         with suppress(OSError, ValueError):  # stderr has been closed
             while not self._ended.wait(self._between):
-                self._write(str(self._line))
+                self._write(str(self._stage))
 
     def _write(self, line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
 
-class _Line(_Lines):
+class _NotebookLine(_Lines):
     """Updates one line in a notebook, and clears it at the end."""
 
     def __init__(self, display: Callable[..., Any]) -> None:

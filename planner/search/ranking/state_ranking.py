@@ -25,15 +25,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...grounding.task import Fact, Task
 from ...states.packing import Ints, Packing, Words
-from ...system.limits import Budget, Check, unchecked
+from ...system.limits import Check, unchecked
 from ..kernels.unranking import CLUSTER, NOWHERE, PRIME, UnrankingTables, decode_all
 from .linear_invariants import Determined, determined
 from .mutexes import Mutexes
-from .transition_normal_form import TNFOperator, exactly_one
+from .transition_normal_form import TNFOperator
 from .variable_clusters import Cluster, clusters
-
-PHASE = "an index was looked for"
-"""Description of the construction of a ranking, for messages about limits."""
 
 MANY = 1 << 33
 """Number of ranks above which the dense ranking is tried: a bitmap of this size takes 1 GB."""
@@ -209,24 +206,6 @@ class StateRanking:
         at = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
         return np.where(known & (own[at] == wanted), at, -1)
 
-    def matching(self, facts: Sequence[Fact], most: int) -> Ints | None:
-        """Return the ranks whose digits agree with the facts; None if there are more than `most`."""
-        wanted = dict(facts)
-        digits: list[Ints] = []
-        for number, cluster in enumerate(self.clusters):
-            if self.stride[number]:
-                holds = np.ones(len(cluster), dtype=bool)
-                for place, v in enumerate(cluster.variables):
-                    if v in wanted:
-                        holds &= cluster.values[:, place] == wanted[v]
-                digits.append(np.flatnonzero(holds) * self.stride[number])
-        if math.prod(map(len, digits)) > most:
-            return None
-        index = np.zeros(1, dtype=np.int64)
-        for own in digits:
-            index = np.add.outer(own, index).reshape(-1)
-        return index
-
     def encode(self, values: ArrayLike) -> Ints:
         """Return the ranks of states with values of shape (n, variables); -1 for states without a rank."""
         encoded = 1 << 11  # states that are ranked at a time, so that intermediate arrays fit the cache
@@ -248,30 +227,6 @@ class StateRanking:
         words = np.empty((len(index), self.decoder.rows.shape[1]), dtype=np.uint64)
         decode_all(self.decoder, index, words)
         return self.packing.unpack(words)
-
-
-def plain(task: Task, moves: list[TNFOperator], budget: Budget) -> tuple[StateRanking | None, list[TNFOperator]]:
-    """Return the ranking by single variables, if 62 bits suffice, and the moves that may be applicable.
-
-    If there is no such ranking, or it has more than `MANY` ranks, `denser` may find a better one.
-    """
-    check = budget.during(PHASE)
-    groups, possible = exactly_one(task, moves, check)
-    return StateRanking.of(task, groups, possible, check), possible
-
-
-def denser(
-    task: Task, coding: StateRanking | None, moves: list[TNFOperator], budget: Budget
-) -> tuple[StateRanking | None, list[TNFOperator]]:
-    """Return a ranking with fewer ranks and its moves, or the given ones if none is found."""
-    mutexes = Mutexes.of(task, moves, budget.during(PHASE))
-    if mutexes is None:
-        return coding, moves
-    beside = budget.beside(mutexes.together.nbytes + mutexes.barred.nbytes)
-    found = StateRanking.dense(task, mutexes, beside.during(PHASE))
-    if found is None or (coding is not None and found.size >= coding.size):
-        return coding, moves
-    return found, mutexes.moves
 
 
 def _joined(
