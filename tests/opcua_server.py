@@ -16,7 +16,7 @@ async def serve(port: int) -> None:
     space = await server.register_namespace("line")
     for station in ("A", "B"):
         folder = await server.nodes.objects.add_object(space, station)
-        for what in ("Pick", "Answer", "Light"):
+        for what in ("Pick", "Next", "Answer", "Light"):
             node = await folder.add_variable(ua.NodeId(f"{station}.{what}", space), what, "")
             await node.set_writable()
     async with server:

@@ -365,6 +365,14 @@ def test_ctrl_c_ends_the_line_and_all_that_it_has_started() -> None:
         os.killpg(line.pid, 0)
 
 
+def test_nothing_that_the_service_sends_waits_for_more() -> None:
+    """A connection that collects small pieces sends the body of an answer 40 ms after its head."""
+    with listen("127.0.0.1", 0) as listening, socket.create_connection(listening.getsockname()):
+        accepted, _ = listening.accept()
+        with accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
 def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path) -> None:
     file = settings_file(
         tmp_path,

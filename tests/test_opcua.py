@@ -39,6 +39,11 @@ person = "person-2"
 pattern = '(?P<verb>TAKE) (?P<code>\\d+)'
 action = "({verb} {code})"
 answer = "ns=2;s=B.Answer"
+[[observe]]
+node = "ns=2;s=B.Next"
+person = "person-2"
+begins = true
+answer = "ns=2;s=B.Answer"
 [[advice]]
 node = "ns=2;s=A.Light"
 person = "person-1"
@@ -84,9 +89,9 @@ class Station:
     def __init__(self, plant: Plant, name: str) -> None:
         self.plant, self.name = plant, name
 
-    async def show(self, value: str, identifier: str | None = None) -> dict[str, Any]:
+    async def show(self, value: str, identifier: str | None = None, *, at: str = "Pick") -> dict[str, Any]:
         """Show a value, again whenever the server has forgotten it; return the answer."""
-        pick, answer, given_up = f"ns=2;s={self.name}.Pick", f"ns=2;s={self.name}.Answer", time.monotonic() + 60
+        pick, answer, given_up = f"ns=2;s={self.name}.{at}", f"ns=2;s={self.name}.Answer", time.monotonic() + 60
         while time.monotonic() < given_up:
             with suppress(OSError, ua.UaError):
                 async with self.plant.client() as client:
@@ -129,6 +134,7 @@ def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tm
         refused = await Station(plant, "B").show("TAKE 4712")
         assert (refused["status"], "4712" in refused["detail"]) == ("refused", True)
         assert (await Station(plant, "B").show("TAKE 4711"))["status"] == "recorded"
+        assert (await Station(plant, "B").show("done", at="Next"))["status"] == "recorded"
 
     here.run(file, work)
     with TestClient(there.app, headers=there.headers) as client:
@@ -136,6 +142,7 @@ def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tm
             assert client.post("/api/people/person-1/actions", json={"action": action}).status_code == 200
         body = {"action": "(fetch box-b)"}
         assert client.post("/api/people/person-2/actions", json=body).status_code == 200
+        assert client.post("/api/people/person-2/begin").status_code == 200
     expected = {"person-1": walk, "person-2": ["(fetch box-b)"]}
     for one in (here, there):
         assert done_of(one.session._course.log(), expected) == expected

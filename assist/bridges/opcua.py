@@ -18,7 +18,6 @@ from hashlib import sha256
 from random import Random
 from types import ModuleType
 from typing import Any
-from urllib.parse import quote
 
 from planner.system.errors import MissingExtraError
 
@@ -206,10 +205,8 @@ class OpcUaBridge:
             identifier = fields.get("id")
             try:
                 report = observed.source.report(fields)
-                if report.fault is not None:
-                    raise MessageError(report.fault)
-                identifier, body = report.id, {"action": report.action, "id": report.id}
-                view = await self._session.ask("POST", f"/api/people/{quote(report.person, safe='')}/actions", body)
+                identifier = report.id
+                view = await self._session.report(report)
             except (MessageError, RefusedError) as error:
                 self._answer(observed, identifier, "refused", detail=str(error))
             else:

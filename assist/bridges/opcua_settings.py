@@ -10,7 +10,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from planner.system import typed_toml
-from planner.system.typed_toml import Text, convert, fault, located, regular_expression
+from planner.system.typed_toml import Text, Truth, convert, fault, located, regular_expression
 
 from .messages import Source, Topic
 
@@ -33,6 +33,7 @@ class ObserveTable(Struct, forbid_unknown_fields=True):
     id: Text | None = None
     pattern: Text | None = None
     answer: Text | None = None
+    begins: Truth = False
 
 
 class AdviceTable(Struct, forbid_unknown_fields=True):
@@ -110,8 +111,9 @@ class OpcUaSettings:
                 nodes = (_node(one.node, file, f"{place}.node"), _node(one.answer, file, f"{place}.answer"))
                 pattern = regular_expression(one.pattern, file, f"{place}.pattern")
                 source = Source(
-                    Topic("node"), one.action, one.id or "{id}", one.person, pattern=pattern, names=tables.names or {}
-                )
+                    Topic("node"), one.action, one.id or "{id}", one.person, pattern=pattern,
+                    names=tables.names or {}, begins=one.begins,
+                )  # fmt: skip
                 observed.append(Observed(nodes[0] or "", source, one.id is not None, nodes[1]))
             advice = [
                 (_node(one.node, file, f"advice[{number}].node") or "", one.person)

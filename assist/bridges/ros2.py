@@ -22,7 +22,6 @@ from collections.abc import Mapping
 from itertools import count
 from random import Random
 from typing import Any
-from urllib.parse import quote
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
@@ -205,9 +204,6 @@ class Ros2Bridge:
         except MessageError as error:
             self._answer(fields.get("person"), fields.get("id"), "refused", str(error))
             return
-        if report.fault is not None:
-            self._answer(report.person, report.id, "refused", report.fault)
-            return
         queue = self._reports.get(report.person)
         if queue is None:
             queue = self._reports[report.person] = asyncio.Queue()
@@ -219,13 +215,8 @@ class Ros2Bridge:
         try:
             while not queue.empty():
                 report = queue.get_nowait()
-                what, body = "begin", dict[str, Any](id=report.id)
-                if not report.begins:
-                    what, body["action"] = "actions", report.action
-                if report.seq is not None:
-                    body["seq"] = report.seq
                 try:
-                    view = await self._session.ask("POST", f"/api/people/{quote(person, safe='')}/{what}", body)
+                    view = await self._session.report(report)
                 except RefusedError as error:
                     self._answer(person, report.id, "refused", str(error))
                 else:

@@ -14,8 +14,10 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
 from ..web.client import AGAIN, Client, RefusedError
+from .messages import Report
 
 REMOVED = 4404  # close code of the service when a person leaves
+UNUSABLE = 422  # status of a report without an action
 
 
 class SessionClient:
@@ -69,6 +71,23 @@ class SessionClient:
             except (httpx2.TransportError, KeyError, TypeError, json.JSONDecodeError):
                 pass  # no answer, or one of a proxy
             await asyncio.sleep(self._pause)
+
+    async def report(self, report: Report) -> Any:
+        """Record what a message reports; return the person's new view.
+
+        Raises
+        ------
+        RefusedError
+            The service refused it, or the message has no usable action.
+        """
+        what, body = "begin", dict[str, Any](id=report.id)
+        if not report.begins:
+            what, body["action"] = "actions", report.action
+        if report.seq is not None:
+            body["seq"] = report.seq
+        if report.fault is not None:
+            raise RefusedError(UNUSABLE, report.fault)
+        return await self.ask("POST", f"/api/people/{quote(report.person, safe='')}/{what}", body)
 
     async def watch(self, person: str) -> AsyncIterator[dict[str, Any]]:
         """Yield a person's view now and after every change, until they leave. A lost connection is restored."""
