@@ -82,6 +82,7 @@ CASES = {
     "signals": ("--walks 200", "kitting/tiny --walks 10"),
     "start": ("--repeat 3", "--repeat 1"),
     "study": ("--humans 2 --people 4", "--check"),
+    "userstudy_intervals": ("", "--studies 2 --people 12"),
     "team latency": ("--repeat 11", "--repeat 1 --instance tiny"),
     "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1 --people 4000"),
     "team gap": (

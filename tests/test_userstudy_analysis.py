@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from itertools import combinations
+from itertools import combinations, permutations
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from userstudies import PLAN, SCORES, written
 from assist.cli import main
 from assist.reports.effects import difference, difference_within
 from assist.reports.hypothesis_tests import (
-    adjusted_for_period,
     fisher_p,
     holm,
     mann_whitney,
@@ -32,6 +31,7 @@ from assist.reports.hypothesis_tests import (
     welch_p,
 )
 from assist.reports.preregistration import REGISTERED
+from assist.reports.repeated_measures import adjusted_for_period, mixed_model
 from assist.reports.userstudy_report import of_folder, write_report
 from assist.reports.userstudy_summary import _adjusted, _measure, measures, summarise
 from assist.userstudy.plan import OUTCOMES, read
@@ -173,6 +173,71 @@ def test_least_squares_removes_what_people_learn_from_one_condition_to_the_next(
     assert adjusted_for_period({"none": {"P1": 1.0}, "a": {}}, {("P1", "none"): 1}, "none") == {}
 
 
+MIXED = {
+    0: {"a": (-1.589271428571, -3.063686449933, -0.114856407209)},
+    1: {
+        "a": (-2.326780935933, -3.888329810461, -0.765232061406),
+        "b": (1.057297594752, -0.895480767502, 3.010075957007),
+    },
+    2: {
+        "a": (-0.110909861834, -1.483339560429, 1.261519836761),
+        "b": (0.657150397184, -0.662530733665, 1.976831528034),
+    },
+}
+"""Estimates and intervals by R 4.2.2: for each data set, whose rows have who, condition, period, order and value,
+
+    m <- lme4::lmer(value ~ condition + period + order + (1 | who), d, control = lme4::lmerControl("nloptwrap",
+        optCtrl = list(xtol_abs = 1e-14, xtol_rel = 1e-14, ftol_abs = 1e-16, ftol_rel = 1e-16)))
+    t <- summary(nlme::lme(value ~ condition + period + order, d, ~ 1 | who))$tTable
+    s <- coef(summary(m)); s[, 1] + outer(s[, 2] * qt(.975, t[, "DF"]), c(0, -1, 1))
+
+with factors in all columns but the last, and the level "none" first. The second has gaps; in the third people do not
+differ.
+"""
+
+
+def with_orders(seed: int) -> tuple[dict[str, dict[str, float]], dict[tuple[str, str], int], dict[str, str]]:
+    """Return values by condition and participant, periods and orders."""
+    rng = np.random.default_rng(seed)
+    names = ["none", "a", "b"][: 2 if seed == 0 else 3]
+    possible = list(permutations(names))
+    values: dict[str, dict[str, float]] = {name: {} for name in names}
+    periods, orders = {}, {}
+    for number in range((12, 18, 15)[seed]):
+        who, own = f"P{number:02}", rng.normal(20, (4, 3, 0)[seed])
+        order = possible[rng.integers(len(possible))]
+        orders[who] = " > ".join(order)
+        for period, name in enumerate(order, start=1):
+            value = round(own + {"none": 0, "a": -2, "b": 1}[name] - 1.5 * period + rng.normal(0, 2), 3)
+            if seed == 0 or rng.random() < 0.75:
+                values[name][who], periods[who, name] = value, period
+    return values, periods, orders
+
+
+@pytest.mark.parametrize("seed", MIXED)
+def test_a_mixed_model_has_the_estimates_and_intervals_of_lme4(seed: int) -> None:
+    values, periods, orders = with_orders(seed)
+    found = mixed_model(values, periods, orders, "none")
+    assert {name: (one.value, one.low, one.high) for name, one in found.items()} == {
+        name: pytest.approx(peer, rel=1e-6) for name, peer in MIXED[seed].items()
+    }
+    if seed == 0:  # all data, two conditions: participants' own levels cancel
+        assert found["a"].record() == pytest.approx(adjusted_for_period(values, periods, "none")["a"].record())
+
+
+def test_a_mixed_model_that_the_data_do_not_determine_is_none() -> None:
+    values, periods, orders = with_orders(0)
+    once = {who: min(values, key=lambda name: periods[who, name]) for who in orders}
+    first = {name: {who: own[who] for who in own if once[who] == name} for name, own in values.items()}
+    assert mixed_model(first, periods, orders, "none") == {}  # nobody had two conditions
+    one = {who: order for who, order in orders.items() if order == "none > a"}
+    same = {name: {who: own[who] for who in one} for name, own in values.items()}
+    assert mixed_model(same, periods, one, "none") == {}  # condition and period are the same
+    equal = {name: dict.fromkeys(own, 3.0) for name, own in values.items()}
+    assert mixed_model(equal, periods, orders, "none") == {}
+    assert mixed_model({"none": {}, "a": {}}, {}, {}, "none") == {}
+
+
 def test_who_does_not_finish_counts_in_completion_and_has_the_worst_rank(tmp_path: Path) -> None:
     """One action and a timeout beat no optimum of six."""
     with_it = [("attention", "attention", 1, value, 6) for value in (6, 7, 6, None, None)]
@@ -250,7 +315,7 @@ def test_the_report_separates_confirmatory_from_exploratory(
     assert "| all tasks finished, % | attention |" in exploratory
     assert "### Sensitivity: the unfinished as the worst" in exploratory
     assert "| trust: rely | attention | 12 |" in exploratory
-    assert ("by period" in report) == (text == WITHIN)
+    assert ("by period | mixed model" in report) == (text == WITHIN)
     assert "The study was not preregistered." in report
     assert json.loads((tmp_path / "report" / "summary.json").read_text()) == summary
 

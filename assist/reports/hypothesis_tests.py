@@ -6,7 +6,7 @@ Every function returns NaN where the data do not determine a result, for instanc
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,47 +154,3 @@ def holm(p_values: Sequence[float]) -> list[float]:
         largest = max(largest, min(1.0, (len(values) - place) * values[number]))
         adjusted[number] = largest
     return [math.nan if math.isnan(p) else q for p, q in zip(p_values, adjusted, strict=True)]
-
-
-def adjusted_for_period(
-    values: Mapping[str, Mapping[str, float]],
-    periods: Mapping[tuple[str, str], int],
-    reference: str,
-    level: float = 0.95,
-) -> dict[str, IntervalEstimate]:
-    """Return each condition's difference from the reference, adjusted for participants and periods by least squares.
-
-    Learning from one condition to the next is then no part of the differences, also if orders are not balanced. With
-    the participants as fixed effects this is the within-participants estimate of the linear mixed model.
-
-    Parameters
-    ----------
-    values : mapping of mapping of float
-        Values by condition and participant.
-    periods : mapping of (participant, condition) to int
-        The period in which the participant had the condition.
-    reference : str
-    level : float
-    """
-    rows = [(who, name, value) for name, own in values.items() for who, value in own.items()]
-    others = [name for name in values if name != reference and values[name]]
-    people = list(dict.fromkeys(who for who, _, _ in rows))
-    times = sorted({periods[who, name] for who, name, _ in rows})[1:]
-    design = np.array([
-        [name == other for other in others] + [who == one for one in people]
-        + [periods[who, name] == time for time in times]
-        for who, name, _ in rows
-    ], dtype=float).reshape(len(rows), len(others) + len(people) + len(times))  # fmt: skip
-    rank = int(np.linalg.matrix_rank(design)) if rows else 0
-    freedom = len(rows) - rank
-    if rank < design.shape[1] or freedom < 1 or not others:
-        return {}
-    outcome = np.array([value for _, _, value in rows])
-    inverse = np.linalg.inv(design.T @ design)
-    found = inverse @ design.T @ outcome
-    error = float(((outcome - design @ found) ** 2).sum()) / freedom
-    half = stats.t.ppf((1 + level) / 2, freedom) * np.sqrt(error * np.diag(inverse))
-    return {
-        name: IntervalEstimate(float(found[n]), float(found[n] - half[n]), float(found[n] + half[n]))
-        for n, name in enumerate(others)
-    }

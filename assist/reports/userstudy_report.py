@@ -298,8 +298,9 @@ def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
         else "Differences of means with Welch's 95 % intervals, and Hedges' g."
     )
     tests = (
-        "Tests are paired t-tests, and exact McNemar tests of completion. *By period* is the difference adjusted for "
-        "participants and periods by least squares."
+        "Tests are paired t-tests, and exact McNemar tests of completion. *By period* is the difference with "
+        "participants and periods as fixed effects; the *mixed model* has periods and orders as fixed effects and "
+        "participants as random ones (restricted maximum likelihood)."
         if study.is_within
         else "Tests are Welch's."
         if study.group is not None
@@ -338,11 +339,20 @@ def _differences(study: UserStudy, measures: list[dict[str, Any]]) -> str:
         for other in one["differences"]:
             p = other.get("p_holm") if one["confirmatory"] else other["p"]
             effect = "" if other["hedges_g"] is None else f"{other['hedges_g']:.2f}"
-            period = interval(other["by_period"]) if "by_period" in other else ""
+            models = [interval(other[model]) if model in other else "" for model in ("by_period", "mixed_model")]
             shown = ("yes" if p is not None and p < 0.05 else "no") if one["confirmatory"] else _shows(other)
-            rows.append([one["label"], other["condition"], interval(other), period, effect, _p(p), shown])
+            rows.append([one["label"], other["condition"], interval(other), *models, effect, _p(p), shown])
     p_head = "p (Holm)" if measures and measures[0]["confirmatory"] else "p"
-    head = ["measure", "condition", f"minus {study.reference}", "by period", "Hedges' g", p_head, "shown"]
+    head = [
+        "measure",
+        "condition",
+        f"minus {study.reference}",
+        "by period",
+        "mixed model",
+        "Hedges' g",
+        p_head,
+        "shown",
+    ]
     return table(head, rows)
 
 

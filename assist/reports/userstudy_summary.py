@@ -31,7 +31,6 @@ from .effects import (
 )
 from .hypothesis_tests import (
     RankTest,
-    adjusted_for_period,
     fisher_p,
     holm,
     mann_whitney,
@@ -41,6 +40,7 @@ from .hypothesis_tests import (
     signed_rank,
     welch_p,
 )
+from .repeated_measures import adjusted_for_period, mixed_model
 from .statistics import FEW, IntervalEstimate, mean
 
 ALL = "all participants"
@@ -226,18 +226,21 @@ def _flow(study: UserStudy, tables: Tables) -> list[Row]:
 
 def _measure(study: UserStudy, measure: Measure, tables: Tables) -> dict[str, Any]:
     reference, differences = measure.values[study.reference], []
-    by_period = {}
+    adjusted: dict[str, dict[str, IntervalEstimate]] = {}
     if study.is_within and measure.name != "completion":
         orders = {row["participant"]: row["condition"] for row in tables.participants}
         periods = {
             (who, name): study.orders[orders[who]].index(name) + 1
             for name, own in measure.values.items() for who in own
         }  # fmt: skip
-        by_period = adjusted_for_period(measure.values, periods, study.reference)
+        adjusted = {
+            "by_period": adjusted_for_period(measure.values, periods, study.reference),
+            "mixed_model": mixed_model(measure.values, periods, orders, study.reference),
+        }
     for name, own in measure.values.items():
         if name != study.reference and (compared := _compared(study, measure.name, own, reference)):
-            period = {"by_period": by_period[name].record()} if name in by_period else {}
-            differences.append({"condition": name, "against": study.reference, **compared, **period})
+            models = {model: found[name].record() for model, found in adjusted.items() if name in found}
+            differences.append({"condition": name, "against": study.reference, **compared, **models})
     cells = [{"condition": name, **_cell(list(own.values()))} for name, own in measure.values.items()]
     return {
         "measure": measure.name, "label": measure.label, "confirmatory": measure.name in study.confirmatory,
