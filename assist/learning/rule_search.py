@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -61,18 +62,13 @@ class RuleSearch:
         return PosteriorSample.around(self.value, np.array(best), self.ends, covariance)
 
     def intervals(self, best: tuple[float, ...], covariance: Floats, level: float) -> list[Interval]:
-        """Return the likelihood-ratio interval of each parameter.
-
-        As one parameter moves, the others move with it along the ridge of the likelihood, which is taken to be
-        straight. With one parameter the interval is exact.
-        """
+        """Return the likelihood-ratio interval of each parameter, with the others where the likelihood is largest."""
         at, top = np.array(best), self.value(np.array(best))
-        wanted, ridges = float(chdtri(1, 1 - level)) / 2, covariance / np.diag(covariance)[:, None]
-        found = []
-        for j, (low, high) in enumerate(self.family.ranges.values()):
+        wanted, found = float(chdtri(1, 1 - level)) / 2, []
+        for j, (low, high) in enumerate(self.ends):
 
             def excess(value: float, j: int = j) -> float:
-                return top - self.value(at + ridges[j] * (value - at[j])) - wanted
+                return top - self._largest(at, j, value, covariance) - wanted
 
             ends = []
             for end in (low, high):
@@ -84,6 +80,28 @@ class RuleSearch:
                 beyond = outside == inside or excess(outside) < 0
                 ends.append(end if beyond else float(brentq(excess, inside, outside, xtol=1e-3, rtol=1e-3)))
             found.append((ends[0], ends[1]))
+        return found
+
+    def _largest(self, best: Floats, j: int, value: float, covariance: Floats) -> float:
+        """Return the largest log likelihood with one value given.
+
+        The others move along the ridge that the covariance describes, which may be curved: from there, each moves to
+        the top of the parabola through three points that are its conditional deviation apart.
+        """
+        ridge = covariance[j] / covariance[j, j]
+        point = best + ridge * (value - best[j])
+        low, high = np.array(self.ends).T
+        found = self.value(point)
+        for i in range(len(best)):
+            if i == j:
+                continue
+            apart = math.sqrt(max(covariance[i, i] - ridge[i] * covariance[i, j], 1e-8))
+            move = apart * np.eye(len(best))[i]
+            plus, minus = self.value(point + move), self.value(point - move)
+            if plus + minus < 2 * found:
+                moved = np.clip(point + move * (plus - minus) / (4 * found - 2 * plus - 2 * minus), low, high)
+                if (there := self.value(moved)) > found:
+                    point, found = moved, there
         return found
 
     def covariance(self, best: tuple[float, ...]) -> Floats:
