@@ -28,32 +28,13 @@ DONE = frozenset({"solved", "unsolvable"})  # statuses that a resumed run keeps;
 
 
 class Results:
-    """The results of a run, updated while it runs.
-
-    Attributes
-    ----------
-    records : dict of Key to SolveRecord
-        Records so far, by instance (`key`).
-    """
+    """The results of a run, updated while it runs: `records` are those so far, by instance (`key`)."""
 
     def __init__(self, folder: Path, instances: Sequence[Instance], options: SolveOptions, *, resume: bool) -> None:
-        """Prepare the folder for a run.
+        """Prepare the folder for a run of the given instances; with `resume`, valid records in it are kept.
 
-        Parameters
-        ----------
-        folder : Path
-        instances : sequence of Instance
-            All instances of the run.
-        options : SolveOptions
-        resume : bool
-            Whether valid records in the folder are kept.
-
-        Raises
-        ------
-        ResultsExistError
-            The folder contains results, and `resume` is not set.
-        DamagedFileError
-            The files in the folder are not results of this program.
+        Results in the folder without `resume` raise a `ResultsExistError`, and files that are not results of this
+        program a `DamagedFileError`.
         """
         self._folder = folder
         results, prints = folder / RESULTS, folder / FINGERPRINTS

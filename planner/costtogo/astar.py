@@ -129,12 +129,7 @@ def fastest_search(task: Task, *, limits: Limits = NO_LIMITS) -> Chosen:
 
     Each configuration gets the time that the best one so far took. Once one took at most 0.05 seconds, no other is
     tried, since most of that time is Fast Downward's start. Tasks with derived variables or large costs use blind
-    search without a comparison.
-
-    Raises
-    ------
-    LimitError
-        No configuration solved the initial state within the limits.
+    search without a comparison. If no configuration solves the initial state, this raises a `LimitError`.
     """
     if not task.goal or not can_hold(task.goal):
         return Chosen(fast_downward.ASTAR, True, None if task.goal else [])

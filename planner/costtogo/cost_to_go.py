@@ -91,12 +91,8 @@ def optimal_choices(known: CostToGo, states: ArrayLike, rows: Transitions) -> ND
 def optimal_plan(known: CostToGo, start: int) -> list[str] | None:
     """Return an optimal plan from a state, by looking up successors; None from a dead end.
 
-    If actions of cost zero exist, the plan has the fewest actions among the optimal plans.
-
-    Raises
-    ------
-    MismatchError
-        No successor of a state has the cost-to-go that its own implies.
+    If actions of cost zero exist, the plan has the fewest actions among the optimal plans. If no successor of a state
+    has the cost-to-go that its own implies, this raises a `MismatchError`.
     """
     if not np.isfinite(known.lookup([start])[0]):
         return None

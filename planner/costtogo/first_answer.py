@@ -27,20 +27,8 @@ Answer = tuple[float, list[str] | None]
 class Early:
     """A context manager that searches from the initial state in the background until the context is left.
 
-    Parameters
-    ----------
-    task : Task
-    limits : Limits
-        Limits of the search; `memory_mb` is that of the whole process and the search together.
-    tell : callable
-        Called in a thread with the answer, once it is known.
-    delay : float
-        Seconds before the search starts.
-
-    Attributes
-    ----------
-    answer : Answer or None
-        The answer; None while it is unknown.
+    The search starts after `delay` seconds. `limits.memory_mb` is that of the whole process and the search together.
+    The `answer` is None while it is unknown; then `tell` is called with it, in a thread.
     """
 
     def __init__(self, task: Task, limits: Limits, tell: Callable[[Answer], None], *, delay: float = 0.5) -> None:
@@ -80,14 +68,9 @@ class Early:
         return 0.0 if self._ended.is_set() else self._memory_mb * 1e6
 
     def wait(self, limits: Limits) -> Answer:
-        """Wait for the answer.
+        """Wait for the answer, which may be that the search failed: its error is raised.
 
-        If the search failed for lack of memory, or could not run, it is repeated under `limits`.
-
-        Raises
-        ------
-        LimitError
-            Out of time or memory, or costs too large for Fast Downward.
+        If it failed for lack of memory, or could not run, the search is repeated under `limits`.
         """
         self._ended.wait()
         if self.answer is not None:

@@ -80,14 +80,7 @@ def sweep_goals(
 def require_same_states(tasks: Sequence[Task]) -> None:
     """Check that tasks have the same actions, costs and initial state, and that no goal was decided by the translator.
 
-    Parameters
-    ----------
-    tasks : sequence of Task
-
-    Raises
-    ------
-    PDDLError
-        A task differs in more than its goal from the first one.
+    A task that differs in more than its goal from the first one raises a `PDDLError`.
     """
     first = tasks[0]
     for task in tasks:

@@ -82,10 +82,7 @@ class OrbitTable:
     def plan_lengths(self, task: Task, states: Words) -> NDArray[np.int64]:
         """Return the least number of actions of an optimal plan from packed states; `UNREACHED` at dead ends.
 
-        Raises
-        ------
-        KeyError
-            The orbit of a state is unknown.
+        The unknown orbit of a state raises a `KeyError`.
         """
         rows = self.index.rows(states)
         if (rows < 0).any():
@@ -108,26 +105,10 @@ def orbits(
 ) -> OrbitTable:
     """Compute the cost-to-go of all reachable states of a task, from one canonical state of each orbit.
 
-    Parameters
-    ----------
-    task : Task
-    max_orbits : int
-        Largest number of orbits.
-    states : int
-        Known lower bound on the number of reachable states. If there are too few symmetries for `max_orbits` orbits,
-        no search is started.
-    memory_limit_mb, deadline, threads, stop, lent
-        As in `sweep`.
-    progress : callable, optional
-        As in `sweep`; the stage of the search is "orbits".
-    effort : int
-        Limit on the work of canonicalisation: facts permuted by symmetries, one at a time. The default corresponds to
-        some minutes of one processor.
-
-    Raises
-    ------
-    LimitError
-        There are too many orbits or no symmetries, or time or memory is exhausted.
+    The parameters are those of `sweep`, and three more. `states` is a known lower bound on the number of reachable
+    states: if there are too few symmetries for `max_orbits` orbits, no search is started. `effort` limits the work of
+    canonicalisation, in facts permuted by symmetries; the default takes some minutes of one processor. A `LimitError`
+    says that there are no symmetries or too many orbits, or that time or memory is exhausted.
     """
     budget = Budget.within(max_orbits, memory_limit_mb, deadline, stop, lent)
     looking, forming = budget.during("symmetries were looked for"), budget.during("orbits were listed")

@@ -103,24 +103,9 @@ def check_successors(table: Table, count: int, rng: np.random.Generator, *, seco
     successor. Successors are computed from the operators of the grounded task, independently of the sweep. The check
     also covers states that are too far from the goal for A*.
 
-    Parameters
-    ----------
-    table : Table
-    count : int
-        Number of states to check (all if there are fewer). A generator in the same state yields the sample of `verify`.
-    rng : numpy.random.Generator
-    seconds : float, optional
-        Time after which no further state is checked.
-
-    Returns
-    -------
-    int
-        Number of states checked; all satisfied the equation.
-
-    Raises
-    ------
-    MismatchError
-        The equation fails in a state, or a successor is not a state of the table.
+    At most `count` states are checked, none after so many `seconds`; their number is returned. A generator in the same
+    state yields the sample of `verify`. If the equation fails, or a successor is no state of the table, this raises a
+    `MismatchError`.
     """
     space, task, states = table.space, table.task, sample(len(table), table.initial, count, rng)
     start = time.monotonic()

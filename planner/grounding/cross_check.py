@@ -22,24 +22,10 @@ def check(
     facts: Sequence[Sequence[str]],
     values: Sequence[int],
 ) -> None:
-    """Compare a grounded task with the reading of its files.
+    """Compare a grounded task with the reading of its files; raise a `PDDLError` where they differ.
 
-    Parameters
-    ----------
-    reading : Reading
-    actions : sequence of str
-        Ground actions as `(name arg ...)`.
-    costs : sequence of int
-        Cost of each action.
-    facts : sequence of sequence of str
-        Meanings of the values of each variable that is not derived.
-    values : sequence of int
-        Initial value of each of these variables.
-
-    Raises
-    ------
-    PDDLError
-        The grounded task and the reading differ.
+    `actions` are ground actions as `(name arg ...)`. `facts` and `values` are the meanings of the values, and the
+    initial value, of each variable that is not derived.
     """
     objects = {**reading.domain.constants, **reading.problem.objects}
     known = reading.domain.actions

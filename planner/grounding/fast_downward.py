@@ -64,14 +64,7 @@ def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
     """Ground an instance and return its finite-domain task as SAS text.
 
     If the goal is unreachable even when delete effects are ignored, or if it always holds, the result is a dummy task
-    without operators (`Task.decided_by_translator`).
-
-    Raises
-    ------
-    PDDLError
-        The translator refuses the input.
-    LimitError
-        Out of time or memory.
+    without operators (`Task.decided_by_translator`). If the translator refuses the input, this raises a `PDDLError`.
     """
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         sas, domain, problem = (Path(folder) / name for name in ("output.sas", "domain.pddl", "problem.pddl"))
@@ -89,31 +82,11 @@ def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
 def optimal_plan(
     sas: str, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
 ) -> list[str] | None:
-    """Find an optimal plan with A*, from the initial state or from `state`.
+    """Return an optimal plan that A* finds, as ground actions; None if it has proven that no plan exists.
 
-    Parameters
-    ----------
-    sas : str
-        The task, as `translate` returns it.
-    state : sequence of int, shape (variables,), optional
-        Value of every variable. The state must be reachable from the initial state, since the translator has removed
-        everything else.
-    search : str, optional
-        Search configuration of Fast Downward; by default an admissible one that supports the task.
-    limits : Limits
-        Time and memory of the search.
-
-    Returns
-    -------
-    list of str or None
-        Ground actions as `(name arg ...)`; None if Fast Downward has proven that no plan exists.
-
-    Raises
-    ------
-    LimitError
-        Out of time or memory; nothing is known about the state.
-    FastDownwardError
-        The search failed for another reason.
+    The plan is from the initial state, or from `state`, the values of all variables. That state must be reachable,
+    since the translator has removed everything else. The default `search` is an admissible configuration that supports
+    the task. After a `LimitError` or a `FastDownwardError`, nothing is known about the state.
     """
     if state is not None:
         sas = with_initial_state(sas, state)

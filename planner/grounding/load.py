@@ -93,13 +93,6 @@ def ground(source: Source, checker: ValidationProcess, limits: Limits = NO_LIMIT
 
     If unified-planning refuses an instance that Fast Downward's translator accepts, the task's note says so. The files
     have passed this project's own checks before.
-
-    Raises
-    ------
-    PDDLError
-        The files are not valid, with file and line.
-    LimitError
-        Out of time or memory.
     """
     sas = fast_downward.translate(source, limits)
     refusal = checker.refusal(PATIENCE if limits.seconds is None else limits.seconds)

@@ -15,10 +15,7 @@ from .task import Effect, Fact, Operator, Task
 def replay(task: Task, plan: Sequence[str]) -> int:
     """Execute a plan, ground actions as `(name arg ...)`, from the initial state, and return its cost.
 
-    Raises
-    ------
-    InvalidPlanError
-        An action is unknown or not applicable in its state, or the goal does not hold at the end.
+    An unknown or inapplicable action, or a goal that does not hold at the end, raises an `InvalidPlanError`.
     """
     state, cost = derived(task, task.initial), 0
     for step, name in enumerate(plan):
@@ -39,13 +36,8 @@ def replay(task: Task, plan: Sequence[str]) -> int:
 def successors(task: Task, state: Sequence[int]) -> dict[int, list[int]]:
     """Return the state after each applicable action, by actions in ascending order.
 
-    If several operators of an action apply, the first one counts.
-
-    Parameters
-    ----------
-    task : Task
-    state : sequence of int, shape (variables,)
-        Values of all variables, derived ones included.
+    States are the values of all variables, derived ones included. If several operators of an action apply, the first
+    one counts.
     """
     first: dict[int, Operator] = {}
     for operator in task.operators:

@@ -29,20 +29,11 @@ def named(problem: Problem) -> Instance:
 
 
 def write(problem: Problem, folder: Path) -> tuple[Instance, dict[str, str]]:
-    """Write a problem as PDDL.
+    """Write a problem as PDDL into a folder. Return the instance, and the problem's own names.
 
-    Returns
-    -------
-    instance : Instance
-        The two files, in `folder`.
-    names : dict of str to str
-        The problem's own name for each PDDL name that differs from it. Names with spaces, commas or parentheses are
-        left out, since they cannot stand in a ground action. These keep their PDDL name.
-
-    Raises
-    ------
-    PDDLError
-        The problem is not classical planning with action costs.
+    These are keyed by the PDDL names from which they differ. Names with spaces, commas or parentheses are left out,
+    since they cannot stand in a ground action. A problem that is not classical planning with action costs raises a
+    `PDDLError`.
     """
     from unified_planning.exceptions import UPException
     from unified_planning.io import PDDLWriter
@@ -68,12 +59,8 @@ def with_plain_costs(problem: Problem) -> Problem:
     """Return the problem with costs that Fast Downward can read: numbers, or functions of arguments.
 
     An action without a cost gets the cost 0. A problem whose metric is not the sum of action costs is returned
-    unchanged.
-
-    Raises
-    ------
-    PDDLError
-        A cost is negative, not a whole number or unknown for some objects, or it has more than 100,000 values.
+    unchanged. A `PDDLError` says if a cost is negative, not a whole number or unknown for some objects, or has more
+    than 100,000 values.
     """
     metric = problem.quality_metrics[0] if len(problem.quality_metrics) == 1 else None
     if metric is None or not metric.is_minimize_action_costs():

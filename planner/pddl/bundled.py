@@ -18,22 +18,13 @@ README = "README.md"
 
 @dataclass(frozen=True)
 class BundledTask:
-    """A task that comes with the package.
-
-    Attributes
-    ----------
-    name : str
-        Folder and file name without its ending, as commands accept it.
-    problem : Path
-    about : str
-        One-sentence description: the first sentence of its file's comment, or else of its domain's.
-    states, cost : int or None
-        Number of reachable states and cost of an optimal plan, from the README of its folder; None if it is not there.
-    """
+    """A task that comes with the package; the number of its states and its cost are from the README of its folder."""
 
     name: str
+    """Folder and file name without its ending, as commands accept it."""
     problem: Path
     about: str
+    """One-sentence description: the first sentence of its file's comment, or else of its domain's."""
     states: int | None
     cost: int | None
 

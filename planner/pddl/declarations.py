@@ -9,6 +9,7 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NoReturn
 
@@ -27,15 +28,7 @@ RESERVED = frozenset(
 
 @dataclass(frozen=True)
 class Typed:
-    """An entry of a typed list: an object, a variable or a type.
-
-    Attributes
-    ----------
-    name : str
-    kinds : tuple of str
-        Its type, or the types of `(either ...)`.
-    place : Place
-    """
+    """An entry of a typed list: an object, a variable or a type; `kinds` is its type, or those of `(either ...)`."""
 
     name: str
     kinds: tuple[str, ...]
@@ -44,14 +37,7 @@ class Typed:
 
 @dataclass(frozen=True)
 class Symbol:
-    """A predicate or a function.
-
-    Attributes
-    ----------
-    name : str
-    parameters : tuple of Typed
-    place : Place
-    """
+    """A predicate or a function."""
 
     name: str
     parameters: tuple[Typed, ...]
@@ -60,18 +46,12 @@ class Symbol:
 
 @dataclass(frozen=True)
 class Types:
-    """The type hierarchy of a domain.
-
-    Attributes
-    ----------
-    parents : mapping of str to tuple of str
-        Direct supertypes of each type. `object` has none, and is a supertype of all others.
-    places : mapping of str to Place
-        Place of the first mention of each type.
-    """
+    """The type hierarchy of a domain."""
 
     parents: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {OBJECT: ()})
+    """Direct supertypes of each type. `object` has none, and is a supertype of all others."""
     places: Mapping[str, Place] = field(default_factory=dict)
+    """Place of the first mention of each type."""
 
     @cached_property
     def _above(self) -> dict[str, frozenset[str]]:
@@ -184,21 +164,11 @@ def types(file: Path, section: Expression | None) -> Types:
 
 
 def _check_circles(file: Path, parents: Mapping[str, Sequence[str]], places: Mapping[str, Place]) -> None:
-    done: set[str] = set()
-    for name in parents:
-        way, waiting = [name], [list(parents[name])]
-        while waiting:
-            if not waiting[-1]:
-                waiting.pop()
-                done.add(way.pop())
-                continue
-            above = waiting[-1].pop(0)
-            if above in way:
-                circle = [*way[way.index(above) :], above]
-                refuse(file, places[above], f"circular types: {' - '.join(circle)}")
-            if above not in done:
-                way.append(above)
-                waiting.append(list(parents[above]))
+    try:
+        TopologicalSorter(parents).prepare()
+    except CycleError as error:
+        circle = error.args[1][::-1]
+        refuse(file, places[circle[0]], f"circular types: {' - '.join(circle)}")
 
 
 def typed(
@@ -206,16 +176,7 @@ def typed(
 ) -> list[Typed]:
     """Read a typed list such as `a b - t c`. Entries without a type have type `object`.
 
-    Parameters
-    ----------
-    file : Path
-    parts : iterable of Expression
-    what : str
-        Kind of the entries, for messages.
-    variables : bool
-        Whether the entries are variables.
-    known : Types, optional
-        Types that may occur; unless given, types are not checked.
+    Messages call the entries `what`. Types are checked only if the `known` ones are given.
     """
     names: list[Expression] = []
     found: list[Typed] = []
@@ -265,18 +226,7 @@ def parameters(file: Path, parts: Iterable[Expression], known: Types) -> tuple[T
 def objects(
     file: Path, section: Expression | None, known: Types, before: Mapping[str, Typed], where: str
 ) -> dict[str, Typed]:
-    """Read the objects of a section.
-
-    Parameters
-    ----------
-    file : Path
-    section : Expression or None
-    known : Types
-    before : mapping of str to Typed
-        Objects that are already declared, and may not be declared again.
-    where : str
-        The file that declares these, for messages.
-    """
+    """Read the objects of a section. None of those that the file `where` has declared `before` may occur again."""
     found: dict[str, Typed] = {}
     for each in typed(file, () if section is None else section.parts[1:], "an object", known=known):
         if len(each.kinds) > 1:

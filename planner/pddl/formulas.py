@@ -33,16 +33,7 @@ Scope = Mapping[str, Typed]
 
 @dataclass(frozen=True)
 class Cost:
-    """The cost of an action.
-
-    Attributes
-    ----------
-    number : int or None
-        The cost, or None where it is the value of a function.
-    function : tuple of str
-        Name of the function and its arguments.
-    place : Place
-    """
+    """The cost of an action: a number, or the value of a function, given by its name and arguments."""
 
     number: int | None
     function: tuple[str, ...]
@@ -51,12 +42,7 @@ class Cost:
     def of(self, bound: Mapping[str, str], values: Mapping[tuple[str, ...], int]) -> int | None:
         """Return the cost of a ground action; None if the function has no value for its arguments.
 
-        Parameters
-        ----------
-        bound : mapping of str to str
-            Object of each parameter.
-        values : mapping of tuple of str to int
-            Values of the functions, by name and arguments.
+        `bound` maps parameters to objects; `values` maps a function's name and arguments to its value.
         """
         if self.number is not None:
             return self.number
@@ -87,14 +73,8 @@ def whole_number(expression: Expression) -> int | None:
 class Formulas:
     """Reader of the formulas of one file.
 
-    Parameters
-    ----------
-    file : Path
-    names : Names
-    derived : mapping of str to Place
-        Derived predicates, with the place of the first rule that defines each.
-    unions : dict of tuple of str to str
-        Filled with a name for each set of types of an `(either ...)`.
+    `derived` holds the place of the first rule of each derived predicate. `unions` is filled with a name for each set
+    of types of an `(either ...)`.
     """
 
     def __init__(self, file: Path, names: Names, derived: Mapping[str, Place], unions: dict[tuple[str, ...], str]):

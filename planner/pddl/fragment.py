@@ -55,12 +55,9 @@ OUTSIDE = {
 
 
 def check(instance: Instance, domain: Expression, problem: Expression) -> None:
-    """Check both files of an instance: their names, sections and requirements.
+    """Check both files of an instance: that their names match, and that their sections and requirements are supported.
 
-    Raises
-    ------
-    PDDLError
-        The names do not match, or a section or requirement is not supported; with the place.
+    A fault raises a `PDDLError` with its place.
     """
     _check_names(instance, domain, problem)
     counts = Counter(each.word for whole in (domain, problem) for each in whole.walk() if each.word.endswith("-"))

@@ -25,20 +25,13 @@ class InstanceError(ValueError):
 
 @dataclass(frozen=True)
 class Head:
-    """Information from the beginning of a file.
-
-    Attributes
-    ----------
-    domain : str
-        Name of the domain that the file defines, or of the problem's domain, in lower case; empty if there is none.
-    is_domain : bool
-    line : int or None
-        Line of the domain's name.
-    """
+    """Information from the beginning of a file."""
 
     domain: str = ""
+    """Name of the domain that the file defines, or of the problem's domain, in lower case; empty if there is none."""
     is_domain: bool = False
     line: int | None = None
+    """Line of the domain's name."""
 
 
 class Heads:

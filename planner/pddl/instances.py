@@ -75,10 +75,7 @@ STRANGE = re.compile(r"[^\t\v\f -~]")
 def text(file: Path, kind: str) -> str:
     """Return the text of a PDDL file in lower case, since PDDL ignores case and unified-planning does not.
 
-    Raises
-    ------
-    PDDLError
-        The file does not exist, is empty, or is not ASCII text outside of its comments.
+    A file that does not exist, is empty, or is not ASCII text outside of its comments raises a `PDDLError`.
     """
     try:
         raw = file.read_bytes()
@@ -118,10 +115,7 @@ def text(file: Path, kind: str) -> str:
 def parse(file: Path, content: str) -> Expression:
     """Read a file's text as nested lists.
 
-    Raises
-    ------
-    PDDLError
-        Parentheses do not match; with the line where this probably began, instead of the end of the file.
+    If parentheses do not match, the `PDDLError` has the line where this probably began, not the end of the file.
     """
     try:
         return s_expressions.parse(content)

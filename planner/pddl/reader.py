@@ -19,17 +19,7 @@ from .s_expressions import Expression, Place
 
 @dataclass(frozen=True)
 class Action:
-    """An action.
-
-    Attributes
-    ----------
-    name : str
-    parameters : tuple of Typed
-    precondition, effect : Expression
-        Normalised for all PDDL readers (see `formulas`). The effect includes the cost.
-    cost : Cost or None
-    place : Place
-    """
+    """An action. Its formulas are normalised for all PDDL readers (see `formulas`); the effect includes the cost."""
 
     name: str
     parameters: tuple[Typed, ...]
@@ -41,14 +31,7 @@ class Action:
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule that defines a derived predicate.
-
-    Attributes
-    ----------
-    head : Symbol
-        The predicate with the rule's variables.
-    condition : Expression
-    """
+    """A rule that defines a derived predicate; `head` is the predicate with the rule's variables."""
 
     head: Symbol
     condition: Expression
@@ -56,18 +39,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class Domain:
-    """A domain.
-
-    Attributes
-    ----------
-    name : str
-    requirements : tuple of Expression
-    types : Types
-    constants : mapping of str to Typed
-    predicates, functions : mapping of str to Symbol
-    entries : tuple of Action or Rule
-        Actions and rules in the order of the file.
-    """
+    """A domain; `entries` are its actions and rules in the order of the file."""
 
     name: str
     requirements: tuple[Expression, ...]
@@ -90,32 +62,16 @@ class Domain:
 
 @dataclass(frozen=True)
 class Problem:
-    """A problem.
-
-    Attributes
-    ----------
-    name : str
-    requirements : tuple of Expression
-    objects : mapping of str to Typed
-        Objects, without the domain's constants.
-    facts : mapping of tuple of str to Place
-        Facts that hold in the initial state (predicate and arguments), with their places.
-    values : mapping of tuple of str to int
-        Values of the functions, by name and arguments.
-    value_places : mapping of tuple of str to Place
-        Place of each value.
-    goal : Expression
-    metric : Place or None
-        Place of (:metric minimize (total-cost)); None without a metric.
-    init : Place
-        Place of the initial state.
-    """
+    """A problem. `metric` and `init` are the places of (:metric minimize (total-cost)) and of the initial state."""
 
     name: str
     requirements: tuple[Expression, ...]
     objects: Mapping[str, Typed]
+    """Objects, without the domain's constants."""
     facts: Mapping[tuple[str, ...], Place]
+    """Facts that hold in the initial state (predicate and arguments), with their places."""
     values: Mapping[tuple[str, ...], int]
+    """Values of the functions, by name and arguments."""
     value_places: Mapping[tuple[str, ...], Place]
     goal: Expression
     metric: Place | None
@@ -124,16 +80,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Reading:
-    """The content of the two files of an instance.
-
-    Attributes
-    ----------
-    instance : Instance
-    domain : Domain
-    problem : Problem
-    unions : mapping of tuple of str to str
-        Name of the type that replaces each `(either ...)`.
-    """
+    """The content of the two files of an instance; `unions` names the type that replaces each `(either ...)`."""
 
     instance: Instance
     domain: Domain
@@ -144,10 +91,7 @@ class Reading:
 def read(instance: Instance, domain: Expression, problem: Expression) -> Reading:
     """Read an instance whose sections have been checked by `fragment`.
 
-    Raises
-    ------
-    PDDLError
-        A declaration, formula or value is invalid; with its place.
+    An invalid declaration, formula or value raises a `PDDLError` with its place.
     """
     unions: dict[tuple[str, ...], str] = {}
     known, derived = _domain(instance.domain, domain, unions)

@@ -31,18 +31,9 @@ class Place(NamedTuple):
 
 
 class Expression(NamedTuple):
-    """A word, or a list in parentheses.
+    """A word, or a list in parentheses, with the line and column where it begins, both counted from 1.
 
-    Attributes
-    ----------
-    line : int
-        Line where it begins, counted from 1.
-    word : str
-        The word; empty for a list.
-    parts : tuple of Expression
-        Elements of the list; empty for a word.
-    column : int
-        Column of its first character, counted from 1.
+    `word` is empty for a list, and `parts`, the elements of the list, for a word.
     """
 
     line: int
@@ -96,13 +87,7 @@ def tokens(text: str) -> Iterator[tuple[str, Place]]:
 
 
 def parse(text: str) -> Expression:
-    """Parse the only list of a text.
-
-    Raises
-    ------
-    UnbalancedError
-        Parentheses do not match, or lists are nested too deep.
-    """
+    """Parse the only list of a text; raise `UnbalancedError` if parentheses do not match or are nested too deep."""
     deepest = 200  # largest depth of nested lists. Recursive readers would otherwise exceed Python's recursion limit
     opened: list[tuple[Place, list[Expression]]] = []
     whole: Expression | None = None

@@ -15,13 +15,7 @@ from .writer import Rendered
 
 @dataclass(frozen=True)
 class Source:
-    """The content of an instance's files, and both files rewritten in normalised form.
-
-    Attributes
-    ----------
-    reading : Reading
-    rendered_domain, rendered_problem : Rendered
-    """
+    """The content of an instance's files, and both files rewritten in normalised form."""
 
     reading: Reading
     rendered_domain: Rendered
@@ -31,10 +25,7 @@ class Source:
     def of(cls, instance: Instance) -> Source:
         """Read the files of an instance, and perform the checks that need no library.
 
-        Raises
-        ------
-        PDDLError
-            The files are not valid PDDL, do not match, or use features beyond classical planning with action costs.
+        A `PDDLError` says if they are not valid PDDL, do not match, or go beyond classical planning with action costs.
         """
         if (fault := instance_finder.missing(instance)) is not None:
             raise fault

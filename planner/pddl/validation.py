@@ -28,15 +28,9 @@ class InvalidPlanError(AssertionError):
 
 @dataclass(frozen=True)
 class Refusal:
-    """The reason why unified-planning does not accept an instance.
+    """The reason why unified-planning does not accept an instance, with the line of the text that it has read.
 
-    Attributes
-    ----------
-    file : str
-        "domain" or "problem".
-    line : int or None
-        Line of the text that unified-planning has read.
-    message : str
+    The file is "domain" or "problem".
     """
 
     file: str
@@ -60,10 +54,7 @@ class InstanceRefusedError(ValueError):
 def validate(problem: Problem, plan: Sequence[str]) -> None:
     """Check a plan, a sequence of ground actions `(name arg ...)`, with unified-planning's own validator.
 
-    Raises
-    ------
-    InvalidPlanError
-        The plan does not lead to the goal, or an action of it is not applicable.
+    If it does not lead to the goal, or an action of it is not applicable, this raises an `InvalidPlanError`.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

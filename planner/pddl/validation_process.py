@@ -59,17 +59,9 @@ class ValidationProcess:
         return Refusal(**answer).placed(self._source)
 
     def check(self, plan: Sequence[str], seconds: float = PATIENCE) -> str | None:
-        """Validate a plan of an instance that unified-planning has accepted.
+        """Validate a plan of an instance that unified-planning has accepted; return why it could not do so, or None.
 
-        Returns
-        -------
-        str or None
-            The reason if the plan could not be validated, else None.
-
-        Raises
-        ------
-        InvalidPlanError
-            The plan is rejected.
+        A plan that it rejects raises an `InvalidPlanError`.
         """
         self._process.ask({"plan": list(plan)})
         answer = self._process.answer(seconds)

@@ -20,20 +20,13 @@ START = Place(1, 1)
 
 @dataclass(frozen=True)
 class Rendered:
-    """A file in normalised form.
-
-    Attributes
-    ----------
-    whole : Expression
-        Its expression, with the positions of the original file.
-    text : str
-    lines : tuple of int
-        Line of the original file for each line of the text.
-    """
+    """A file in normalised form."""
 
     whole: Expression
+    """Its expression, with the positions of the original file."""
     text: str
     lines: tuple[int, ...]
+    """Line of the original file for each line of the text."""
 
     def line(self, number: int | None) -> int | None:
         """Return the line of the original file for a line of the text; None if it is unknown."""

@@ -32,22 +32,9 @@ def distances(
 ) -> NDArray[np.unsignedinteger]:
     """Return the distance of every state from the goal, shape (n,), in the smallest type.
 
-    The largest value of the type marks dead ends. `progress` is called after each bucket with "cost-to-go", the number
-    of states settled, and their total.
-
-    Parameters
-    ----------
-    space : SearchSpace
-        A space whose states have been found.
-    goal : sequence of Fact
-    budget, threads, progress
-    costs : sequence of int, optional
-        Costs that replace those of `space.costs`, in the same order.
-
-    Raises
-    ------
-    CostLimitError
-        Sums of costs take more than 63 bits.
+    The states of the space have been found. The largest value of the type marks dead ends. `progress` is called after
+    each bucket with "cost-to-go", the number of states settled, and their total. `costs` replace `space.costs`, in the
+    same order. If their sums take more than 63 bits, this raises a `CostLimitError`.
     """
     largest_sum = 1 << 63  # sums of costs must stay below this, since they are computed in 64 bits
     costs = space.costs.tolist() if costs is None else costs

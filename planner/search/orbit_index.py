@@ -16,14 +16,10 @@ class OrbitIndex(RegistryIndex):
     """Orbits of states under the symmetries of a task, numbered by their canonical states.
 
     Transitions are those of the canonical states, and lead to the orbits of their successors.
-
-    Attributes
-    ----------
-    forms : Forms
-        The symmetries, as `canonical` applies them.
     """
 
     forms: Forms
+    """The symmetries, as `canonical` applies them."""
 
     @property
     def sizes(self) -> Ints:

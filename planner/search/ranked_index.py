@@ -50,22 +50,14 @@ def _small_pages(length: int, dtype: Any) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class RankedIndex:
-    """Reachable states, numbered in the order of their ranks.
-
-    Attributes
-    ----------
-    coding : StateRanking
-    operators : RankedOperators
-    budget : Budget
-        Limits for building the transitions of all states.
-    states : RankSet
-        The ranks of all reachable states.
-    """
+    """Reachable states, numbered in the order of their ranks."""
 
     coding: StateRanking
     operators: RankedOperators
     budget: Budget
+    """Limits for building the transitions of all states."""
     states: RankSet
+    """The ranks of all reachable states."""
 
     def __len__(self) -> int:
         return int(self.states.before[-1])
@@ -124,21 +116,9 @@ class RankedIndex:
 
 
 class RankedSpace:
-    """The states of a task by their ranks, for a search.
+    """The states of a task by their ranks, for a search; `inverse` are the moves in the opposite direction.
 
-    Parameters
-    ----------
-    coding : StateRanking
-    operators, inverse : RankedOperators
-        The moves, and the moves in the opposite direction.
-    budget : Budget
-    initial : sequence of int
-        The initial state.
-
-    Raises
-    ------
-    MemoryLimitError
-        The bitmap does not fit the memory.
+    If the bitmap does not fit the memory, the constructor raises a `MemoryLimitError`.
     """
 
     def __init__(

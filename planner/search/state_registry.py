@@ -32,21 +32,14 @@ STATES_AT_A_TIME = 1 << 12
 
 @dataclass(frozen=True)
 class RegistryIndex:
-    """The states of a registry, numbered in the order of their discovery.
-
-    Attributes
-    ----------
-    packing : Packing
-    book : PackedOperators
-    states : uint64 array, shape (n, words)
-    slots : uint64 array
-        Hash table from a state to its number.
-    """
+    """The states of a registry, numbered in the order of their discovery."""
 
     packing: Packing
     book: PackedOperators
     states: Words
+    """All states, shape (n, words)."""
     slots: Words
+    """Hash table from a state to its number."""
 
     @property
     def sizes(self) -> Ints:
@@ -113,13 +106,7 @@ class _Growing:
 
 
 class StateRegistry:
-    """A thread-safe registry that numbers packed states in the order of their first occurrence.
-
-    Parameters
-    ----------
-    words : int
-        Words of a packed state.
-    """
+    """A thread-safe registry that numbers packed states, of so many words, in the order of their first occurrence."""
 
     def __init__(self, words: int) -> None:
         self._states = _Growing(np.uint64, words)
@@ -168,15 +155,7 @@ Form = Callable[[Words], None]
 
 
 class RegistrySpace:
-    """The states of a task in a registry, for a search.
-
-    Parameters
-    ----------
-    task : Task
-    budget : Budget
-    form : callable, optional
-        Replaces states by canonical states before they are looked up.
-    """
+    """The states of a task in a registry, for a search; `form` canonicalises states before they are looked up."""
 
     def __init__(self, task: Task, budget: Budget, form: Form | None = None) -> None:
         self._packing, self._budget, self._form = Packing.of(task), budget, form

@@ -54,13 +54,7 @@ def joined(parts: Iterable[Part]) -> Transitions:
 
 
 def state_numbers(states: ArrayLike, count: int) -> Ints:
-    """Return state numbers as an int64 array of the same shape, after checking their range.
-
-    Raises
-    ------
-    IndexError
-        One of them is not the number of a state.
-    """
+    """Return state numbers as an int64 array of the same shape; raise `IndexError` if one is no state's number."""
     array = np.asarray(states)
     if array.size and array.dtype.kind not in "iu":
         raise IndexError(f"states are numbered by integers, not by {array.dtype}")

@@ -11,12 +11,7 @@ from pathlib import Path
 def expected(name: str, known: Iterable[str], more: str = "") -> str:
     """Return the hint of a message about an unknown name: the most similar known name, or else all of them.
 
-    Parameters
-    ----------
-    name : str
-    known : iterable of str
-    more : str
-        Further possibilities, appended to the list of known names.
+    The list of known names ends with `more`.
     """
     words = list(known)
     lower = {word.lower(): word for word in words}
@@ -29,12 +24,7 @@ def expected(name: str, known: Iterable[str], more: str = "") -> str:
 class MissingExtraError(ImportError):
     """An optional dependency is not installed; the message contains the pip command that installs it.
 
-    Parameters
-    ----------
-    what : str
-        Beginning of the message: the feature that needs the package.
-    package, extra : str
-        The missing package, and the extra of this project that installs it.
+    The message begins with `what`, the feature that needs the package; `extra` is that of this project.
     """
 
     def __init__(self, what: str, package: str, extra: str) -> None:

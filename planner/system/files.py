@@ -29,10 +29,7 @@ UNFINISHED = ".unfinished-"
 def atomic(file: Path) -> Iterator[Path]:
     """Yield a temporary path, and move it to `file` when it is complete and flushed to disk.
 
-    Raises
-    ------
-    OSError
-        Its `filename` is `file`, also where the system reports none (a full disk).
+    The `filename` of an `OSError` is `file`, also where the system reports none (a full disk).
     """
     # Bytes of the file's name that the temporary name keeps: together 245, below the usual limit of 255.
     longest_name = 200
@@ -72,10 +69,7 @@ def atomic(file: Path) -> Iterator[Path]:
 def writable(file: Path) -> os.stat_result | None:
     """Return the status of an output file, following links; None if the file does not exist yet.
 
-    Raises
-    ------
-    OSError
-        It is a folder, or it is write-protected.
+    A folder and a write-protected file raise an `OSError`.
     """
     try:
         status = file.stat()
@@ -143,10 +137,7 @@ def append_record(file: Path, record: Mapping[str, Any]) -> None:
 def append(file: Path, text: str) -> None:
     """Append whole lines to a file, all or none, and wait until they are on disk.
 
-    Raises
-    ------
-    OSError
-        Its `filename` is `file`.
+    The `filename` of an `OSError` is `file`.
     """
     try:
         with file.open("ab") as stream:
@@ -166,10 +157,7 @@ def append(file: Path, text: str) -> None:
 def read_records(file: Path) -> list[dict[str, Any]]:
     """Return the records of a JSON Lines file; an empty list if there is no file. An incomplete last line is ignored.
 
-    Raises
-    ------
-    DamagedFileError
-        A line is not a record.
+    A line that is not a record raises a `DamagedFileError`.
     """
     found = []
     for record in each_record(file):

@@ -35,29 +35,19 @@ class Budget:
     """The states, memory and time that a search may use.
 
     The `check` methods raise `LimitError` when a limit is exceeded.
-
-    Attributes
-    ----------
-    max_states : int or None
-        Largest number of states; None for no limit.
-    memory : float
-        Bytes that may be in use.
-    deadline : float or None
-        Time on the clock of `time.monotonic()`.
-    stop : StopSignal or None
-        Flag that ends the search: once it is set, the time is up.
-    lent : callable
-        Returns the bytes of `memory` that are currently reserved for something else.
-    held : float
-        Bytes that are permanently in use, in addition to those that are checked.
     """
 
     max_states: int | None
     memory: float
+    """Bytes that may be in use."""
     deadline: float | None
+    """Time on the clock of `time.monotonic()`."""
     stop: StopSignal | None = None
+    """Flag that ends the search: once it is set, the time is up."""
     lent: Callable[[], float] = float
+    """Returns the bytes of `memory` that are currently reserved for something else."""
     held: float = 0.0
+    """Bytes that are permanently in use, in addition to those that are checked."""
 
     @classmethod
     def within(

@@ -24,12 +24,8 @@ ROOT = Path("/")
 def available_memory(root: Path = ROOT) -> float:
     """Return how many bytes this process can still allocate without being killed.
 
-    Reclaimable file caches do not count as used. A tenth is left to other processes.
-
-    Parameters
-    ----------
-    root : Path, optional
-        Folder that contains the system's `proc` and `sys`.
+    Reclaimable file caches do not count as used. A tenth is left to other processes. The folder `root` contains the
+    system's `proc` and `sys`.
     """
     # Share of the available memory that is left to other processes. A larger share is safer and admits fewer states.
     kept = 0.1
@@ -55,10 +51,7 @@ def available_memory(root: Path = ROOT) -> float:
 def processors(root: Path = ROOT) -> int:
     """Return how many processors this process may use, by its CPU affinity and the CPU quotas of its control groups.
 
-    Parameters
-    ----------
-    root : Path, optional
-        Folder that contains the system's `proc` and `sys`.
+    The folder `root` contains the system's `proc` and `sys`.
     """
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     for group in _groups("cpu", root):

@@ -20,15 +20,7 @@ Progress = Callable[[str, int, int | None], None]
 
 @dataclass(frozen=True)
 class Reporter:
-    """Reports the progress of one item of work.
-
-    Attributes
-    ----------
-    pipe : int or None
-        File descriptor to write to; None if there is no listener.
-    number : int
-        Number of the item of work.
-    """
+    """Reports the progress of one item of work, by its number, to a pipe, or to nobody if there is no listener."""
 
     pipe: int | None
     number: int
@@ -47,10 +39,7 @@ class Reporter:
 class Listener:
     """Receives reports in a thread, from `start` to `close`.
 
-    Attributes
-    ----------
-    pipe : int
-        Descriptor that reporters write to without blocking. Worker processes get a copy of it.
+    Reporters write to `pipe` without blocking. Worker processes get a copy of this descriptor.
     """
 
     def __init__(self, hear: Callable[..., None]) -> None:

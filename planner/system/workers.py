@@ -150,13 +150,7 @@ def _carry_out(work: Callable[..., Result], number: int, item: Item, *arguments:
 
 
 def _sendable(outcome: Result) -> Result:
-    """Return a result or an exception if it can be sent to another process.
-
-    Raises
-    ------
-    WorkerDiedError
-        It cannot be pickled or unpickled.
-    """
+    """Return a result or an exception; raise `WorkerDiedError` if it cannot be pickled or unpickled."""
     try:
         pickle.loads(pickle.dumps(outcome))
     except Exception as error:  # noqa: BLE001  pickling may run any code of the outcome's classes

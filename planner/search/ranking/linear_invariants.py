@@ -29,20 +29,13 @@ STEPS_PER_CHECK = 1 << 28
 
 @dataclass(frozen=True)
 class Determined:
-    """A variable that the others determine.
-
-    Attributes
-    ----------
-    variable : int
-    weights : int64 array, shape (facts,)
-        Weights of the invariant, 0 to `PRIME` - 1; they are distinct for all values of the variable.
-    total : int
-        Sum of the weights of the facts that hold, modulo `PRIME`.
-    """
+    """A variable that the others determine."""
 
     variable: int
     weights: Ints
+    """Weights of the invariant, 0 to `PRIME` - 1, by fact; they are distinct for all values of the variable."""
     total: int
+    """Sum of the weights of the facts that hold, modulo `PRIME`."""
 
 
 def determined(task: Task, moves: Sequence[TNFOperator], check: Check = unchecked) -> list[Determined]:

@@ -31,22 +31,15 @@ class Mutexes:
     """Pairs of facts that may hold together, and moves that may be applicable.
 
     Facts are numbered across all variables.
-
-    Attributes
-    ----------
-    first : int64 array, shape (variables + 1,)
-        Number of each variable's fact 0.
-    together : bool array, shape (facts, facts)
-        Whether a pair may hold together; on the diagonal, whether the fact may hold.
-    moves : list of TNFOperator
-    barred : bool array, shape (moves, facts)
-        Facts that cannot hold where a move is applied, since they are mutex with a fact that it needs.
     """
 
     first: Ints
+    """Number of each variable's fact 0, shape (variables + 1,)."""
     together: NDArray[np.bool_]
+    """Whether a pair of facts may hold together; on the diagonal, whether the fact may hold."""
     moves: list[TNFOperator]
     barred: NDArray[np.bool_]
+    """Facts that cannot hold where a move is applied, since they are mutex with a fact that it needs: a row each."""
 
     @classmethod
     def of(cls, task: Task, moves: Sequence[TNFOperator], check: Check = unchecked) -> Mutexes | None:

@@ -44,52 +44,34 @@ Sum = tuple[int, dict[Fact, int]]
 
 @dataclass(frozen=True)
 class Change:
-    """The change of a state's rank by a move.
-
-    Attributes
-    ----------
-    constant : int
-        Change of the rank that is the same in all states.
-    lookups : tuple of (int, int32 array)
-        Clusters whose change depends on their value: the cluster's number, and the change of its digit for each of its
-        values. The change is `NOWHERE` where the move has no successor.
-    """
+    """The change of a state's rank by a move."""
 
     constant: int
+    """Change of the rank that is the same in all states."""
     lookups: tuple[tuple[int, NDArray[np.int32]], ...]
+    """Clusters whose change depends on their value: the cluster's number, and the change of its digit for each of its
+    values. The change is `NOWHERE` where the move has no successor.
+    """
 
 
 @dataclass(frozen=True)
 class StateRanking:
-    """A ranking of the reachable states.
-
-    Attributes
-    ----------
-    packing : Packing
-        Layout of all variables in 64-bit words.
-    sizes : int64 array, shape (variables,)
-        Number of values of each variable.
-    clusters : tuple of Cluster
-        Clusters, which partition the variables.
-    stride : int64 array, shape (clusters,)
-        Factor of each cluster's digit in the rank; 0 for clusters that are left out.
-    size : int
-        Upper bound on all ranks, exclusive.
-    field : dict of int to (int, int)
-        Word and shift of the value of each cluster whose changes are looked up.
-    decoder : UnrankingTables
-    implied : dict of Fact to Sum
-        Facts of variables that are left out, as sums over facts of the digits.
-    """
+    """A ranking of the reachable states."""
 
     packing: Packing
     sizes: Ints
+    """Number of values of each variable."""
     clusters: tuple[Cluster, ...]
+    """Clusters, which partition the variables."""
     stride: Ints
+    """Factor of each cluster's digit in the rank; 0 for clusters that are left out."""
     size: int
+    """Upper bound on all ranks, exclusive."""
     field: dict[int, tuple[int, int]]
+    """Word and shift of the value of each cluster whose changes are looked up."""
     decoder: UnrankingTables
     implied: dict[Fact, Sum]
+    """Facts of variables that are left out, as sums over facts of the digits."""
 
     @classmethod
     def of(

@@ -19,20 +19,13 @@ from ...system.limits import Check, unchecked
 
 @dataclass(frozen=True)
 class TNFOperator:
-    """A ground action, restricted to the states in which `facts` hold.
-
-    Attributes
-    ----------
-    action : int
-    facts : dict of int to int
-        Required values of variables, including every changed variable.
-    after : dict of int to int
-        New values of the changed variables.
-    """
+    """A ground action, restricted to the states in which `facts` hold."""
 
     action: int
     facts: dict[int, int]
+    """Required values of variables, including every changed variable."""
     after: dict[int, int]
+    """New values of the changed variables."""
 
     def inverse(self) -> TNFOperator:
         """Return the move in the opposite direction."""
@@ -107,12 +100,6 @@ def exactly_one(
     The candidates are the translator's mutex groups. A group is kept if exactly one of its facts holds initially, and
     no applicable move changes the number of its facts that hold. A move that needs two facts of a kept group is never
     applicable. Both conditions together prove the claim by induction over the moves.
-
-    Returns
-    -------
-    groups : list of frozenset of Fact
-    moves : list of TNFOperator
-        The moves that the groups do not exclude.
     """
     groups = list(dict.fromkeys(map(frozenset, task.mutexes)))
     initial = set(enumerate(task.initial))

@@ -32,17 +32,11 @@ STEPS_PER_CHECK = 1 << 24
 
 @dataclass(frozen=True)
 class Cluster:
-    """Variables and their possible joint values.
-
-    Attributes
-    ----------
-    variables : tuple of int
-    values : int64 array, shape (n, variables)
-        Joint values in lexicographic order.
-    """
+    """Variables and their possible joint values."""
 
     variables: tuple[int, ...]
     values: Ints
+    """Joint values in lexicographic order, shape (n, variables)."""
 
     def __len__(self) -> int:
         return len(self.values)
@@ -203,12 +197,8 @@ def _merged(projections: Projections, a: Cluster, b: Cluster) -> Cluster | None:
 def _explore(after, allowed, factors, sizes, slots, queue, begin, stop, seen, most):
     """Append the successors of `queue[begin:stop]` to the queue, which has `seen` entries, and to the hash table.
 
-    Returns
-    -------
-    done : int
-        Number of expanded entries; less than `stop` if the queue is full.
-    seen : int
-        Number of entries; `most + 1` if there are more than `most`.
+    Return the number of expanded entries, less than `stop` if the queue is full, and the number of all entries:
+    `most + 1` if there are more than `most`.
     """
     width = len(factors)
     values, new = np.empty(width, dtype=np.int64), np.empty(1, dtype=np.uint64)

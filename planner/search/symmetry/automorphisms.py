@@ -34,18 +34,12 @@ Colors = NDArray[np.uint64]
 
 @dataclass(frozen=True)
 class Level:
-    """One level of the stabiliser chain: the symmetries that fix the facts of the earlier levels.
-
-    Attributes
-    ----------
-    moves : int64 array, shape (k, facts)
-        For each image of the level's fact, a symmetry that maps this image back to the fact.
-    orbits : int64 array, shape (facts,)
-        Orbit of each fact under the symmetries that also fix this level's fact.
-    """
+    """One level of the stabiliser chain: the symmetries that fix the facts of the earlier levels."""
 
     moves: Ints
+    """For each image of the level's fact, a symmetry that maps this image back to the fact: a row each."""
     orbits: Ints
+    """Orbit of each fact under the symmetries that also fix this level's fact."""
 
 
 @dataclass(frozen=True)
@@ -53,18 +47,12 @@ class Symmetries:
     """The symmetries of a task that were found: the whole group or a subgroup.
 
     Fact `(v, value)` of the task has number `first[v] + value`.
-
-    Attributes
-    ----------
-    first : int64 array, shape (variables + 1,)
-    levels : tuple of Level
-    generators : tuple of int64 array, shape (facts,)
-        Image of every fact under each generator.
     """
 
     first: Ints
     levels: tuple[Level, ...]
     generators: tuple[Ints, ...]
+    """Image of every fact under each generator."""
 
     @property
     def order(self) -> int:
@@ -83,19 +71,8 @@ def symmetries(
     """Return symmetries of a task; None if only the identity is found.
 
     Derived variables and conditional effects are not supported: for tasks with these, the result is None. It is also
-    None if the search exceeds one of its limits, or if an operator sets a variable twice.
-
-    Parameters
-    ----------
-    task : Task
-    work : int
-        Largest number of edges of the task's graph that are visited.
-    check : callable
-        Called regularly; it may raise `LimitError`.
-    max_levels : int
-        Largest number of levels of the chain, each of which fixes a fact.
-    max_entries : int
-        Largest number of entries in the arrays of the chain. It bounds the memory.
+    None if an operator sets a variable twice, or if the search exceeds one of its limits: the edges of the task's
+    graph that are visited (`work`), the levels of the chain, each of which fixes a fact, and the entries of its arrays.
     """
     plain = not task.axioms and all(not effect.conditions for operator in task.operators for effect in operator.effects)
     once = all(len({effect.variable for effect in o.effects}) == len(set(o.effects)) for o in task.operators)
