@@ -109,11 +109,13 @@ def with_rule_of(file: Path | None, setting: dict[str, Any]) -> dict[str, Any]:
     click.UsageError
         The file has a trust rule, and so do the options.
     """
+    if file is None:
+        return setting
     from ...learning import population as populations
     from ...people.trust_rules import EquationSeven
 
     try:
-        rule = None if file is None else populations.trust_of(_record(file))
+        rule = populations.trust_of(_record(file))
     except ValueError as error:
         raise click.UsageError(f"--population {file}: {error}") from None
     if rule is None:
