@@ -168,6 +168,23 @@ def test_the_smallest_grid_and_its_arrays() -> None:
             array[0] = 0.5
 
 
+def test_a_grid_with_counts_by_hand() -> None:
+    """Two goals, two values of beta and of theta, and up to two outcomes."""
+    grid = Grid(np.array([1, 2]), np.array([0, 1])).with_counts(2)
+    assert grid.beta.dtype == grid.theta.dtype == float
+    assert (grid.theta.tolist(), grid.values.tolist(), grid.shape) == ([0, 1, 0, 1, 0, 1], [0, 1], (2, 6))
+    assert grid.count.tolist() == [0, 0, 1, 1, 2, 2]
+    low, weight = grid.shares([0.25, 1.0, 0.5], [2, 1, 0])
+    assert (low.tolist(), weight.tolist()) == ([4, 2, 0], [0.25, 1.0, 0.5])
+    prior = grid.prior(Population(beta=(2.0, 2.0), theta=(0.25, 0.25)))
+    assert prior.tolist() == [[0] * 6, [0.75, 0.25, 0, 0, 0, 0]]
+    belief = np.zeros((4, 6))
+    belief[[0, 1, 2, 3], [1, 3, 5, 4]] = 0.1, 0.2, 0.3, 0.4  # theta is 1, 1, 1 and 0
+    beta, theta = grid.spreads(belief)
+    assert (beta.mean, theta.mean) == pytest.approx((1.6, 0.6))
+    assert grid.spreads(np.eye(1, 24, 5).reshape(4, 6))[1] == Spread(1.0, pytest.approx(0.525), 1.0)
+
+
 def test_a_regular_grid_has_the_middles_of_equal_cells() -> None:
     population = Population(beta=(1.0, 4.0))
     grid = Grid.regular(population, betas=3, thetas=5)

@@ -29,7 +29,8 @@ def frontier_of(alone: AssistPOMDP, layout: TimeExpansion, price: Floats, entry:
         states = np.flatnonzero(ends | (layout.cut & ~alone.model.choices.goal[layout.x]))
         known = np.stack([alone.frontier.away, alone.frontier.upper])
         upper = np.zeros((len(states), *known.shape[2:]))  # 0 is an upper bound, as costs are positive
-        upper[ends[states]] = known[np.minimum(layout.position[states], HERE), place[layout.x[states]]][ends[states]]
+        at = states[ends[states]]
+        upper[ends[states]] = known[np.minimum(layout.position[at], HERE), place[layout.x[at]]]
         return LeafBounds(states, upper, upper)
     assert layout.kept is None
     states = np.flatnonzero(place[layout.x] >= 0)
