@@ -46,7 +46,7 @@ TESTS = {
     "assist/team/attention_subproblem.py": "test_attention_subproblem test_bounds",
     "assist/certify/team_bound.py": "test_certify test_upper_bound",
     "assist/certify/certificate.py": "test_certify",
-    "assist/certify/prices.py": "test_certify test_upper_bound",
+    "assist/certify/prices.py": "test_attention_prices test_certify",
 }
 """The modules, and the tests that should detect changes of them."""
 

@@ -161,10 +161,13 @@ def test_whole_numbers_are_prices_too(monkeypatch: pytest.MonkeyPatch) -> None:
         AttentionSubproblem.of(alone, 0.4, 200_000)
 
 
-def values(pomdp: AssistPOMDP, then: np.ndarray) -> np.ndarray:
-    """One sweep of value iteration with observed beta and theta, by the equations of `AssistPOMDP`."""
-    choices, grid, found = pomdp.model.choices, pomdp.grid, np.zeros_like(then)
-    for x in np.flatnonzero(~pomdp.final):
+def values(pomdp: AssistPOMDP, then: np.ndarray, states: list[int] | None = None) -> np.ndarray:
+    """One sweep of value iteration with observed beta and theta, by the equations of `AssistPOMDP`.
+
+    It is over all states, or some. The values of states in which the problem ends do not change.
+    """
+    choices, grid, found = pomdp.model.choices, pomdp.grid, then.copy()
+    for x in np.flatnonzero(~pomdp.final) if states is None else states:
         returns = []
         for robot in range(pomdp.robot_actions[x]):
             worth = np.full(grid.shape, -pomdp.robot_costs[x, robot])

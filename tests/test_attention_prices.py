@@ -1,0 +1,203 @@
+"""Prices of attention: people whose behaviour is certain, truncated tasks, and the number of steps with prices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import graph_task, kit
+from test_attention_subproblem import values
+from test_goal_bounds import ring
+
+from assist.certify import prices
+from assist.certify.prices import SubproblemKind, kinds_of, window_of
+from assist.large_tasks.truncated_bound import TruncatedProblem, likely
+from assist.people.choices import Choices
+from assist.people.human import Population
+from assist.person.qmdp import qmdp
+from assist.simulation.pool import Pool
+from assist.simulation.simulate import simulate
+from assist.team.attention_subproblem import AttentionSubproblem
+from assist.team.settings import Setting
+from planner import sweep
+
+SETTING = Setting(knowledge="exact", gamma=0.9, c_suggest=0.01, c_move=0.02, eta=0.0, lapse=0.0, robots=2)
+
+
+def pool_of(ways: list[tuple[int, int, int]], start: int, size: int = 2, **people: Any) -> Pool:
+    choices = Choices.of(sweep(graph_task(ways, start=start)))
+    return Pool.sample(choices, size, seed=1, setting=SETTING, **people)
+
+
+def only_kind(pool: Pool, window: int, time: float = 0.0, **options: Any) -> SubproblemKind:
+    team = tuple(range(len(pool.people)))
+    (kind,) = kinds_of(pool, team, replace(pool.setting, travel_time=time).travel(len(team)), window, **options)
+    return kind
+
+
+def test_attention_to_people_who_do_what_they_are_told() -> None:
+    """In the robot's model, people follow each suggestion; alone they would walk at random, on the last two steps.
+
+    The pool's own people never follow: the simulation is of the model.
+    """
+    ways = [(5, 4, 1), (4, 3, 1), (3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 1), (1, 2, 1)]
+    follow, never = (Population(beta=(0.0, 0.0), theta=(theta, theta)) for theta in (1.0, 0.0))
+    pool = pool_of(ways, 5, population=never, prior=follow)
+    cost, gamma = np.ones(5), 0.9 ** np.arange(8)
+    for time, attended in ((0.0, [0, 0, 0, 1, 1, 0, 0]), (2.0, [0, 1, 1, 1, 1, 0, 0])):
+        kind = only_kind(pool, 7, time)
+        assert (kind.places, kind.count, kind.outer, kind.between) == ((0, 1), 2, None, None)
+        assert kind.visits.price.tolist() == [0] * 7
+        number, found = kind.simulated(np.zeros(7), 8, 5, 0)
+        assert number.tolist() == attended
+        paid = 0.02 * gamma[attended.index(1)] + 0.01 * (gamma[3] + gamma[4])
+        np.testing.assert_allclose(found, [-(cost @ gamma[:5]) - paid] * 5)
+        # A price is paid at its step: here the suggestions are worth it, and the way is not the cheaper for it.
+        price = np.array([0.0, 0.0, 0.0, 0.25, 0.5, 0.0, 0.0])
+        number, dearer = kind.simulated(price, 8, 5, 0)
+        assert number.tolist() == attended
+        np.testing.assert_allclose(found - dearer, 0.25 * gamma[3] + 0.5 * gamma[4])
+        assert kind.simulated(price, 4, 5, 0)[1] == pytest.approx(
+            -gamma[:4].sum() - paid + 0.01 * gamma[4] - 0.25 * gamma[3]
+        )
+        free = qmdp(AttentionSubproblem.of(pool.policies[0].pomdp, 0.02, int(time)).pomdp, tolerance=1e-12).value_mdp
+        np.testing.assert_allclose(kind.tail, free, atol=1e-5)
+        assert (kind.tail >= free - 1e-9).all()
+    assert kind.simulated(np.full(7, 9.0), 3, 5, 0)[0].tolist() == [0] * 7
+
+
+def test_episodes_differ_by_their_seed() -> None:
+    kind = only_kind(pool_of([(2, 1, 1), (1, 0, 1), (1, 2, 1)], 2, population=Population(beta=(0.1, 0.5))), 3)
+    one, same, other = (kind.simulated(np.full(3, 0.1), 9, 20, seed)[1].tolist() for seed in (1, 1, 2))
+    assert one == same != other
+    assert len(one) == 20
+
+
+def test_people_with_several_goals_count_by_the_chance_of_each() -> None:
+    pool = Pool.sample(ring(), 3, seed=1, setting=SETTING)
+    kinds = kinds_of(pool, (0, 1, 2), pool.setting.travel(3), 0)
+    assert [kind.count for kind in kinds] == pytest.approx([1.5, 0.9, 0.6])
+    assert all(kind.places == (0, 1, 2) for kind in kinds)
+
+
+@pytest.fixture(scope="module")
+def truncated() -> SubproblemKind:
+    """The kind of people on a task of which six states are enumerated, within the whole one."""
+    pool = Pool.sample(kit("tiny"), 2, seed=1, states=1, region=6, setting=replace(SETTING, c_suggest=0.1))
+    return only_kind(pool, 3, with_outer=True)
+
+
+def test_prices_on_a_truncated_task(truncated: SubproblemKind) -> None:
+    kind, price = truncated, np.array([1.0, 0.5, 0.2])
+    assert (kind.count, len(kind.visits.price)) == (2, 0)
+    assert kind.outer is not None
+    visits = kind.at(price)
+    kept = likely(kind.visits.alone, 3, kind.pairs)
+    plain = AttentionSubproblem.of(kind.visits.alone, kind.visits.entry, kind.visits.entry_steps, price, kept=kept)
+    for found, same in ((visits, plain), (kind.at(np.zeros(0)), kind.visits)):
+        np.testing.assert_array_equal(found.layout.x, same.layout.x)
+        np.testing.assert_array_equal(found.pomdp.robot_costs, same.pomdp.robot_costs)
+    assert visits.pomdp.frontier is not None
+    expected = kind.outer.beyond(plain, kind.tail).pomdp.frontier
+    assert expected is not None
+    np.testing.assert_array_equal(visits.pomdp.frontier.upper, expected.upper)
+
+
+def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemKind) -> None:
+    """It does so at the price of its step, to values with the prices of all later steps."""
+    kind, price = truncated, np.array([1.0, 0.5, 0.2])
+    assert kind.between is not None
+    visits, policy = kind._acting(price)
+    assert visits is kind.between.visits
+    after, pomdp = [kind.between.value], visits.pomdp
+    for step in (2, 1, 0):
+        after.insert(0, np.minimum(values(visits.at_price(price[step]), after[0]), kind.between.value))
+    x = np.flatnonzero(~pomdp.final)
+    belief = np.broadcast_to(pomdp.prior, (len(x), *pomdp.prior.shape))
+    for step in range(6):
+        robot = policy(step, x).choose(x, belief)
+        own = visits.at_price([*price, 0.0, 0.0, 0.0][step])
+        q = np.array([
+            [_q(own, int(y), r, after[min(step + 1, 3)]) if r < pomdp.robot_actions[y] else -np.inf
+             for r in range(pomdp.suggested.shape[1])]
+            for y in x
+        ])  # fmt: skip
+        best = q[np.arange(len(x)), robot]
+        np.testing.assert_allclose(best, q.max(axis=1), atol=1e-9)
+    number, _ = kind.simulated(np.array([9.0, 9.0, 0.0]), 8, 50, 0)
+    assert number[:2].tolist() == [0, 0]
+    assert 0 < number[2] <= 1
+
+
+def _q(pomdp: Any, x: int, robot: int, then: np.ndarray) -> float:
+    """The Q-value of a robot action at the prior, by value iteration in which the robot has no other."""
+    one = replace(
+        pomdp,
+        robot_actions=np.ones_like(pomdp.robot_actions),
+        **{name: getattr(pomdp, name)[:, [robot]] for name in (
+            "suggested", "afterstate", "robot_costs", "unsuggested", "low", "weight")},
+    )  # fmt: skip
+    return float((values(one, then, [x])[x] * pomdp.prior).sum())
+
+
+def test_time_and_memory_are_shared_among_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 12 seconds the first of three kinds gets 4, and if it took none, the others as much."""
+    pool = Pool.sample(kit("tiny"), 3, seed=1, setting=replace(SETTING, knowledge="own"))
+    asked: list[tuple[float, dict[str, Any]]] = []
+
+    def policy(number: int) -> SimpleNamespace:
+        def bounded(entry: float, **options: Any) -> TruncatedProblem | None:
+            asked.append((entry, options))
+            return TruncatedProblem(pool.policies[number].pomdp, pairs=7) if number else None
+
+        return SimpleNamespace(bounded=bounded, pomdp=pool.policies[number].pomdp)
+
+    fake: Any = SimpleNamespace(model=pool.model, policies=[policy(number) for number in range(3)])
+    monkeypatch.setattr(prices, "time", SimpleNamespace(perf_counter=lambda: 100.0))
+    told: list[tuple[str, int, int]] = []
+    for with_outer, limit in ((True, 100.0), (False, 300.0)):
+        kinds = kinds_of(
+            fake, (0, 1, 2), SETTING.travel(3), 2, with_outer=with_outer, memory_limit_mb=300.0, until=112.0,
+            tell=lambda *what: told.append(what),
+        )  # fmt: skip
+        options = {"with_outer": with_outer, "memory_limit_mb": limit, "kept_mb": 100.0}
+        assert asked == [(0.02, {"until": until, **options}) for until in (104.0, 106.0, 112.0)]
+        assert [(kind.places, kind.pairs, kind.share) for kind in kinds] == [((0,), 0, 1), ((1,), 7, 1), ((2,), 7, 1)]
+        assert told == [("setting up people's problems", done, 3) for done in range(3)]
+        asked.clear()
+        told.clear()
+
+
+@pytest.mark.parametrize(
+    ("ways", "options", "expected"),
+    [
+        ([(1, 0, 1)], {}, 6),  # a plan costs one unit, and has twelve actions
+        ([(1, 0, 1)], {"at_work": 1}, 2),  # no more than one person for each of the two robots
+        ([(1, 0, 1)], {"at_work": 0.9, "plans": 20}, 12),
+        ([(2, 1, 3), (1, 0, 4)], {"at_work": 0, "plans": 2.5}, 6),  # 7 / 3 units: twice that are 5 steps, rounded up
+        ([(2, 1, 3), (1, 0, 4)], {"at_work": 1, "plans": 2.5}, 5),
+        ([(2, 1, 3), (1, 0, 4)], {"at_work": 0}, 12),
+    ],
+)
+def test_steps_with_prices(ways: list[tuple[int, int, int]], options: dict[str, Any], expected: int) -> None:
+    """Two people walk along a line; its first actions cost nothing."""
+    start = max(way[0] for way in ways)
+    free = [(a, b, 0) for a, b in pairwise(range(12, start - 1, -1))]
+    pool = pool_of([*ways, *free], 12)
+    assert window_of(pool, (0, 1), 0, **{"at_work": 0, **options}) == expected
+    # Of three people, only those of the team count.
+    assert window_of(pool_of([*ways, *free], 12, 3), (0, 1), 0, **{"at_work": 0, **options}) == expected
+
+
+def test_steps_with_prices_for_people_who_stray() -> None:
+    pool = pool_of([(2, 1, 1), (1, 0, 1), (1, 2, 1)], 2, 3, population=Population(beta=(0.0, 0.1)))
+    alone = simulate(pool, "none", humans=[0, 1, 2], episodes=64, seed=4, world="model").actions
+    busy = [np.mean([sum(actions > step for actions in one) for one in alone]) for step in range(24)]
+    for at_work in (0.1, 0.2, 0.4, 0.6):
+        count = sum(number > 2 * at_work for number in busy)
+        assert window_of(pool, (0, 1, 2), 4, at_work=at_work, plans=12) == max(4, count)  # type: ignore[arg-type]
+    assert window_of(Pool.sample(ring(), 1, seed=1, setting=SETTING), (0,), 0) == 4  # the furthest goal: two steps
