@@ -42,7 +42,7 @@ TESTS = {
     "assist/people/decision.py": "test_human test_equations test_misconception",
     "planner/costtogo/table.py": "test_costtogo test_ondemand test_tables",
     "assist/large_tasks/truncated_task.py": "test_region test_frontier",
-    "assist/team/attention.py": "test_policies test_assistant test_robots",
+    "assist/team/attention.py": "test_attention test_policies",
     "assist/team/attention_subproblem.py": "test_attention_subproblem test_bounds",
     "assist/certify/team_bound.py": "test_certify test_upper_bound",
     "assist/certify/certificate.py": "test_certify",
