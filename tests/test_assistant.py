@@ -392,7 +392,6 @@ def test_the_robot_is_where_it_says(tiny: Table) -> None:
         (lambda desk: Assistant(desk._task, policy="atention"), "unknown policy 'atention'; did you mean 'attention'"),
         (lambda _: Assistant(None, ["ann"]), "there is no task"),
         (lambda desk: Assistant(desk._task, ["ann"], setting=Setting(execute=True)), "expected a robot that suggests"),
-        (lambda desk: Assistant(desk._task, ["ann"], setting=Setting(c_ask=0.1)), "a robot that asks about goals"),
         (lambda desk: Assistant.from_json("{}", desk._task), "no saved team"),
         (lambda desk: Assistant.from_json(desk.to_json()[:-9], desk._task), "no saved team"),
         (

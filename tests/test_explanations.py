@@ -7,7 +7,7 @@ import pickle
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -23,6 +23,7 @@ from assist.explain import (
     contrast,
 )
 from assist.explain.contrast import Consequence
+from assist.explain.explanation import Cause
 from assist.live import Advice, Assistant, InapplicableError, UnknownError
 from assist.live.live_task import LiveTask
 from assist.live.simulated_person import SimulatedPerson
@@ -481,7 +482,7 @@ def test_advice_stays_what_it_was() -> None:
     """An explanation is no field: records, copies and comparisons of advice are without it."""
     advice = team().recommend()
     assert advice.explanation
-    assert set(asdict(advice)) == {"person", "suggestion", "reason", "arrived"}
+    assert set(asdict(advice)) == {"person", "suggestion", "reason", "arrived", "question"}
     assert pickle.loads(pickle.dumps(advice)) == advice
     assert Advice.of(asdict(advice)) == advice
     with pytest.raises(ValueError, match="from a record"):
@@ -523,8 +524,11 @@ def explanations() -> list[Explanation]:
     found.append(Explanation(WhyStep("(a)", 0.6, some, "kit-a", 0.8)))
     now = WhyPerson(Prospect("ann", "(a)", 2.0, 0.1, 0.0), True, True, (), "attention")
     found.append(Explanation(WhyStep("(a)", 0.5, Contrast("(a)", "(b)", 0.0, "actions", None, 0.5)), now))
-    for reason in ("paused", "never", "finished", "nobody", "waiting", "no-mistake", "mistake-elsewhere", "no-step"):
-        found += [Explanation(nothing=WhyNothing(reason, "reactive", about=one)) for one in (None, "ann")]  # type: ignore[arg-type]
+    found.append(Explanation(WhyStep("(a)", 0.6, some)).in_state(0.8))
+    for reason in get_args(Cause):
+        if reason == "cost":
+            continue
+        found += [Explanation(nothing=WhyNothing(reason, "reactive", about=one)) for one in (None, "ann")]
     return found
 
 

@@ -17,8 +17,9 @@ KITS = ROOT / "docs" / "examples" / "kits"
 
 
 def test_the_goals_of_people_are_inferred() -> None:
-    given = ("--goals", KITS, "--goal-prior", "travel=.5,mend=.3,mount=.2", "--humans", 2)
-    with served(*given, "--simulate", 1, "--pace", 0.01, instance=KITS / "travel.pddl") as service:
+    given = ("--goals", KITS, "--goal-prior", "travel=.5,mend=.3,mount=.2", "--humans", 2, "--ask", 0.01)
+    noise = ("--miss", 0.02, "--confusion", 0.05, "--c-move", 0)
+    with served(*given, *noise, "--simulate", 1, "--pace", 0.01, instance=KITS / "travel.pddl") as service:
         view = "/api/people/person-1"
         assert service.ask("GET", f"{view}/drawing", "person-1").json()["goal"] == []
         entry = service.ask("GET", "/api/team").json()["people"][0]
@@ -28,7 +29,18 @@ def test_the_goals_of_people_are_inferred() -> None:
         team = service.ask("GET", "/api/team").json()
         assert team["people"][0]["goals"]["travel"] > 0.8
         assert team["people"][1]["steps"] > 0
-        assert "goals" not in service.ask("GET", view, "person-1").json()
+        seen = service.ask("GET", view, "person-1").json()
+        assert "goals" not in seen
+        for wrong in ({}, {"missed": 2}, {"likelihoods": {"(fetch box-c)": -1}}):
+            assert service.ask("POST", f"{view}/actions", "person-1", json=wrong).status_code == 422
+        known = dict.fromkeys(seen["applicable"], 1.0)
+        seen = service.ask("POST", f"{view}/actions", "person-1", json={"likelihoods": known}).json()
+        assert seen["steps"] == 3
+        if "question" in seen:
+            said = {"answer": None, "seq": seen["seq"]}
+            assert "question" not in service.ask("POST", f"{view}/answer", "person-1", json=said).json()
+        refused = service.ask("POST", f"{view}/answer", "person-1", json={"answer": True})
+        assert (refused.status_code, refused.json()["detail"]) == (409, "person-1 has no open question")
     result = invoke("serve", KITS / "travel.pddl", KITS / "mend.pddl", "--goals", KITS, "--humans", 1)
     assert (result.exit_code, "expected one INSTANCE, which has the first goal" in result.stderr) == (2, True)
 

@@ -46,7 +46,8 @@ def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
         elif value is None and one.nargs == 2:
             value = "[0.5, 0.75]"
         elif value is None:
-            value = "1" if isinstance(one.type, click.IntRange | click.FloatRange) else '"text"'
+            whole, share = isinstance(one.type, click.IntRange), isinstance(one.type, click.FloatRange)
+            value = "1" if whole else "0.25" if share else '"text"'
         lines.append(f"{one.opts[0][2:].replace('-', '_')} = {value}")
     file.write_text("\n".join(lines))
     found = read_config(file, serve.params)

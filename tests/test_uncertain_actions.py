@@ -119,7 +119,7 @@ def test_answers_are_as_probable_as_the_actions_were() -> None:
     record = team._team.known("ann")
     after = after_answers(record, NOISY.observation)
     assert record.joint is not None
-    assert sum(one.evidence for one in after) == pytest.approx(record.joint.evidence, rel=1e-5)
+    assert sum(one.evidence for one in after.values()) == pytest.approx(record.joint.evidence, rel=1e-5)
     assert team.worth_of_asking("ann") >= 0
 
 

@@ -14,6 +14,7 @@ from planner.system.progress import stages
 from .options.common import OUTPUT_FILE, instance_argument, json_option, separate_files
 from .options.goals import goal_knowledge_option, goal_list_options, question_options, questions_of, several_goals
 from .options.help import command
+from .options.person import observation_options
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
 from .terminal.console import print_json
@@ -37,14 +38,7 @@ from .terminal.console import print_json
     show_default=True,
     help="Steps after which an episode is cut off.",
 )
-@click.option(
-    "--miss", type=click.FloatRange(0, 1, max_open=True), default=0.0, show_default=True, metavar="P",
-    help="Probability that the robot misses an action.",
-)  # fmt: skip
-@click.option(
-    "--confusion", type=click.FloatRange(0, 1, max_open=True), default=0.0, show_default=True, metavar="P",
-    help="Probability that it sees another action instead.",
-)  # fmt: skip
+@observation_options
 @team_options
 @goal_list_options
 @goal_knowledge_option

@@ -15,7 +15,8 @@ from ..texts.catalogue import FIRST, Catalogue, catalogue
 from .contrast import Contrast
 
 Cause = Literal[
-    "paused", "never", "finished", "nobody", "waiting", "no-mistake", "mistake-elsewhere", "no-step", "cost"
+    "paused", "never", "finished", "probably-finished", "nobody", "waiting", "no-mistake", "mistake-elsewhere",
+    "no-step", "cost",
 ]  # fmt: skip
 """Why nothing is suggested; see `WhyNothing`."""
 
@@ -112,10 +113,10 @@ class WhyNothing:
     Attributes
     ----------
     reason : str
-        "paused": suggestions are paused. "never": the team's policy makes none. "finished": the person has reached the
-        goal. "nobody": no one is at work. "waiting": everybody at work has a suggestion. "no-mistake",
-        "mistake-elsewhere": the policy "reactive" helps after mistakes, and there was none, or the robot is with
-        another person. "no-step": there is no step to suggest.
+        "paused": suggestions are paused. "never": the team's policy makes none. "finished", "probably-finished": the
+        person has reached the goal, or probably has. "nobody": no one is at work. "waiting": everybody at work has a
+        suggestion. "no-mistake", "mistake-elsewhere": the policy "reactive" helps after mistakes, and there was none,
+        or the robot is with another person. "no-step": there is no step to suggest.
         "cost": the suggestion is expected to save less than it costs, or the policy considers more than that.
     rule : str
         Name of the team's policy.
@@ -153,6 +154,9 @@ class Explanation:
         The step against an action that was asked about.
     words : mapping of str to str
         Actions in the domain's own words, as far as it has them.
+    state_probability : float
+        How probable the task state is for which steps are compared, the most probable one. Expected savings are
+        averages over all states.
     """
 
     step: WhyStep | None = None
@@ -160,6 +164,7 @@ class Explanation:
     nothing: WhyNothing | None = None
     against: Contrast | None = None
     words: Mapping[str, str] = field(default_factory=dict, repr=False)
+    state_probability: float = 1.0
 
     def sentences(self, language: str = FIRST) -> list[str]:
         """Return the explanation as sentences.
@@ -190,6 +195,8 @@ class Explanation:
         }  # fmt: skip
         if self.step is not None and self.step.goal is None:
             del plain["step"]["goal"], plain["step"]["goal_probability"]
+        if self.state_probability < 1:
+            plain["state_probability"] = self.state_probability
         for one in (plain["against"], (plain["step"] or {}).get("likely")):
             if one is not None and not math.isfinite(one["difference"]):
                 one["difference"] = None
@@ -212,6 +219,10 @@ class Explanation:
         """Return the same explanation with actions in the given words."""
         return replace(self, words=words)
 
+    def in_state(self, probability: float) -> Explanation:
+        """Return the same explanation for a task state that has this probability."""
+        return replace(self, state_probability=probability)
+
     def without_names(self) -> Explanation:
         """Return the same explanation without the names of other people."""
         if self.now is None:
@@ -222,6 +233,8 @@ class Explanation:
     def _sentences(self, say: Catalogue) -> Iterator[str]:
         if self.step is not None:
             yield say("step.suggestion", step=self._action(say, self.step.step))
+            if self.state_probability < 1:
+                yield say("step.state", probability=say.percent(self.state_probability))
             if self.step.goal is not None:
                 yield say("step.goal", goal=self.step.goal, probability=say.percent(self.step.goal_probability))
             if self.against is None:

@@ -1,5 +1,6 @@
 from .advice import Advice as Advice
 from .advice import PersonState as PersonState
+from .advice import Question as Question
 from .advice import Reason as Reason
 from .assistant import Assistant as Assistant
 from .event_sourced import Outlook as Outlook

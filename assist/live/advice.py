@@ -1,10 +1,10 @@
-"""The robot's next step: the person to whom it goes, its suggestion, and the reason in numbers."""
+"""The robot's next step: the person to whom it goes, its suggestion, the reason in numbers, and what it asks."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -85,6 +85,53 @@ class Reason:
 
 
 @dataclass(frozen=True)
+class Question:
+    """A question to a person that is worth its cost; `Assistant.answer` takes the answer.
+
+    Attributes
+    ----------
+    person : str
+    goal : str or None
+        The robot asks "is this your goal?"; None if it asks "what did you do last?".
+    options : tuple of str
+        The actions that the person may have taken last, the most probable first.
+    worth : float
+        Worth of the answer minus the cost of the question, in cost units.
+    """
+
+    person: str
+    goal: str | None
+    options: tuple[str, ...]
+    worth: float
+
+    @property
+    def kind(self) -> str:
+        """What is asked about: "goal" or "action"."""
+        return "action" if self.goal is None else "goal"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the question as plain data."""
+        return {"person": self.person, "goal": self.goal, "options": list(self.options), "worth": self.worth}
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> Question:
+        """Return the question that `as_dict` converted to plain data.
+
+        Raises
+        ------
+        ValueError
+            The data are not those of a question.
+        """
+        person, goal, options, worth = (plain[one.name] for one in fields(cls))
+        texts = isinstance(options, list | tuple) and all(
+            isinstance(one, str) for one in [person, goal or "", *options]
+        )
+        if not texts or type(worth) not in (int, float) or not math.isfinite(worth):
+            raise ValueError(f"question {str(dict(plain))[:60]}")
+        return cls(person, goal, tuple(options), worth)
+
+
+@dataclass(frozen=True)
 class Advice:
     """The next step of the robot.
 
@@ -98,12 +145,22 @@ class Advice:
         None if `person` is None.
     arrived : bool
         Whether the robot is there. If travel takes time, it is False until `Assistant.arrived` is called.
+    question : Question or None
+        What the robot asks anybody of the team before that, if the setting has a cost of questions (`c_ask`). With
+        several robots it is in the advice of the first.
     """
 
     person: str | None
     suggestion: str | None
     reason: Reason | None
     arrived: bool
+    question: Question | None = None
+
+    def asking(self, question: Question | None) -> Advice:
+        """Return the advice with a question, and with the same source of its explanation."""
+        if question is None:
+            return self
+        return replace(self, question=question).explained_by(vars(self)["_source"])
 
     def explained_by(self, source: Callable[[], Explanation]) -> Advice:
         """Set the function that computes `explanation` on first use; return the advice."""
@@ -125,9 +182,10 @@ class Advice:
         return source()
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the advice as plain data."""
-        reason = None if self.reason is None else self.reason.as_dict()
-        return {one.name: getattr(self, one.name) for one in fields(self)} | {"reason": reason}
+        """Return the advice as plain data; a question only if there is one."""
+        plain: dict[str, Any] = {name: getattr(self, name) for name in ("person", "suggestion", "reason", "arrived")}
+        plain["reason"] = None if self.reason is None else self.reason.as_dict()
+        return plain if self.question is None else plain | {"question": self.question.as_dict()}
 
     def __getstate__(self) -> dict[str, Any]:
         return {one.name: getattr(self, one.name) for one in fields(self)}
@@ -147,9 +205,11 @@ class Advice:
             raise ValueError(f"advice {str(dict(plain))[:60]}")
         if person is None and (suggestion is not None or reason is not None):
             raise ValueError("advice for nobody")
+        asked = plain.get("question")
         return cls(
-            plain["person"], plain["suggestion"], None if reason is None else Reason.of(reason), plain["arrived"]
-        )
+            person, suggestion, None if reason is None else Reason.of(reason), arrived,
+            None if asked is None else Question.of(asked),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -181,6 +241,8 @@ class PersonState:
         Probability of each goal, if the person pursues one of several.
     states : mapping of int to float
         Probability of each possible task state, if actions are uncertain; `state` is then the most probable one.
+    question : Question or None
+        The open question to the person.
     """
 
     person: str
@@ -195,6 +257,7 @@ class PersonState:
     belief: Floats
     goals: Mapping[str, float] = field(default_factory=dict)
     states: Mapping[int, float] = field(default_factory=dict)
+    question: Question | None = None
 
     def __post_init__(self) -> None:
         self.belief.flags.writeable = False

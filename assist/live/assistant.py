@@ -35,21 +35,21 @@ from ..people.decision import NOTHING, Floats
 from ..people.goals import Goals, goal_shares
 from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
-from ..people.spread import Spread
-from ..person.belief_filter import update
-from ..person.joint_belief import JointBelief, same_suggestions
+from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..team.action_check import check
-from ..team.hidden_states import expected_answers
 from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
-from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState, worth_of_actions
+from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from ..team.travel import Travel
-from .advice import Advice, PersonState, Reason
+from .advice import Advice, PersonState, Question
+from .beliefs import believe, believe_again, correct, goals_of, is_uncertain, reason_of, tell, worth_of_asking
 from .decision_point import DecisionPoint
+from .events import InvalidError
+from .live_questions import LiveQuestions
 from .live_task import InapplicableError, LiveTask, UnknownError, digest, population_of
-from .roster import Roster, RosterEntry, Step
-from .uncertain_actions import after_answers, joint_after, joint_before_last, seen_of
+from .roster import Roster, RosterEntry, Step, Told
+from .uncertain_actions import seen_of
 
 FORMAT = "kitassist team 1"
 """Format identifier of saved teams."""
@@ -114,13 +114,12 @@ class Assistant:
             self.setting = replace(self.setting, robots=robots)
         if self.setting.execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
-        if self.setting.c_ask is not None:
-            raise ValueError("c_ask: expected none; a robot that asks about goals can only be simulated")
         self.policy = policy
         self._task = task
         self._distance = None if distance is None else np.array(distance, dtype=float)
         self._problems: dict[tuple[int, Population | Mixture], LiveTask] = {}
         self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
+        self._asks: LiveQuestions | None = None
         if isinstance(policy, str) and policy not in POLICIES:
             named(policy, (), self.setting.travel(1))  # raises an error that lists the names
         self._advice: tuple[Advice, ...] | None = None
@@ -193,7 +192,8 @@ class Assistant:
 
     def leave(self, person: str) -> None:
         """Remove a person from the team, finished or not."""
-        self._team.present[self._team.known(person).place] = False
+        record = self._team.known(person)
+        self._team.present[record.place], record.question = False, None
         self._advice = None
 
     def begin(
@@ -226,12 +226,14 @@ class Assistant:
             raise ValueError(
                 f"{person}: the next task has {part.choices.goal_count} goals; expected {before.choices.goal_count}"
             )
-        record.past.add(record.problem, record.steps)
+        record.past.add(record.problem, record.steps, record.told)
         belief = self._team.belief[record.place]
         if part.choices.goals is not None and part.choices.goal_count > 1:  # the next task has a goal of its own
             person_alone = belief.reshape(-1, *there.shape).sum(axis=0)
             belief[:] = np.concatenate([share * person_alone for share in part.choices.goals.values()])
-        record.problem, record.before, record.steps, record.joint = problem, belief.copy(), [], None
+        record.problem, record.before, record.steps, record.told = problem, belief.copy(), [], []
+        record.joint = record.earlier = None
+        self._acted(record)
         self._team.put(record, part, row)
         self._advice = None
 
@@ -244,8 +246,10 @@ class Assistant:
             self._problems[key] = made = LiveTask(task, self.setting, population)
             if self.setting.observation is not None:
                 made.policy.require_enumerated("observation")
+                self.setting.observation.evidence(made.at(made.initial)[0].choices, 0)  # raises an error if unsuitable
             if isinstance(self.policy, str):  # the team policy is then built again
                 self._made = None
+            self._asks = None
         return self._problems[key]
 
     # Observations.
@@ -297,29 +301,38 @@ class Assistant:
         robot = int(self._team.robot[k]) if heard else 0
         suggestion, still = part.policy.pomdp.suggestion(row, robot), 0
         seen = seen_of(problem, self.setting, action, likelihoods, missed)
-        if seen is None and not self._uncertain(record):
+        if seen is None and not is_uncertain(record, self.setting.observation):
             slot = problem.slot(part, row, action or "")
             to = problem.after(part, row, slot)
             step = Step(problem.place(part, row), robot, slot, part.choices.name(row, slot), suggestion)
-            erred = self._believe(record, step)
+            erred = believe(self._team, record, step, self.setting)
         else:
             if seen is not None and likelihoods is not None:
                 action = max(seen["likelihoods"], key=seen["likelihoods"].get)
             elif action is not None:
                 action = problem.named(action)
             step = Step(problem.place(part, row), robot, NOTHING, action, suggestion, seen)
-            erred = self._believe(record, step)
+            erred = believe(self._team, record, step, self.setting)
             likeliest = self._team.joint(k).likeliest
             if missed is not None and missed < 1 / 2:
                 still = int(same_suggestions(part.policy.pomdp, np.array([row]), np.array([likeliest]))[0, robot])
             to = problem.at(likeliest)
         record.steps.append(step)
+        self._acted(record)
         self._team.put(record, *to, erred=erred, robot=still)
         self._advice = None
 
-    def _uncertain(self, record: RosterEntry) -> bool:
-        """Return whether the state of a person's task is uncertain."""
-        return record.joint is not None or self.setting.observation is not None
+    def seen_of(
+        self, person: str, action: str | None, likelihoods: Mapping[str, float] | None, missed: float | None
+    ) -> dict[str, Any]:
+        """Return what `observe` records of an uncertain action, after checking it; arguments and errors as there."""
+        return seen_of(self._team.known(person).problem, self.setting, action, likelihoods, missed) or {}
+
+    @staticmethod
+    def _acted(record: RosterEntry) -> None:
+        """Close the open question to a person, who has acted."""
+        record.question = None
+        record.asked.clear()
 
     def worth_of_asking(self, person: str) -> float:
         """Return what it is worth to learn what a person's last action was, in cost units, if they answer truthfully.
@@ -327,41 +340,53 @@ class Assistant:
         It is the expected increase of the QMDP value of the person's own problem. A question that costs less is worth
         asking; `answer` takes the answer. It is 0 if the last action is certain.
         """
-        record = self._team.known(person)
-        if record.joint is None or not record.steps:
-            return 0.0
-        policy = self._team.part(record)[0].policy
+        return worth_of_asking(self._team, self._team.known(person), self.setting)[0]
 
-        def value(joint: JointBelief) -> float:
-            likeliest = np.array([joint.likeliest])
-            return float(expected_answers(worth_of_actions, policy, likeliest, [joint]).max())
+    @property
+    def questions(self) -> tuple[Question, ...]:
+        """The open questions, of people who have not answered them or acted since."""
+        return tuple(record.question for record in self._team.records if record.question is not None)
 
-        answers = after_answers(record, self.setting.observation)
-        total, known = sum(after.evidence for after in answers), value(record.joint)
-        return max(0.0, sum(after.evidence / total * (value(after) - known) for after in answers))
+    def answer(self, person: str, answer: str | bool | None) -> None:
+        """Record a person's answer, after which the open question is closed.
 
-    def answer(self, person: str, action: str) -> None:
-        """Record what a person says that their last action was; it takes the place of what was seen.
+        Parameters
+        ----------
+        person : str
+        answer : str, bool or None
+            The action that they say was their last, which takes the place of what was seen, whether it was asked about
+            or not; True or False to "is this your goal?"; None if they do not answer.
 
         Raises
         ------
         UnknownError, InapplicableError
-            As in `observe`, or the person has not acted. Nothing has changed then.
+            As in `observe`; the person has not acted, there is no such question, or the answer is impossible. Nothing
+            has changed then.
         """
         record = self._team.known(person)
-        if not record.steps:
-            raise InapplicableError(f"{person} has done nothing yet that could be asked about")
-        k, problem, model = record.place, record.problem, self.setting.observation
-        (part, row), name = self._team.part(record), problem.named(action)
-        step = record.steps[-1]._replace(action=name, seen={"likelihoods": {name: 1.0}}, slot=NOTHING)
-        then = replace(record, joint=joint_before_last(record, model))
-        record.joint = joint_after(then, record.before, step, model)
-        record.steps[-1], self._team.belief[k] = step, record.joint.belief
-        likeliest = np.array([record.joint.likeliest])
-        still = same_suggestions(part.policy.pomdp, np.array([row]), likeliest)[0, self._team.robot[k]]
-        erred = record.joint.erred > 1 / 2
-        self._team.put(record, *problem.at(record.joint.likeliest), erred=erred, robot=int(still))
+        if not isinstance(answer, str | bool | None):
+            raise InvalidError(f"answer {answer!r}: expected an action, True, False or None")
+        if isinstance(answer, str):
+            if not record.steps:
+                raise InapplicableError(f"{person} has done nothing yet that could be asked about")
+            record.problem.policy.require_enumerated("an uncertain action")
+            correct(self._team, record, record.problem.named(answer), self.setting)
+        else:
+            question = record.question
+            if question is None or (answer is not None and question.goal is None):
+                raise InapplicableError(f"{person} has no open question" + (" about the goal" if question else ""))
+            if answer is not None:
+                self._tell(record, [Told(len(record.steps), str(question.goal), answer)])
+        record.question = None
         self._advice = None
+
+    def _tell(self, record: RosterEntry, told: list[Told]) -> None:
+        """Record answers of a person about their goal."""
+        k, robot = record.place, int(self._team.robot[record.place])
+        tell(self._team, record, told, self.setting)
+        record.told += told
+        to = self._team.part(record) if record.joint is None else record.problem.at(record.joint.likeliest)
+        self._team.put(record, *to, erred=bool(self._team.erred[k]), robot=robot)
 
     def undo(self, person: str) -> str | None:
         """Take back a person's last action, as if it had not been observed, and return it.
@@ -382,10 +407,9 @@ class Assistant:
         if not record.steps:
             raise InapplicableError(f"{person} has done nothing yet that could be taken back")
         last = record.steps.pop()
-        self._team.belief[record.place], record.joint = record.before, None
-        erred = False
-        for step in record.steps:
-            erred = self._believe(record, step)
+        record.told[:] = [told._replace(steps=min(told.steps, len(record.steps))) for told in record.told]
+        erred = believe_again(self._team, record, self.setting)
+        self._acted(record)
         self._team.put(record, *record.problem.at(last.place), erred=erred, robot=last.robot)
         self._advice = None
         return last.action
@@ -393,17 +417,6 @@ class Assistant:
     def erred(self, person: str) -> bool:
         """Return whether a person's last action was not an optimal choice."""
         return bool(self._team.erred[self._team.known(person).place])
-
-    def _believe(self, record: RosterEntry, step: Step) -> bool:
-        """Update the belief in a person by a step, and return whether it was (probably) not an optimal choice."""
-        if step.seen is not None or self._uncertain(record):
-            record.joint = joint_after(record, self._team.belief[record.place], step, self.setting.observation)
-            self._team.belief[record.place] = record.joint.belief
-            return record.joint.erred > 1 / 2
-        part, row = record.problem.at(step.place)
-        belief, choices = self._team.belief[record.place], part.choices
-        update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
-        return not choices.optimal[choices.of_goals(np.array([row]))[:, 0], step.slot].any()
 
     # Advice.
 
@@ -430,11 +443,19 @@ class Assistant:
         """Apply the advice of each robot from a record, in place of `recommend`; `step` is the team's step after it."""
         self._advice, self._step = tuple(advice), step
         for number, one in enumerate(advice):
+            self._ask(one.question)
             if one.person is not None:
                 record = self._team.by_name[one.person]  # who may have left while the robot was under way
                 self._locations[number], self._under_way[number] = record.place, not one.arrived
                 if one.arrived:
                     self._suggest(record, one.suggestion)
+
+    def _ask(self, question: Question | None) -> None:
+        """Open a question."""
+        record = None if question is None else self._team.by_name.get(question.person)
+        if question is not None and record is not None:
+            record.question = question
+            record.asked.add(question.kind)
 
     def elapse(self) -> None:
         """Record that time has passed without an action, so that `recommend` decides again."""
@@ -546,12 +567,15 @@ class Assistant:
         for number, location in enumerate(self._locations):
             if self._under_way[number]:
                 going_to = self._team.records[location]
-                on_its_way = Advice(going_to.name, None, self._reason(going_to.place, 0, 0.0), arrived=False)
+                on_its_way = Advice(going_to.name, None, reason_of(self._team, going_to.place, 0, 0.0), arrived=False)
                 source = partial(points[number].suggested, going_to.place, 0, arrived=False)
                 advice[number] = on_its_way.explained_by(source)
         active = self._team.present & ~self._team.ended & (self._team.robot == 0)
         if all(self._under_way) or not active.any():
             return tuple(advice)
+        active, question = self._asking(active)
+        if not active.any():
+            return (advice[0].asking(question), *advice[1:])
         team = self._as_policies_see_it(active)
         action = self._policy()(team)
         check(team, action)
@@ -559,7 +583,21 @@ class Assistant:
         for number, (k, robot) in enumerate(chosen):
             if k != NOBODY:
                 advice[number] = self._sent(number, k, robot, points[number])
-        return tuple(advice)
+        return (advice[0].asking(question), *advice[1:])
+
+    def _asking(self, active: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Question | None]:
+        """Return who may get a suggestion, as no question to them is open, and the question that is worth most."""
+        if self.setting.c_ask is None or self.policy == "none":
+            return active, None
+        if self._asks is None:
+            self._asks = LiveQuestions(self.setting, [problem.policy for problem in self._problems.values()])
+        asked = np.array([record.question is not None for record in self._team.records])
+        active = active & ~np.pad(asked, (0, len(active) - len(asked)))
+        question = self._asks.best(self._team, active)
+        if question is not None:
+            self._ask(question)
+            active[self._team.by_name[question.person].place] = False
+        return active, question
 
     def _sent(self, number: int, k: int, robot: int, point: DecisionPoint) -> Advice:
         """Send a robot to a person's place, and return its advice there."""
@@ -567,7 +605,7 @@ class Assistant:
         moving = self._travel.c_move * float(self._travel.distance[origin, k])
         self._under_way[number] = bool(self._travel.steps[origin, k] > 0)
         self._locations[number], self._team.robot[k] = k, robot
-        reason, record = self._reason(k, robot, moving), self._team.records[k]
+        reason, record = reason_of(self._team, k, robot, moving), self._team.records[k]
         advice = Advice(record.name, self._suggestion(record), reason, arrived=not self._under_way[number])
         return advice.explained_by(partial(point.suggested, k, robot, arrived=advice.arrived))
 
@@ -594,40 +632,6 @@ class Assistant:
         part, row = self._team.part(record)
         return part.policy.pomdp.suggestion(row, int(self._team.robot[record.place]))
 
-    def _reason(self, k: int, robot: int, moving: float) -> Reason:
-        policy, belief = self._team.parts[self._team.model[k]].policy, self._team.belief[k]
-        q = self._team.answers_about(worth_of_actions, int(self._team.model[k]), np.array([k]))[0]
-        saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0])
-        beta, theta = policy.pomdp.grid.spreads(belief)
-        follow = self._follow(k, robot or 1 + int(q[1:].argmax()))
-        steps = self._team.records[k].steps
-        answered = [step for step in steps if step.suggestion is not None and step.action is not None]
-        return Reason(
-            saving, moving, saving - moving, beta.mean, (beta.low, beta.high), theta.mean, (theta.low, theta.high),
-            len(answered), sum(step.suggestion == step.action for step in answered), follow.mean,
-            (follow.low, follow.high), self._goals(k),
-        )  # fmt: skip
-
-    def _goals(self, k: int) -> dict[str, float]:
-        """Return the probability of each goal of a person; nothing if it is known."""
-        choices = self._team.parts[self._team.model[k]].choices
-        if choices.goals is None or choices.goal_count == 1:
-            return {}
-        share = goal_shares(self._team.belief[k], choices.goal_count)
-        return dict(zip(choices.goals, share.tolist(), strict=True))
-
-    def _follow(self, k: int, robot: int) -> Spread:
-        """Return the mean and interval of the probability that a person follows a suggestion, under the belief."""
-        pomdp, x = self._team.parts[self._team.model[k]].policy.pomdp, self._team.x[k : k + 1]
-        action = pomdp.suggested[x, robot]
-        if action[0] == NOTHING:
-            return Spread(0.0, 0.0, 0.0)
-        chance = pomdp.likelihood(x, np.array([robot]), action)[0].reshape(-1)
-        order = np.argsort(chance)
-        values, place = np.unique(chance[order], return_inverse=True)
-        weights = np.bincount(place, self._team.belief[k].reshape(-1)[order]).astype(float)
-        return Spread.of(values, weights, limits=(0.0, 1.0))
-
     # Views.
 
     def person(self, person: str) -> PersonState:
@@ -641,8 +645,8 @@ class Assistant:
         return PersonState(
             person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names,
             self._suggestion(record), self.cost_to_go(person), len(record.steps), part.policy.pomdp.grid,
-            self._team.belief[k].copy(), self._goals(k),
-            {} if record.joint is None else record.joint.states(choices),
+            self._team.belief[k].copy(), goals_of(self._team, k),
+            {} if record.joint is None else record.joint.states(choices), record.question,
         )  # fmt: skip
 
     def cost_to_go(self, person: str) -> float:
@@ -670,15 +674,23 @@ class Assistant:
         """For each robot, the person at whom it is, or to whom it is under way; None at its base."""
         return tuple(None if place == BASE else self._team.records[place].name for place in self._locations)
 
-    def log(self) -> list[dict[str, Any]]:
-        """Return all actions as `fit` reads them: one dictionary each, for each person in order."""
+    def log(self, *, missed: bool = False) -> list[dict[str, Any]]:
+        """Return all actions as `fit` reads them: one dictionary each, for each person in order.
+
+        Parameters
+        ----------
+        missed : bool
+            Whether time steps are included in which an action was perhaps missed; their action is None.
+        """
         rows = []
         for record in self._team.records:
-            for number, (_, steps) in enumerate(record.episodes(), start=1):
-                known = [{**step} for step in steps if step["action"] is not None]
-                for count, step in enumerate(known):
-                    step.pop("likelihoods", None)
-                    rows.append({"person": record.name, "episode": str(number), "step": count, **step})
+            for number, (_, steps, _) in enumerate(record.episodes(), start=1):
+                count = 0
+                for step in steps:
+                    if step["action"] is not None or missed:
+                        plain = {name: step[name] for name in ("action", "suggestion")}
+                        rows.append({"person": record.name, "episode": str(number), "step": count, **plain})
+                    count += step["action"] is not None
         return rows
 
     # Saving and restoring.
@@ -695,9 +707,12 @@ class Assistant:
                 "belief": None if record.carried is None else record.carried.tolist(),
                 "episodes": [
                     {"task": digest(p.task), "population": p.prior.as_dict(), "steps": steps}
-                    for p, steps in record.episodes()
+                    | ({"told": [one._asdict() for one in told]} if told else {})
+                    for p, steps, told in record.episodes()
                 ],
                 "suggestion": self._suggestion(record),
+                **({} if record.question is None else {"question": record.question.as_dict()}),
+                **({"asked": sorted(record.asked)} if record.asked else {}),
             }
             for record in self._team.records
         ]
@@ -767,10 +782,15 @@ class Assistant:
                 else:
                     self.join(one["person"], task, population=population, belief=one.get("belief"))
                 record = self._team.by_name[one["person"]]
-                for step in episode["steps"]:
+                told = [Told(**one) for one in episode.get("told", ())]
+                for count, step in enumerate(episode["steps"]):
+                    self._tell(record, [one for one in told if one.steps == count])
                     self._suggest(record, step["suggestion"])
                     seen = {kind: step[kind] for kind in ("likelihoods", "missed") if kind in step}
                     self.observe(record.name, None if seen else step["action"], **seen)
+                self._tell(record, [one for one in told if one.steps == len(episode["steps"])])
+            self._ask(Question.of(one["question"]) if "question" in one else None)
+            record.asked |= set(one.get("asked", ()))
             self._suggest(record, one["suggestion"])
             self._team.present[record.place] = one["present"]
         one, advice = self.setting.robots == 1, saved["advice"]

@@ -58,6 +58,7 @@ class _Note:
     task: str
     seq: int = 0
     suggested: int = 0
+    asked: int = 0
     reason: Reason | None = None
     tasks: list[str] = field(default_factory=list)
     times: array[float] = field(default_factory=lambda: array("d"))
@@ -181,9 +182,11 @@ class Course:
         if event.kind == "began" and event.task is not None:
             self._task(event.task)
         if event.kind == "acted":
-            assert event.person is not None
-            assert event.action is not None
             facts |= {"action": event.action, "followed": event.followed, "unheard": self._unheard(event) or None}
+            facts |= self.desk.seen_of(event.person or "", event.action, event.likelihoods, event.missed)
+        if event.kind == "answered":
+            self._require_asked(event)
+            facts["answer"] = event.answer
         if event.kind == "rearranged":
             try:
                 self.desk.other_travel(event.distance or ())
@@ -219,8 +222,16 @@ class Course:
             raise UnknownError(f"task {name[:80]!r}: expected one of {', '.join(self.tasks)}")
         return self.tasks[name]
 
+    def _require_asked(self, event: Event) -> None:
+        """Check that an answer is to the question that is open, unless it is an action."""
+        late = event.seen is not None and event.seen < self._notes[event.person or ""].asked
+        if late and not isinstance(event.answer, str):
+            raise InapplicableError("there is a later question; expected an answer to that")
+
     def _unheard(self, event: Event) -> bool:
         """Return whether there is an open suggestion that the person cannot have seen."""
+        if event.action is None and event.followed is not None:
+            raise InvalidError("followed: expected an action that was seen")
         note, stands = self._notes[event.person or ""], self._state(event.person or "").suggestion
         if event.followed and (stands is None or stands.lower() != (event.action or "").strip().lower()):
             said = "nothing is suggested" if stands is None else f"{stands} is suggested"
@@ -245,7 +256,10 @@ class Course:
                 desk.begin(person or "", self.tasks[name])
                 self._began(self._notes[person or ""], name)
             case "acted":
-                desk.observe(person or "", record["action"], heard=not record.get("unheard"))
+                desk.observe(
+                    person or "", record.get("action"), heard=not record.get("unheard"),
+                    likelihoods=record.get("likelihoods"), missed=record.get("missed"),
+                )  # fmt: skip
                 note = self._notes[person or ""]
                 note.times.append(record["time"])
                 note.reasons.append(note.reason)
@@ -255,6 +269,8 @@ class Course:
                 note = self._notes[person or ""]
                 note.times.pop()
                 note.reason = note.reasons.pop()
+            case "answered":
+                desk.answer(person or "", record.get("answer"))
             case "arrived":
                 desk.arrived(person, robot=record.get("robot", 1))
             case "elapsed":
@@ -289,9 +305,17 @@ class Course:
         entry = {"n": self.count, "time": record["time"], "event": record["event"], "person": person}
         for name in ("action", "followed"):
             entry[name] = record.get(name)
+        if "likelihoods" in record:
+            entry["action"] = max(record["likelihoods"], key=record["likelihoods"].get)
+        if "answer" in record:
+            entry["answer"] = record["answer"]
         if record["event"] not in ("elapsed", VACANT, ERASED):
             self.recent.append({**entry, "suggestion": None})
         for advice in advices:
+            if advice.question is not None and self._notes.get(advice.question.person) is not None:
+                self._notes[advice.question.person].asked = self.count
+                asked = {"event": "asked", "person": advice.question.person, "action": None, "followed": None}
+                self.recent.append(entry | asked | {"goal": advice.question.goal, "suggestion": None})
             if advice.person is not None and advice.suggestion is not None:
                 self._notes[advice.person].suggested, self._notes[advice.person].reason = self.count, advice.reason
                 self.recent.append(
@@ -322,16 +346,15 @@ class Course:
 
         def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
             nonlocal time, here
-            advices = [
-                advice | {"person": label, "suggestion": None, "reason": None} if advice["person"] == person else advice
-                for advice in advised(record)
-            ]
+            advices = [_unnamed(advice, person, label) for advice in advised(record)]
             advice: dict[str, Any] = {}
             if advices:
                 advice = {"advices": advices} if "advices" in record else {"advice": advices[0]}
             record = record | advice
             if record.get("person") != person:
                 time = record["time"]
+                if answer is not None and "questions" in answer:
+                    answer = answer | {"questions": [one for one in answer["questions"] if one["person"] != person]}
                 if answer is not None and "location" in answer and person in (answer["person"], answer["location"]):
                     there = label if answer["location"] == person else answer["location"]
                     answer = answer | {"location": there}
@@ -358,6 +381,7 @@ class Course:
         if record["event"] in ("paused", "resumed"):
             return set(self.present)
         names = [record.get("person"), *(advice["person"] for advice in advised(record))]
+        names += [advice["question"]["person"] for advice in advised(record) if "question" in advice]
         return {name for name in names if name is not None}
 
     def require(self, person: str) -> None:
@@ -405,6 +429,7 @@ class Course:
             "finished": known.finished,
             "explained": True,
             "seq": note.seq,
+            **({} if known.question is None else {"question": known.question.as_dict()}),
         }
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
@@ -484,7 +509,9 @@ class Course:
             known = self.person(here)
             if known["suggestion"] is not None:
                 errand |= {"person": here, "suggestion": known["suggestion"], "reason": known["reason"]}
-        return {**errand, "location": here, "seq": self.count}
+        errand.pop("question", None)  # which may have been asked some events ago
+        asked = [one.as_dict() for one in self.desk.questions if one.person in self.present] if number == 1 else []
+        return {**errand, "location": here, "seq": self.count, **({"questions": asked} if asked else {})}
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Return all actions as `fit` reads them, with their times in seconds since the session began.
@@ -503,12 +530,21 @@ class Course:
             self._task(task)
         rows = []
         times = {name: iter(note.times) for name, note in self._notes.items()}  # in the order of one person's rows
-        for row in self.desk.log():
+        for row in self.desk.log(missed=True):
             note, number, time = self._notes[row["person"]], int(row["episode"]) - 1, next(times[row["person"]])
             own = note.tasks[number] if number < len(note.tasks) else note.task
-            if task in (None, own):
+            if task in (None, own) and row["action"] is not None:
                 rows.append({**row, "task": own, "time": time})
         return rows
+
+
+def _unnamed(advice: dict[str, Any], person: str, label: str) -> dict[str, Any]:
+    """Return a recorded advice without what concerns a person; the label stands for them."""
+    if "question" in advice and advice["question"]["person"] == person:
+        advice = {name: value for name, value in advice.items() if name != "question"}
+    if advice["person"] == person:
+        advice = advice | {"person": label, "suggestion": None, "reason": None}
+    return advice
 
 
 def _plain(reason: Reason | None) -> dict[str, Any] | None:

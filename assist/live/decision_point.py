@@ -20,6 +20,9 @@ from ..explain.explanation import Explanation, Prospect, WhyNothing, WhyPerson, 
 from ..people.choices import Choices
 from ..people.decision import Floats
 from ..people.goals import goal_shares
+from ..person.joint_belief import JointBelief, is_certain
+from ..person.policy import Policy
+from ..team.hidden_states import expected_answers
 from ..team.state import by_model, worth_of_actions
 from .live_task import InapplicableError, LiveTask, TaskPart
 from .roster import Roster
@@ -42,6 +45,8 @@ class DecisionPoint:
         Robot action towards each person that is open; 0 for none.
     present, ended, erred : bool arrays, shape (P,)
     belief : float array, shape (P, B, T)
+    joint : tuple of JointBelief or None
+        The belief over task states, too, of each person whose actions were uncertain.
     here : int
         Place of the robot before the decision; -1 for its base.
     moving : float array, shape (P,)
@@ -60,6 +65,7 @@ class DecisionPoint:
     ended: NDArray[np.bool_]
     erred: NDArray[np.bool_]
     belief: Floats
+    joint: tuple[JointBelief | None, ...]
     here: int
     moving: Floats
     rule: str
@@ -75,7 +81,7 @@ class DecisionPoint:
         return cls(
             tuple(team.by_name), tuple([record.problem for record in team.records]), list(team.parts),
             copy(team.x), copy(team.model), copy(team.robot), copy(team.present), copy(team.ended), copy(team.erred),
-            copy(team.belief), here, moving[:count], rule,
+            copy(team.belief), tuple([record.joint for record in team.records]), here, moving[:count], rule,
         )  # fmt: skip
 
     def explanation(
@@ -152,7 +158,8 @@ class DecisionPoint:
         """
         name, rule = self.names[place], self.rule
         if self.ended[place]:
-            return Explanation(nothing=WhyNothing("finished", rule, about=name))
+            certain = self._certainly_ended(place)
+            return Explanation(nothing=WhyNothing("finished" if certain else "probably-finished", rule, about=name))
         if rule == "none":
             return Explanation(nothing=WhyNothing("never", rule, about=name))
         if rule == "reactive":
@@ -162,6 +169,14 @@ class DecisionPoint:
         if prospect is None:
             return Explanation(nothing=WhyNothing("no-step", rule, about=name))
         return self._too_little(place, prospect, elsewhere=attended not in (None, place), about=name)
+
+    def _certainly_ended(self, place: int) -> bool:
+        """Return whether a person has certainly reached their goal."""
+        _, part, row = self._at(place)
+        joint = self.joint[place]
+        if joint is not None:
+            return is_certain(joint.finished(part.choices))
+        return bool(part.choices.goal[part.choices.of_goals(np.array([row]))].all())
 
     def nothing_at_all(self) -> Explanation:
         """Return why there is no suggestion."""
@@ -185,7 +200,10 @@ class DecisionPoint:
         return self._in_words(place, Explanation(nothing=nothing))
 
     def _in_words(self, place: int, explanation: Explanation) -> Explanation:
-        return explanation.in_words(self.problems[place].words(explanation.actions))
+        joint = self.joint[place]
+        share = 1.0 if joint is None else float(joint.probability[joint.x == self.x[place]].sum())
+        said = explanation.in_words(self.problems[place].words(explanation.actions))
+        return said.in_state(1.0 if is_certain(share) else share)
 
     def _require_none(self, place: int, against: str | None) -> None:
         """Check that no comparison is asked for, since nothing is suggested."""
@@ -255,7 +273,7 @@ class DecisionPoint:
     def _prospect(self, place: int, robot: int) -> Prospect:
         """Return the prospect of one robot action, or of the best suggestion for 0."""
         part = self._at(place)[1]
-        q = worth_of_actions(part.policy, self.x[place : place + 1], self.belief[place : place + 1])[0]
+        q = self._values(part.policy, np.array([place]))[0]
         robot = robot or (1 + int(q[1:].argmax()) if len(q) > 1 else 0)
         return self._of_action(place, q, robot)
 
@@ -267,13 +285,22 @@ class DecisionPoint:
             float(self.moving[place]),
         )  # fmt: skip
 
+    def _values(self, policy: Policy, places: NDArray[np.int64]) -> Floats:
+        """Return the Q-values of the robot actions towards some people of one policy, expected over task states."""
+        x, belief = self.x[places], self.belief[places]
+        joint = [self.joint[place] for place in places.tolist()]
+        if all(one is None for one in joint):
+            return worth_of_actions(policy, x, belief)
+        known = [one or JointBelief.at(int(at), own) for one, at, own in zip(joint, x, belief, strict=True)]
+        return expected_answers(worth_of_actions, policy, x, known)
+
     @cached_property
     def _prospects(self) -> dict[int, Prospect]:
         """The best suggestion to each person who is at work, has no suggestion, and could get one."""
         rows = np.flatnonzero(self.present & ~self.ended & (self.robot == 0))
         found = {}
         for number, mine in by_model(self.model, rows, len(self.parts)):
-            values = worth_of_actions(self.parts[number].policy, self.x[mine], self.belief[mine])
+            values = self._values(self.parts[number].policy, mine)
             for place, q in zip(mine.tolist(), values, strict=True):
                 if len(q) > 1 and np.isfinite(q[1:].max()):
                     found[place] = self._of_action(place, q, 1 + int(q[1:].argmax()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from .live_task import UnknownError
@@ -13,11 +13,11 @@ from .live_task import UnknownError
 FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
     "followed": bool, "unheard": bool, "advice": dict, "advices": list, "robot": int, "belief": list,
-    "distance": list,
+    "distance": list, "likelihoods": dict, "missed": (int, float), "answer": (str, bool),
 }  # fmt: skip
 """Fields of an event's record, and their types."""
 
-BY_PEOPLE = frozenset({"joined", "left", "began", "acted", "undone"})
+BY_PEOPLE = frozenset({"joined", "left", "began", "acted", "undone", "answered"})
 """Kinds of events of one person."""
 
 KINDS = BY_PEOPLE | {"arrived", "elapsed", "paused", "resumed", "rearranged"}
@@ -48,7 +48,8 @@ class Event:
     Attributes
     ----------
     kind : str
-        "joined", "left", "began", "acted", "undone", "arrived", "elapsed", "paused", "resumed" or "rearranged".
+        "joined", "left", "began", "acted", "undone", "answered", "arrived", "elapsed", "paused", "resumed" or
+        "rearranged".
     person : str or None
         The person who acted, joined or left, or at whom the robot has arrived; None for other events.
     action : str or None
@@ -56,7 +57,7 @@ class Event:
     followed : bool or None
         Whether the suggestion was followed; None if it is not reported.
     seen : int or None
-        The `seq` of the view on which the person acted; they have not seen a later suggestion.
+        The `seq` of the view on which the person acted or answered; they have not seen a later suggestion or question.
     task : str or None
         The task of a person who joins or begins.
     id : str or None
@@ -67,6 +68,11 @@ class Event:
         The belief about a person who joins for the first time, from an earlier session, flattened; None for the prior.
     distance : tuple of tuple of float or None
         The distances after people's places were rearranged.
+    likelihoods : mapping of str to float, or None
+    missed : float or None
+        What is known of an action that was not seen as it is, as in `Assistant.observe`.
+    answer : str, bool or None
+        The answer to a question, as in `Assistant.answer`.
     """
 
     kind: str
@@ -79,6 +85,9 @@ class Event:
     robot: int = 1
     belief: tuple[float, ...] | None = None
     distance: tuple[tuple[float, ...], ...] | None = None
+    likelihoods: Mapping[str, float] | None = field(default=None, hash=False)
+    missed: float | None = None
+    answer: str | bool | None = None
 
 
 def advised(record: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -100,14 +109,16 @@ def require_record(record: Mapping[str, Any]) -> None:
     """
     for name, value in record.items():
         expected = FIELDS.get(name, ())
-        if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
+        truth = expected is bool or (isinstance(expected, tuple) and bool in expected)
+        if not isinstance(value, expected) or (isinstance(value, bool) and not truth):
             raise ValueError(f"'{name[:40]}' is {str(value)[:40]!r}")
     if missing := [name for name in ("n", "time", "event", "step") if name not in record]:
         raise ValueError(f"there is no '{missing[0]}'")
     kind = record["event"]
     if kind not in (*KINDS, VACANT, ERASED) or not math.isfinite(record["time"]):
         raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(sorted(KINDS))}")
-    needed = {"person": kind in (*BY_PEOPLE, VACANT), "action": kind == "acted", "task": kind == VACANT}
+    needed = {"person": kind in (*BY_PEOPLE, VACANT), "task": kind == VACANT}
+    needed["action"] = kind == "acted" and "likelihoods" not in record and "missed" not in record
     needed["distance"] = kind == "rearranged"
     if missing := [name for name, so in needed.items() if so and name not in record]:
         raise ValueError(f"there is no '{missing[0]}'")

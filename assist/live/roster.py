@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
 from ..people.goals import goal_shares
-from ..person.joint_belief import JointBelief
+from ..person.joint_belief import JointBelief, is_certain
 from ..team.hidden_states import expected_answers
 from ..team.state import Ask, by_model
+from .advice import Question
 from .live_task import LiveTask, TaskPart, UnknownError
 
 Named = dict[str, Any]
@@ -41,6 +42,14 @@ class Step(NamedTuple):
         return {"action": self.action, "suggestion": self.suggestion, **(self.seen or {})}
 
 
+class Told(NamedTuple):
+    """A person's answer to "is this your goal?", and the number of actions before it."""
+
+    steps: int
+    goal: str
+    yes: bool
+
+
 Numbers = dict[str | None, int]
 """Number of each action that was done or suggested, in the order of first occurrence; None stands for no action."""
 
@@ -59,9 +68,10 @@ class FinishedTasks:
         self._problems: list[LiveTask] = []
         self._ends, self._done = array("q"), array("i")  # action and suggestion of each step alternate
         self._seen: dict[int, Mapping[str, Any]] = {}  # what was seen, by the position of the action
+        self._told: list[list[Told]] = []
 
-    def add(self, problem: LiveTask, steps: list[Step]) -> None:
-        """Append a task that was finished or left, with its steps."""
+    def add(self, problem: LiveTask, steps: list[Step], told: list[Told]) -> None:
+        """Append a task that was finished or left, with its steps and the answers about its goal."""
         for step in steps:
             if step.seen is not None:
                 self._seen[len(self._done)] = step.seen
@@ -69,11 +79,12 @@ class FinishedTasks:
                 self._done.append(self._numbers.setdefault(name, len(self._numbers)))
         self._problems.append(problem)
         self._ends.append(len(self._done))
+        self._told.append(told)
 
-    def __iter__(self) -> Iterator[tuple[LiveTask, list[Named]]]:
-        """Yield each task with its steps."""
+    def __iter__(self) -> Iterator[tuple[LiveTask, list[Named], list[Told]]]:
+        """Yield each task with its steps and the answers about its goal."""
         names, begin = list(self._numbers), 0
-        for problem, end in zip(self._problems, self._ends, strict=True):
+        for problem, end, told in zip(self._problems, self._ends, self._told, strict=True):
             yield (
                 problem,
                 [
@@ -84,6 +95,7 @@ class FinishedTasks:
                     }
                     for at in range(begin, end, 2)
                 ],
+                told,
             )
             begin = end
 
@@ -93,7 +105,9 @@ class RosterEntry:
     """A person's current task, the steps in it, and the belief about the person at its beginning.
 
     `carried` is the belief with which the person joined, or None if it was the prior. `joint` is the belief over task
-    states and types, or None if all actions of this task were certain.
+    states and types, or None if all actions of this task were certain; `earlier` is that before the last action.
+    `told` holds the answers about the goal of this task, `question` the open question, and `asked` the kinds of
+    questions since the last action.
     """
 
     name: str
@@ -104,10 +118,14 @@ class RosterEntry:
     steps: list[Step] = field(default_factory=list)
     carried: Floats | None = None
     joint: JointBelief | None = None
+    earlier: JointBelief | None = None
+    told: list[Told] = field(default_factory=list)
+    question: Question | None = None
+    asked: set[str] = field(default_factory=set)
 
-    def episodes(self) -> list[tuple[LiveTask, list[Named]]]:
-        """Return all tasks of the person, with their steps."""
-        return [*self.past, (self.problem, [step.named() for step in self.steps])]
+    def episodes(self) -> list[tuple[LiveTask, list[Named], list[Told]]]:
+        """Return all tasks of the person, with their steps and the answers about their goals."""
+        return [*self.past, (self.problem, [step.named() for step in self.steps], self.told)]
 
 
 @dataclass
@@ -233,7 +251,7 @@ class Roster:
         """Return whether a person has certainly reached their goal, since every possible one is reached."""
         part, row = self.part(record)
         if record.joint is not None:
-            return record.joint.finished(part.choices) > 1 - 1e-9
+            return is_certain(record.joint.finished(part.choices))
         return bool(part.choices.goal[part.choices.of_goals(np.array([row]))].all())
 
     def _numbered(self, part: TaskPart) -> int:
@@ -274,6 +292,10 @@ class Roster:
         if all(self.records[k].joint is None for k in places.tolist()):
             return ask(policy, x, self.belief[places])
         return expected_answers(ask, policy, x, [self.joint(k) for k in places.tolist()])
+
+    def changes(self, place: int) -> int:
+        """Return how often what is known of the person at a place has changed."""
+        return int(self._change[place])
 
     def joint(self, place: int) -> JointBelief:
         """Return the belief over task states and types of the person at a place."""

@@ -365,14 +365,23 @@ class Session:
     def observe(
         self,
         person: str,
-        action: str,
+        action: str | None = None,
         *,
+        likelihoods: Mapping[str, float] | None = None,
+        missed: float | None = None,
         id: str | None = None,
         followed: bool | None = None,
         seen: int | None = None,
     ) -> dict[str, Any]:
-        """Record a person's action; arguments as in `Event`."""
-        return self._one(Event("acted", person, action, followed, seen, id=id))
+        """Record a person's action, or what is known of it; arguments as in `Event`."""
+        uncertain: dict[str, Any] = {"likelihoods": likelihoods, "missed": missed}
+        return self._one(Event("acted", person, action, followed, seen, id=id, **uncertain))
+
+    def answer(
+        self, person: str, answer: str | bool | None, *, id: str | None = None, seen: int | None = None
+    ) -> dict[str, Any]:
+        """Record a person's answer to a question of the robot, as `Assistant.answer` does."""
+        return self._one(Event("answered", person, answer=answer, seen=seen, id=id))
 
     def undo(self, person: str, *, id: str | None = None) -> dict[str, Any]:
         """Take back a person's last action, as if it had not been observed."""

@@ -17,6 +17,7 @@ from ..people.misconception import perceived_cost_to_go
 from ..people.mixture import Mixture
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule, moved
+from ..person.observation_model import ObservationModel
 
 
 class _Step(NamedTuple):
@@ -56,8 +57,13 @@ class SimulatedPerson:
         self.weights = {name: float(self.rng.uniform(*ends)) for name, ends in population.weights.items()}
         self._noise, self._chooses = population.noise, population.chooses
         self._last: _Step | None = None
+        # Where the person is if the robot does not see all actions as they are, and the last action of which it saw
+        # something.
+        self.state: int | None = None
+        self.reported: str | None = None
         self._words: dict[int, tuple[CostToGo, Vocabulary]] = {}
         self._own: dict[int, tuple[CostToGo, Choices, Floats, Floats]] = {}
+        self._arranged: dict[int, tuple[CostToGo, Choices]] = {}
 
     def pursued(self, task: CostToGo | Goals) -> CostToGo:
         """Return the task with the goal that the person pursues; of several goals, it is drawn from their prior."""
@@ -99,6 +105,34 @@ class SimulatedPerson:
         self._last = _Step(task, state, int(rows.actions[done]), int(rows.targets[done]))
         return names[done]
 
+    def answer(self, task: CostToGo | Goals, goal: str | None) -> str | bool | None:
+        """Return the true answer to "is this your goal?", or, if it is None, to "what did you do last?"."""
+        if goal is None:
+            return self.reported
+        return isinstance(task, Goals) and task.tables[goal] is self.pursued(task)
+
+    def act_unseen(self, task: CostToGo, suggestion: str | None, model: ObservationModel) -> str | None:
+        """Act in the person's own state, `state`, and return what the robot sees; None if it misses the action.
+
+        Parameters
+        ----------
+        task : CostToGo
+            An enumerated task.
+        suggestion : str or None
+            The suggested action, which has no effect if it is not applicable.
+        model : ObservationModel
+        """
+        assert self.state is not None
+        before, choices = self.state, self._choices(task)
+        done = self.act(task, before, [choices.name(before, 0)], suggestion)
+        slot = next(n for n in range(choices.applicable[before].sum()) if choices.name(before, n) == done)
+        self.state = int(choices.targets[before, slot])
+        seen = model.draw(choices, before, slot, self.rng.random(2))
+        if seen is None:
+            return None
+        self.reported = done
+        return choices.action_name(seen)
+
     def chances(self, task: CostToGo, state: int) -> Floats:
         """Return the probability of each of the task's actions in a state, without a suggestion.
 
@@ -129,10 +163,16 @@ class SimulatedPerson:
         bias: Floats = said[0] @ np.array(list(self.weights.values()))
         return bias
 
+    def _choices(self, task: CostToGo) -> Choices:
+        """Return the choices of an enumerated task."""
+        if id(task) not in self._arranged:
+            self._arranged[id(task)] = task, Choices.of(cast(Table, task))
+        return self._arranged[id(task)][1]
+
     def _known(self, task: CostToGo) -> tuple[CostToGo, Choices, Floats, Floats]:
         """Return a task's choices, with the probabilities and values of the user's own choice model."""
         if id(task) not in self._own:
-            choices = Choices.of(cast(Table, task))
+            choices = self._choices(task)
             h = perceived_cost_to_go(choices, self.sigma, np.random.default_rng(self._seed), self._noise)
             assert self._chooses is not None
             human = Human(self.beta, self.theta, self.sigma, h, self._chooses)

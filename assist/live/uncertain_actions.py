@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..people.arguments import number
 from ..people.belief import ImpossibleObservationError
-from ..people.choices import WAIT, Choices
+from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from ..person.joint_belief import JointBelief
 from ..person.observation_model import Evidence, ObservationModel
 from ..team.settings import Setting
-from .live_task import InapplicableError, LiveTask
+from .events import InvalidError
+from .live_task import InapplicableError, LiveTask, UnknownError
 from .roster import RosterEntry, Step
 
 
@@ -38,24 +37,38 @@ def seen_of(
 
     Raises
     ------
-    ValueError
-        Not one of the three is given, the numbers are no likelihoods, or the setting has no uncertain actions.
+    InvalidError
+        Not one of the three is given, the numbers are no likelihoods, or the setting or the task has no uncertain
+        actions.
+    UnknownError
+        The task has no such action.
     """
     if sum(given is not None for given in (action, likelihoods, missed)) != 1:
-        raise ValueError("observe: expected an action, its likelihoods, or the probability that one was missed")
+        raise InvalidError("observe: expected an action, its likelihoods, or the probability that one was missed")
     if action is not None:
         return None
-    problem.policy.require_enumerated("an uncertain action")
     if setting.observation is None and setting.suggestions != "all":
-        raise ValueError("an uncertain action: expected a setting with an observation model, or suggestions 'all'")
+        raise InvalidError("an uncertain action: expected a setting with an observation model, or suggestions 'all'")
+    each: dict[str, float] = {}
+    try:
+        problem.policy.require_enumerated("an uncertain action")
+        if missed is not None:
+            missed = number("missed", missed)
+        for one, p in (likelihoods or {}).items():
+            name = problem.named(one)
+            each[name] = each.get(name, 0.0) + number(f"likelihood of {one}", p)
+    except UnknownError:
+        raise
+    except ValueError as error:
+        raise InvalidError(str(error)) from None
     if missed is not None:
-        if not 0 <= (probability := number("missed", missed)) <= 1:
-            raise ValueError(f"missed {missed:g}: expected a probability")
-        return {"missed": probability}
-    each = {problem.named(one): number(f"likelihood of {one}", p) for one, p in (likelihoods or {}).items()}
-    if not (each and min(each.values()) >= 0 and 0 < max(each.values()) < np.inf):
-        raise ValueError("likelihoods: expected finite numbers of 0 or more, one of them positive")
-    return {"likelihoods": each}
+        if not 0 <= missed <= 1:
+            raise InvalidError(f"missed {missed:g}: expected a probability")
+        return {"missed": missed}
+    if not all(0 <= p < np.inf for p in each.values()) or not any(each.values()):
+        raise InvalidError("likelihoods: expected finite numbers of 0 or more, one of them positive")
+    most = max(each.values())  # so that sums and products of large numbers stay finite, and small ones positive
+    return {"likelihoods": {name: p / most for name, p in each.items()}}
 
 
 def joint_after(record: RosterEntry, belief: Floats, step: Step, model: ObservationModel | None) -> JointBelief:
@@ -102,30 +115,17 @@ def _evidence(problem: LiveTask, choices: Choices, step: Step, model: Observatio
     return Evidence.of(choices, {problem.ground(one): p for one, p in likelihoods.items()})
 
 
-def joint_before_last(record: RosterEntry, model: ObservationModel | None) -> JointBelief:
-    """Return the belief over task states and types of a person before their last step; nothing changes."""
-    then = replace(record, joint=JointBelief.at(record.problem.initial, record.before))
-    for step in record.steps[:-1]:
-        then.joint = joint_after(then, record.before, step, model)
-    assert then.joint is not None
-    return then.joint
-
-
-def after_answers(record: RosterEntry, model: ObservationModel | None) -> list[JointBelief]:
-    """Return the belief after each answer of a person to what they did last.
+def after_answers(record: RosterEntry, model: ObservationModel | None) -> dict[str, JointBelief]:
+    """Return the belief after each answer of a person to what they did last, by the action in PDDL notation.
 
     The field `evidence` of a belief is proportional to the probability of the answer. There are none if perhaps nothing
-    was done last.
+    was done last. Answers about the goal since then are not included.
     """
-    last, problem = record.steps[-1], record.problem
-    if "missed" in (last.seen or {}):
-        return []
+    last, problem, earlier = record.steps[-1], record.problem, record.earlier
+    if "missed" in (last.seen or {}) or earlier is None:
+        return {}
     part, _ = problem.at(problem.initial)
-    choices, found = part.choices, list[JointBelief]()
-    joint, evidence = joint_before_last(record, model), _evidence(problem, choices, last, model)
+    evidence, miss = _evidence(problem, part.choices, last, model), 0.0 if model is None else model.miss
     said = NOTHING if last.suggestion is None else problem.ground(last.suggestion)
-    for action in (*range(len(choices.names)), WAIT):
-        with suppress(ImpossibleObservationError):
-            only, miss = evidence._replace(only=action), 0.0 if model is None else model.miss
-            found.append(joint.after_some(only, said, choices, part.arrays, miss=miss))
-    return found
+    each = earlier.after_each(evidence, said, part.choices, part.arrays, miss=miss)
+    return {part.choices.action_name(action): belief for action, belief in each.items()}

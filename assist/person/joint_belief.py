@@ -6,6 +6,7 @@ each of them; improbable ones are left out, and their probability is reported.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -120,17 +121,58 @@ class JointBelief:
         ImpossibleObservationError
             What was seen has probability zero.
         """
-        before, share, found, total = self, 1.0, list[JointBelief](), 0.0
-        while share >= least:
+        return self._seen(self._unseen(suggestion, choices, m, miss, least), evidence, choices, m, miss, least)
+
+    def after_each(
+        self, evidence: Evidence, suggestion: int, choices: Choices, m: ProblemArrays, *, miss: float,
+        least: float = 1e-6,
+    ) -> dict[int, JointBelief]:  # fmt: skip
+        """Return what `after_some` does for each ground action that may have been taken, if it was that one."""
+        before, found = self._unseen(suggestion, choices, m, miss, least), dict[int, JointBelief]()
+        rows = choices.of_goals(np.unique(np.concatenate([belief.x for _, belief, _ in before]))).ravel()
+        for action in np.unique(choices.actions[rows][choices.applicable[rows]]).tolist():
             with suppress(ImpossibleObservationError):
-                seen = before.after(evidence, suggestion, choices, m, least=least)
+                found[action] = self._seen(before, evidence._replace(only=action), choices, m, miss, least)
+        return found
+
+    def _unseen(
+        self, suggestion: int, choices: Choices, m: ProblemArrays, miss: float, least: float
+    ) -> list[tuple[float, JointBelief, int]]:
+        """Return the belief after each number of unseen actions, with its weight and the suggestion that is open."""
+        found = [(1.0, self, suggestion)]
+        while (share := found[-1][0] * miss) >= least:
+            _, before, said = found[-1]
+            found.append((share, before.after(Evidence.none(choices), said, choices, m, least=least), NOTHING))
+        return found
+
+    @staticmethod
+    def _seen(
+        before: Sequence[tuple[float, JointBelief, int]], evidence: Evidence, choices: Choices, m: ProblemArrays,
+        miss: float, least: float,
+    ) -> JointBelief:  # fmt: skip
+        found, total = list[JointBelief](), 0.0
+        for share, belief, suggestion in before:
+            with suppress(ImpossibleObservationError):
+                seen = belief.after(evidence, suggestion, choices, m, least=least)
                 total += share * seen.evidence
                 found = [found[0].mixed(seen, share * seen.evidence / total)] if found else [seen]
-            before = before.after(Evidence.none(choices), suggestion, choices, m, least=least)
-            share, suggestion = share * miss, NOTHING
         if not found:
             raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
         return replace(found[0].without(least), evidence=total * (1 - miss))
+
+    def told(self, likelihood: Floats, *, least: float = 1e-6) -> JointBelief:
+        """Return the belief after an answer about the goal, whose likelihood for each goal has the shape (G,).
+
+        Raises
+        ------
+        ImpossibleObservationError
+            The answer has probability zero.
+        """
+        joint = self.joint.reshape(len(self.x), len(likelihood), -1) * likelihood[:, None]
+        total = float(joint.sum())
+        if not total > 0:
+            raise ImpossibleObservationError("the answer is impossible")
+        return replace(self, joint=(joint / total).reshape(self.joint.shape), evidence=total).without(least)
 
     def without(self, least: float) -> JointBelief:
         """Return the belief without states of a probability below `least`."""
@@ -160,6 +202,11 @@ class JointBelief:
         np.add.at(joint, row, np.concatenate([(1 - share) * self.joint, share * other.joint]))
         pruned = (1 - share) * self.pruned + share * other.pruned
         return JointBelief(x, joint, (1 - share) * self.erred + share * other.erred, pruned)
+
+
+def is_certain(probability: float, *, rounding: float = 1e-9) -> bool:
+    """Return whether a sum of probabilities is 1, up to rounding."""
+    return probability > 1 - rounding
 
 
 def same_suggestions(pomdp: AssistPOMDP, of: Ints, there: Ints) -> Ints:

@@ -122,6 +122,8 @@ def simulate(
         raise ValueError(f"goals {goals!r}: expected {', '.join(map(repr, get_args(GoalKnowledge)))}")
     if goals == "likeliest" and pool.setting.observation is not None:
         raise ValueError("goals 'likeliest': expected 'inferred' or 'known' where actions are missed or confused")
+    if pool.setting.c_ask is not None:
+        pool.setting.require_all_seen("a simulated robot that asks")
     count = number_of(episodes)
     places, given = team_of(humans, len(pool.people), count)
     require_room_for_episodes(count, places, memory_limit_mb)

@@ -15,9 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..person.joint_belief import JointBelief
 from ..person.policy import Policy
 from ..person.qmdp import evaluate
 from .by_policy import ByPolicy
+from .hidden_states import expected_answers
+from .state import worth_of_actions
+
+
+def likelihood_of(goal: int, goals: int, yes: bool, error: float) -> Floats:
+    """Return the likelihood of an answer under each goal, shape (G,); arguments as in `answered`."""
+    return np.where((np.arange(goals) == goal) == yes, 1 - error, error)
 
 
 def answered(belief: Floats, goal: int, goals: int, yes: bool, error: float) -> Floats:
@@ -40,7 +48,7 @@ def answered(belief: Floats, goal: int, goals: int, yes: bool, error: float) -> 
     ValueError
         The answer is impossible under the belief.
     """
-    likelihood = np.where((np.arange(goals) == goal) == yes, 1 - error, error)
+    likelihood = likelihood_of(goal, goals, yes, error)
     joint = belief.reshape(goals, -1) * likelihood[:, None]
     if not joint.sum() > 0:
         raise ValueError(f"the answer {'yes' if yes else 'no'} is impossible; expected an error rate above 0")
@@ -78,12 +86,31 @@ class Questions:
         """
         rows = policy.pomdp.model.choices.of_goals(x).T
         each = (belief.reshape(*rows.shape, -1) * self._benefit[policy][rows]).sum(axis=2)
-        asked = np.eye(rows.shape[1], dtype=bool)
+        return self._best(each, attention)
+
+    def best_of(self, policy: Policy, joint: JointBelief, attention: float) -> tuple[int, float]:
+        """Return the goal to ask a person about whose task state may be uncertain, and the worth minus the cost.
+
+        Parameters
+        ----------
+        policy : Policy
+        joint : JointBelief
+        attention : float
+            As in `best`.
+        """
+        rows = policy.pomdp.model.choices.of_goals(joint.x).T
+        each = (joint.joint.reshape(*rows.shape, -1) * self._benefit[policy][rows]).sum(axis=(0, 2))
+        goal, worth = self._best(each[None], np.array([attention]))
+        return int(goal[0]), float(worth[0])
+
+    def _best(self, each: Floats, attention: Floats) -> tuple[NDArray[np.int64], Floats]:
+        """Return what `best` does, given the expected benefit of help towards each goal, shape (N, G)."""
+        asked = np.eye(each.shape[1], dtype=bool)
         likelihood = np.where(asked, 1 - self.error, self.error)  # of yes: the question, the goal
         yes, no = ((each[:, None] * chance).max(axis=2) for chance in (likelihood, 1 - likelihood))
         worth = (yes + no - each.max(axis=1, keepdims=True)) * attention[:, None] - self.cost
         goal = worth.argmax(axis=1)
-        return goal, worth[np.arange(len(x)), goal]
+        return goal, worth[np.arange(len(each)), goal]
 
 
 def benefit(policy: Policy) -> Floats:
@@ -91,3 +118,16 @@ def benefit(policy: Policy) -> Floats:
     solved: Any = policy.prepare()
     never = evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
     return np.maximum(solved.value_mdp - never, 0.0).reshape(len(never), -1)
+
+
+def worth_of_knowing(policy: Policy, joint: JointBelief) -> float:
+    """Return what it is worth to know a person's task state, beta and theta, in cost units.
+
+    It is the increase of the QMDP value of the problem of a person with one goal; infinite for other policies.
+    """
+    solved: Any = policy.prepare()
+    if not hasattr(solved, "value_mdp"):
+        return float("inf")
+    known = joint.joint.reshape(len(joint.x), -1) * solved.value_mdp[joint.x].reshape(len(joint.x), -1)
+    likeliest = np.array([joint.likeliest])
+    return float(known.sum() - expected_answers(worth_of_actions, policy, likeliest, [joint]).max())

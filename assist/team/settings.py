@@ -64,10 +64,10 @@ class Setting:
     believed_trust : str or TrustRule, optional
         How the robot believes that theta moves; the rule of `trust` unless given. Bounds hold for the robot's model.
     c_ask : float, optional
-        Cost of asking a person who pursues one of several goals "is it this one?", in cost units. Unless given, the
-        robot does not ask.
+        Cost of asking a person who pursues one of several goals "is it this one?", in cost units; a live robot also
+        asks "what did you do last?" after uncertain actions. Unless given, the robot does not ask.
     ask_error : float
-        Probability that the answer is wrong.
+        Probability that the answer about a goal is wrong.
     observation : ObservationModel, optional
         How reliably the robot sees people's actions; every action as it is, by default. Otherwise the robot may suggest
         any applicable action, as with `suggestions="all"`, since it may mistake the state of a task.
@@ -129,8 +129,6 @@ class Setting:
             raise ValueError(f"observation {seen!r}: expected an ObservationModel")  # noqa: TRY004
         if self.observation is not None and self.observation.is_perfect:
             object.__setattr__(self, "observation", None)
-        if self.observation is not None and self.c_ask is not None:
-            raise ValueError("c_ask: expected actions that are all seen as they are")
         if self.observation is not None and self.execute:
             raise ValueError("execute: expected actions that are all seen as they are")
         for name in RULES_OF:

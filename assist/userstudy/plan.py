@@ -503,6 +503,8 @@ def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Set
         raise fault(file, f"{place}.travel_time", message)
     if setting.observation is not None:
         raise fault(file, f"{place}.observation", "given; expected none, as participants' actions are all seen")
+    if setting.c_ask is not None:
+        raise fault(file, f"{place}.c_ask", "given; expected none, as participants' pages show no questions")
     if setting.execute:
         raise fault(file, f"{place}.execute", "true; expected a robot that suggests")
     if setting.robots > 1:

@@ -109,11 +109,25 @@ class Client:
         return seen
 
     def act(
-        self, action: str, person: str | None = None, *, followed: bool | None = None, seq: int | None = None
+        self,
+        action: str | None = None,
+        person: str | None = None,
+        *,
+        followed: bool | None = None,
+        seq: int | None = None,
+        likelihoods: dict[str, float] | None = None,
+        missed: float | None = None,
     ) -> dict[str, Any]:
-        """Report a person's action; return the person's new view."""
-        body = {"action": action, "id": uuid.uuid4().hex, "followed": followed, "seq": seq}
+        """Report a person's action, or what is known of it; return the person's new view."""
+        body: dict[str, Any] = {"action": action, "id": uuid.uuid4().hex, "followed": followed, "seq": seq}
+        body |= {name: value for name, value in (("likelihoods", likelihoods), ("missed", missed)) if value is not None}
         seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/actions", body)
+        return seen
+
+    def answer(self, answer: str | bool | None, person: str | None = None, *, seq: int | None = None) -> dict[str, Any]:
+        """Answer the robot's question to a person; return the person's new view."""
+        body = {"answer": answer, "id": uuid.uuid4().hex, "seq": seq}
+        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/answer", body)
         return seen
 
     def undo(self, person: str | None = None) -> dict[str, Any]:

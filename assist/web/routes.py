@@ -15,6 +15,7 @@ from . import cookies
 from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
 from .schemas import (
     Acted,
+    Answered,
     Arrived,
     Begun,
     Drawn,
@@ -129,9 +130,20 @@ async def explanation(
 
 @router.post("/api/people/{name}/actions", tags=["people"], response_model=Person, responses=WRITE)
 async def act(name: Own, acted: Acted, service: Desk) -> Response:
-    """Report a person's action; 409 if it is not applicable, 422 if it does not exist."""
-    event = Event("acted", name, acted.action, acted.followed, acted.seq, id=acted.id)
+    """Report a person's action, or what is known of it; 409 if it is not applicable, 422 if it does not exist."""
+    event = Event(
+        "acted", name, acted.action, acted.followed, acted.seq, id=acted.id, likelihoods=acted.likelihoods,
+        missed=acted.missed,
+    )  # fmt: skip
     return plain(await service.report(event))
+
+
+@router.post("/api/people/{name}/answer", tags=["people"], response_model=Person, responses=WRITE)
+async def answer(name: Own, answered: Answered, service: Desk) -> Response:
+    """Answer the open question: true or false, or the last action; null declines. 409 if it is no longer open."""
+    return plain(
+        await service.report(Event("answered", name, answer=answered.answer, seen=answered.seq, id=answered.id))
+    )
 
 
 @router.post("/api/people/{name}/undo", tags=["people"], response_model=Person, responses=WRITE)

@@ -22,13 +22,27 @@ class _Body(BaseModel):
 
 
 class Acted(_Body):
-    """An action that a person took."""
+    """An action that a person took, or what is known of it: one of `action`, `likelihoods` and `missed`."""
 
-    action: Action
+    action: Action | None = None
+    likelihoods: dict[Action, float] | None = Field(
+        None, description="Likelihood of what a sensor has seen under each action, 0 for others; only ratios matter."
+    )
+    missed: float | None = Field(None, description="Probability that an action was missed in this time step.")
     id: Id = None
     followed: bool | None = Field(None, description="Whether the suggestion was followed; null if unknown.")
     seq: int | None = Field(
         None, ge=0, description="`seq` of the view on which the person acted; later suggestions are taken as unseen."
+    )
+
+
+class Answered(_Body):
+    """An answer to the robot's question."""
+
+    answer: bool | Action | None = Field(description="Whether the goal is theirs; the last action; null for no answer.")
+    id: Id = None
+    seq: int | None = Field(
+        None, ge=0, description="`seq` of the view with the question; answers to earlier questions are refused."
     )
 
 
@@ -100,6 +114,15 @@ class Me(BaseModel):
     operator: bool
 
 
+class Asked(BaseModel):
+    """A question: "is this your goal?", or "what did you do last?" if there is no goal, with the likely actions."""
+
+    person: str
+    goal: str | None
+    options: list[str]
+    worth: float = Field(description="Expected worth of the answer minus the cost of the question, in cost units.")
+
+
 class Person(BaseModel):
     """A person's view. `seq` increases with every change; `cost_to_go` is null in a dead end."""
 
@@ -115,6 +138,7 @@ class Person(BaseModel):
     finished: bool
     explained: bool = Field(description="Whether the explanation can be asked for.")
     seq: int
+    question: Asked | None = Field(None, description="The open question to the person, if there is one.")
 
 
 class Wanted(BaseModel):
@@ -162,6 +186,7 @@ class Explained(BaseModel):
     now: WhyPerson | None
     nothing: WhyNothing | None
     against: Compared | None
+    state_probability: float = Field(1.0, description="Probability of the task state for which steps are compared.")
     seq: int
 
 
@@ -188,6 +213,7 @@ class Robot(BaseModel):
     arrived: bool
     location: str | None
     seq: int
+    questions: list[Asked] = Field(default_factory=list, description="The open questions, in the first robot's view.")
 
 
 class Member(Person):

@@ -30,6 +30,7 @@ from ..live.store import JournalError
 from ..people.goals import Goals
 from ..people.human import Population
 from ..people.mixture import Mixture
+from ..person.observation_model import ObservationModel
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.catalogue import Catalogue
@@ -80,10 +81,13 @@ class SimulatedSeats:
     people : mapping of str to SimulatedPerson
     pace : float
         Mean seconds between two actions of a person.
+    observation : ObservationModel or None
+        How their actions are seen; they are then in states of their own. After a restart these are the most probable.
     """
 
     people: Mapping[str, SimulatedPerson] = field(default_factory=dict)
     pace: float = 3.0
+    observation: ObservationModel | None = None
 
     async def fill(self, service: Service, *, alone: bool) -> None:
         """Let simulated people act until they finish. Unless `alone`, start when a real person has connected."""
@@ -95,21 +99,37 @@ class SimulatedSeats:
         while True:
             await asyncio.sleep(self.pace * float(person.rng.gamma(4.0, 0.25)))
             with suppress(AbsentError, InapplicableError, BusyError, JournalError):  # try again
-                action = await asyncio.to_thread(_chosen, service.session, name, person)
-                if action is None:
+                event = await asyncio.to_thread(self._chosen, service.session, name, person)
+                if event is None:
                     return
-                await service.report(Event("acted", name, action))
+                try:
+                    if event.kind != "elapsed":
+                        await service.report(event)
+                except InapplicableError:
+                    if event.kind == "answered":  # it contradicts what the robot believes
+                        await service.report(Event("answered", name))
 
+    def _chosen(self, session: Session, name: str, person: SimulatedPerson) -> Event | None:
+        """Let a simulated person answer or act; return the event, or None if they have reached their own goal.
 
-def _chosen(session: Session, name: str, person: SimulatedPerson) -> str | None:
-    """Return a simulated person's next action, or None if the person has reached their own goal."""
-    with session.lock:  # tasks solved on demand are not thread-safe
-        seen = session.person(name)
-        task, state = session.place(name)
-        task = person.pursued(task)
-        if task.is_goal([state])[0]:
-            return None
-        return person.act(task, state, seen["applicable"], None if seen["paused"] else seen["suggestion"])
+        An action that the robot misses is an event of elapsed time.
+        """
+        with session.lock:  # tasks solved on demand are not thread-safe
+            seen = session.person(name)
+            every, state = session.place(name)
+            task, asked = person.pursued(every), seen.get("question")
+            if person.state is None or (person.reported and not seen["steps"]):  # at first, or after the task has begun
+                person.state, person.reported = state, None
+            here = state if self.observation is None else person.state
+            if task.is_goal([here])[0]:
+                return None
+            if asked is not None and not seen["paused"]:
+                return Event("answered", name, answer=person.answer(every, asked["goal"]))
+            suggestion = None if seen["paused"] else seen["suggestion"]
+            if self.observation is None:
+                return Event("acted", name, person.act(task, state, seen["applicable"], suggestion))
+            action = person.act_unseen(task, suggestion, self.observation)
+            return Event("elapsed") if action is None else Event("acted", name, action)
 
 
 class _Server(uvicorn.Server):
@@ -254,7 +274,7 @@ class ServedTeam:
             name: SimulatedPerson(self.population, trust=self.setting.trust_rule(), seed=self.seed + number)
             for number, name in enumerate(self.simulated)
         }
-        return SimulatedSeats(people, self.pace)
+        return SimulatedSeats(people, self.pace, self.setting.observation)
 
 
 Ready = Callable[[AccessTokens, tuple[str, ...]], None]

@@ -255,7 +255,7 @@ class Service:
             seconds = self._loop.time() - began
             self.measures.add(kind, outcome, seconds)
             REPORTS.info("report", extra={"event": kind, "outcome": outcome, "seconds": round(seconds, 6)})
-        if isinstance(event, Event):
+        if isinstance(event, Event) and event.action is not None:
             self.measures.acted(before, event.action, answer)
         return answer
 

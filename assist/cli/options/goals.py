@@ -85,7 +85,7 @@ def question_options(command: Command) -> Command:
         (
             click.option(
                 "--ask", type=click.FloatRange(min=0), metavar="COST",
-                help="Cost of asking people about their goals.",
+                help="Cost of a question to a person, about the goal or the last action.",
             ),
             click.option(
                 "--ask-error", type=click.FloatRange(0, 0.5, max_open=True), default=0.0, show_default=True,
@@ -95,9 +95,21 @@ def question_options(command: Command) -> Command:
     )  # fmt: skip
 
 
-def questions_of(ask: float | None, ask_error: float, problems: Sequence[str]) -> dict[str, float | None]:
-    """Return the fields of a setting that the options for questions set."""
-    if ask is not None and not problems:
+def questions_of(
+    ask: float | None, ask_error: float, problems: Sequence[str], *, doubtful: bool = False
+) -> dict[str, float | None]:
+    """Return the fields of a setting that the options for questions set.
+
+    Parameters
+    ----------
+    ask, ask_error
+        Values of `question_options`.
+    problems : sequence of str
+        Values of `--goals`.
+    doubtful : bool
+        Whether a question about the last action is possible.
+    """
+    if ask is not None and not problems and not doubtful:
         raise click.UsageError("--ask: expected --goals, too")
     if ask is None and ask_error:
         raise click.UsageError("--ask-error: expected --ask, too")

@@ -19,8 +19,8 @@ from planner.system.errors import InputFileError, MissingExtraError, expected
 from ...texts.catalogue import FIRST, catalogue
 from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
 from .config import read_config
-from .goals import goal_list_options, several_goals
-from .person import model_options
+from .goals import goal_list_options, question_options, questions_of, several_goals
+from .person import model_options, observation_options
 from .policies import CHOICES, PolicyName, policies_of
 from .population import people_option, population_of, population_options, with_rule_of
 from .task import costs_of
@@ -84,6 +84,8 @@ def live_options(command: Command) -> Command:
             help="Seconds without an event after which the robot decides again.",
         ),
         goal_list_options,
+        observation_options,
+        question_options,
         click.option(
             "--language",
             default=FIRST,
@@ -104,11 +106,13 @@ def plan_of(
     instances: tuple[str, ...], *, humans: int, simulate: int, pace: float, seed: int, data: Path | None, policy: str,
     tick: float, language: str, people_store: Path | None, keep_people: float, domain: str | None,
     distances: Path | None, beta: Range, theta: Range | None, sigma: Range, population_file: Path | None,
-    people: str | None, problems: Sequence[str], goal_prior: Sequence[str], **options: Any,
+    people: str | None, problems: Sequence[str], goal_prior: Sequence[str], miss: float, confusion: float,
+    ask: float | None, ask_error: float, **options: Any,
 ) -> ServedTeam:  # fmt: skip
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
     from ...people.goals import first_of
+    from ...person.observation_model import ObservationModel
     from ...team.settings import Setting
     from ...web.server import ServedTeam
 
@@ -118,6 +122,9 @@ def plan_of(
     (chosen,) = policies_of((policy,)).values()
     try:
         texts = catalogue(language)
+        doubtful = bool(miss or confusion) or options["suggestions"] == "all"
+        options |= questions_of(ask, ask_error, problems, doubtful=doubtful)
+        options["observation"] = ObservationModel(miss, confusion)
         setting = Setting(**with_rule_of(population_file, options))
         if setting.execute:
             raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")

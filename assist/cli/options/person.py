@@ -52,6 +52,24 @@ def model_options() -> tuple[Option[Any], ...]:
     )  # fmt: skip
 
 
+def observation_options(command: Command) -> Command:
+    """Add the options for a robot that does not see every action as it is. `observation_of` takes their values."""
+    share = click.FloatRange(0, 1, max_open=True)
+    return with_options(
+        command,
+        (
+            click.option(
+                "--miss", type=share, default=0.0, show_default=True, metavar="P",
+                help="Probability that the robot misses an action.",
+            ),
+            click.option(
+                "--confusion", type=share, default=0.0, show_default=True, metavar="P",
+                help="Probability that it sees another action instead.",
+            ),
+        ),
+    )  # fmt: skip
+
+
 def person_options(command: Command) -> Command:
     """Add the options that describe one person's problem. `person_problem` takes their values."""
     options: tuple[Option[Any], ...] = (

@@ -93,6 +93,17 @@ function goalsOf(goals) {
   return figureOf(drawn, `Probable goals${Object.keys(goals).length > most.length ? ` (${most.length} of ${Object.keys(goals).length})` : ""}`);
 }
 
+/** The open question to a person, whose answer the operator may enter. */
+function questionTo({ person, seq }, { goal, options }) {
+  const answers = goal === null ? options.map((action) => [plain(action), action]) : [["Yes", true], ["No", false]];
+  return element("p", { class: "buttons" },
+    `Asked: ${goal === null ? "what was done last?" : `is the goal ${goal}?`} `,
+    ...[...answers, ["No answer", null]].map(([said, answer]) => element("button", {
+      type: "button", "data-key": `answer ${person} ${said}`, "aria-label": `Answer of ${person}: ${said}`,
+      click: () => tell(pathOf(person, "/answer"), { method: "POST", body: { answer, seq, id: newId() } }, `The answer of ${person} is recorded.`),
+    }, said)));
+}
+
 function figureOf(drawn, caption) {
   return element("figure", {}, drawn, element("figcaption", {}, caption));
 }
@@ -114,6 +125,7 @@ function card(person) {
       element("span", { class: `badge${person.finished ? " ended" : ""}` }, state)),
     element("p", {}, `${team.tasks.length > 1 ? `${person.task}: ` : ""}${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${remaining(person)}`),
     person.suggestion ? element("p", {}, `Suggested: ${plain(person.suggestion)}`) : null,
+    person.question ? questionTo(person, person.question) : null,
     figureOf(progressOf(person), "Remaining cost over time"),
     element("div", { class: "pair" },
       figureOf(betas, `Expertise β: ${betaMean.toFixed(2)}`),
@@ -166,8 +178,14 @@ function show() {
     element("tr", {},
       element("td", { class: "count" }, clock(event.time)),
       element("td", {}, event.person ?? ""),
-      element("td", {}, [event.event, plain(event.action)].filter(Boolean).join(": ")),
+      element("td", {}, [event.event, plain(event.action) || saidIn(event)].filter(Boolean).join(": ")),
       element("td", {}, event.suggestion ? `${plain(event.suggestion)}${event.followed === true ? " (followed)" : event.followed === false ? " (not followed)" : ""}` : ""))));
+}
+
+/** What was asked or answered in an event. */
+function saidIn({ goal, answer }) {
+  if (goal !== undefined) return goal === null ? "what was done last?" : `is the goal ${goal}?`;
+  return typeof answer === "string" ? plain(answer) : { true: "yes", false: "no" }[answer] ?? "";
 }
 
 /** With several tasks, a new person gets the selected one. */

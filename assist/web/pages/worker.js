@@ -1,7 +1,7 @@
 // A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
 import { Channel, Outbox, Refused, askJson, passes, pageOf, pathOf, person, place } from "./connection.js";
-import { all, at, clock, complain, figure, first, focused, language, sentence, text } from "./page.js";
+import { all, at, clock, complain, element, figure, first, focused, language, sentence, text } from "./page.js";
 
 const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
 const WIDTHS = [320, 400, 520, 640, 760, 960];
@@ -13,6 +13,7 @@ let chosen = []; // objects clicked in succession
 let started = null;
 let refusals = 0;
 let explained = null; // the view whose explanation is shown
+let questioned = null; // the question that is shown, with the step at which it was asked
 
 // Texts.
 
@@ -57,6 +58,9 @@ function fill(list, lines) {
   list.replaceChildren(...lines);
 }
 
+/** Several goals are possible, or actions were seen badly: the goal has been reached with some probability only. */
+const probably = () => view.finished && view.applicable.length > 0;
+
 const open = () => (view !== null && !view.finished && view.suggestion !== null && declined !== `${view.steps} ${view.suggestion}` ? view.suggestion : null);
 
 function show() {
@@ -89,11 +93,12 @@ function showStudy(study) {
 
 function showAdvice() {
   const suggestion = open();
-  at("advice").hidden = view.finished;
-  at("advice").classList.toggle("open", suggestion !== null);
+  at("advice").hidden = view.finished && !view.question;
+  at("advice").classList.toggle("open", suggestion !== null || Boolean(view.question));
   at("offer").hidden = suggestion === null;
   at("paused").hidden = !view.paused || suggestion !== null;
-  at("nothing").hidden = view.paused || suggestion !== null;
+  at("nothing").hidden = view.paused || suggestion !== null || Boolean(view.question);
+  showQuestion(view.question);
   showReasons(suggestion);
   if (suggestion === null) {
     at("suggestion").textContent = "";
@@ -105,6 +110,29 @@ function showAdvice() {
     at("suggestion").textContent = step;
     say(text("task.suggestion", { action: step }));
   }
+}
+
+/** What the assistant asks; nobody has to answer. */
+function showQuestion(question) {
+  at("question").hidden = !question;
+  const key = question ? `${view.seq} ${drawn !== null} ${outbox.busy}` : null;
+  if (key === questioned) return;
+  questioned = key;
+  if (!question) return;
+  const asked = question.goal === null ? text("task.ask_action") : text("task.ask_goal", { goal: question.goal });
+  if (at("asked").textContent !== asked) say(asked);
+  at("asked").textContent = asked;
+  const answers = question.goal === null ? question.options.map((action) => [words(action), action])
+    : [[text("task.yes"), true], [text("task.no"), false]];
+  fill(at("answers"), [...answers, [text("task.no_answer"), null]].map(([words, answer]) => {
+    return element("button", { type: "button", disabled: outbox.busy, click: () => reply(answer) }, words);
+  }));
+}
+
+function reply(answer) {
+  complain(null);
+  if (outbox.send(pathOf(person, "/answer"), { answer, seq: view.seq })) show();
+  at("choices-title").focus({ preventScroll: true });
 }
 
 const lines = (texts) => texts.map((words) => {
@@ -180,16 +208,17 @@ function showEnd() {
   const over = view.study?.over ?? false; // whether a study's task has ended, finished or not
   const ended = view.finished || over;
   const stuck = !ended && view.cost_to_go === null;
-  if (ended && at("done").hidden) {
-    at("done-text").textContent = view.finished
-      ? text("task.reached", { n: view.steps })
-      : text("task.ended");
+  const key = probably() ? "task.probably" : view.finished ? "task.reached" : "task.ended";
+  const reached = text(key, { n: view.steps });
+  if (ended && (at("done").hidden || at("done-text").textContent !== reached)) {
+    at("done-title").textContent = text(probably() ? "task.probably_done" : "task.done");
+    at("done-text").textContent = reached;
     at("done").hidden = false;
-    say(at("done-text").textContent);
+    say(reached);
     at("done-title").focus();
   }
   if (!ended) at("done").hidden = true;
-  at("hint").hidden = ended;
+  at("hint").hidden = ended && !probably();
   if (stuck) complain(text("task.stuck"));
   else if (at("problem").textContent === text("task.stuck")) complain(null);
 }
@@ -229,7 +258,7 @@ function showTargets(svg) {
     const name = group.dataset.object;
     group.classList.toggle("ka-hint", suggested.includes(name));
     const possible = matching([name]);
-    if (!possible.length || view?.finished) continue;
+    if (!possible.length || (view?.finished && !probably())) continue;
     const frame = group.querySelector(".ka-frame");
     const button = document.createElement("button");
     button.type = "button";
@@ -391,7 +420,7 @@ try {
   started = null;
 }
 setInterval(() => {
-  if (started === null || view?.finished) return;
+  if (started === null || (view?.finished && !probably())) return;
   at("time").textContent = clock(Math.max(0, Math.round((Date.now() - started) / 1000)));
 }, 1000);
 

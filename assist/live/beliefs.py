@@ -1,0 +1,180 @@
+"""What the robot believes about a person of a live team after actions and answers, certain or not.
+
+The belief is in the person's goal, beta and theta. After uncertain actions it is over task states, too
+(`assist.person.JointBelief`). Whatever is taken back or corrected, the belief is that of the actions and answers that
+remain, in their order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from ..people.belief import ImpossibleObservationError
+from ..people.decision import NOTHING
+from ..people.goals import goal_shares
+from ..people.spread import Spread
+from ..person.belief_filter import update
+from ..person.joint_belief import JointBelief, same_suggestions
+from ..person.observation_model import ObservationModel
+from ..team.hidden_states import expected_answers
+from ..team.questions import answered, likelihood_of
+from ..team.settings import Setting
+from ..team.state import worth_of_actions
+from .advice import Reason
+from .live_task import InapplicableError
+from .roster import Roster, RosterEntry, Step, Told
+from .uncertain_actions import after_answers, joint_after
+
+
+def is_uncertain(record: RosterEntry, model: ObservationModel | None) -> bool:
+    """Return whether the state of a person's task is uncertain."""
+    return record.joint is not None or model is not None
+
+
+def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> bool:
+    """Update the belief in a person by a step, and return whether it was (probably) not an optimal choice.
+
+    Raises
+    ------
+    InapplicableError
+        The action is not applicable in any state in which the person probably is. Nothing has changed.
+    """
+    part, row = record.problem.at(step.place)
+    belief, choices = team.belief[record.place], part.choices
+    if step.seen is not None or is_uncertain(record, setting.observation):
+        earlier = record.joint or JointBelief.at(row, belief)
+        record.joint = joint_after(record, belief, step, setting.observation)
+        record.earlier, team.belief[record.place] = earlier, record.joint.belief
+        return record.joint.erred > 1 / 2
+    update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
+    return not choices.optimal[choices.of_goals(np.array([row]))[:, 0], step.slot].any()
+
+
+def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Setting) -> None:
+    """Update the belief in a person by answers about their goal.
+
+    Raises
+    ------
+    InapplicableError
+        An answer is impossible under the belief. Nothing has changed.
+    """
+    belief, joint = team.belief[record.place], record.joint
+    goals = list(team.part(record)[0].choices.goals or ())
+    try:
+        for told in answers:
+            asked = goals.index(told.goal), len(goals), told.yes, setting.ask_error
+            if joint is None:
+                belief = answered(belief, *asked)
+            else:
+                joint = joint.told(likelihood_of(*asked))
+                belief = joint.belief
+    except (ImpossibleObservationError, ValueError):
+        raise InapplicableError(
+            f"the answer {'yes' if told.yes else 'no'} of {record.name} is impossible: the goal {told.goal} "
+            f"{'has probability 0' if told.yes else 'is certain'}; expected an error rate of answers above 0"
+        ) from None
+    record.joint, team.belief[record.place] = joint, belief
+
+
+def believe_again(team: Roster, record: RosterEntry, setting: Setting) -> bool:
+    """Compute the belief in a person from the beginning of the task; return as `believe` does for the last step."""
+    team.belief[record.place], record.joint, record.earlier, erred = record.before, None, None, False
+    for count, step in enumerate(record.steps):
+        tell(team, record, _told_at(record, count), setting)
+        erred = believe(team, record, step, setting)
+    tell(team, record, _told_at(record, len(record.steps)), setting)
+    return erred
+
+
+def correct(team: Roster, record: RosterEntry, action: str, setting: Setting) -> None:
+    """Put what a person says that their last action was in the place of what was seen.
+
+    Raises
+    ------
+    InapplicableError
+        The action is not applicable in any state in which the person probably was, or contradicts an answer about the
+        goal. Nothing has changed.
+    """
+    k, seen = record.place, record.steps[-1]
+    known = team.belief[k].copy(), record.joint, record.earlier
+    record.steps[-1] = seen._replace(action=action, seen={"likelihoods": {action: 1.0}}, slot=NOTHING)
+    try:
+        erred = believe_again(team, record, setting)
+    except InapplicableError:
+        record.steps[-1], (team.belief[k], record.joint, record.earlier) = seen, known
+        raise
+    assert record.joint is not None
+    (part, row), likeliest = team.part(record), record.joint.likeliest
+    still = same_suggestions(part.policy.pomdp, np.array([row]), np.array([likeliest]))[0, team.robot[k]]
+    team.put(record, *record.problem.at(likeliest), erred=erred, robot=int(still))
+
+
+def worth_of_asking(team: Roster, record: RosterEntry, setting: Setting) -> tuple[float, dict[str, float]]:
+    """Return what it is worth to know a person's last action, and the probabilities of what it may have been.
+
+    The worth is the expected increase of the QMDP value of the person's own problem, in cost units.
+    """
+    if record.joint is None or not record.steps:
+        return 0.0, {}
+    part, _ = team.part(record)
+    goals, found = list(part.choices.goals or ()), dict[str, JointBelief]()
+    for name, after in after_answers(record, setting.observation).items():
+        with suppress(ImpossibleObservationError):
+            for told in _told_at(record, len(record.steps)):
+                likelihood = likelihood_of(goals.index(told.goal), len(goals), told.yes, setting.ask_error)
+                after = replace(then := after.told(likelihood), evidence=then.evidence * after.evidence)
+            found[name] = after
+    if not found:
+        return 0.0, {}
+    joint = [record.joint, *found.values()]
+    likeliest = np.array([one.likeliest for one in joint])
+    value = expected_answers(worth_of_actions, part.policy, likeliest, joint).max(axis=1)
+    share = np.array([after.evidence for after in found.values()])
+    share /= share.sum()
+    return max(0.0, float(share @ value[1:] - value[0])), dict(zip(found, share.tolist(), strict=True))
+
+
+def _told_at(record: RosterEntry, steps: int) -> list[Told]:
+    """Return the answers about a person's goal after a number of steps."""
+    return [told for told in record.told if told.steps == steps]
+
+
+def goals_of(team: Roster, k: int) -> dict[str, float]:
+    """Return the probability of each goal of the person at a place; nothing if it is known."""
+    choices = team.parts[team.model[k]].choices
+    if choices.goals is None or choices.goal_count == 1:
+        return {}
+    return dict(zip(choices.goals, goal_shares(team.belief[k], choices.goal_count).tolist(), strict=True))
+
+
+def reason_of(team: Roster, k: int, robot: int, moving: float) -> Reason:
+    """Return the reason for a robot action towards the person at a place, or for going there (0), in numbers."""
+    policy, belief = team.parts[team.model[k]].policy, team.belief[k]
+    q = team.answers_about(worth_of_actions, int(team.model[k]), np.array([k]))[0]
+    saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0])
+    beta, theta = policy.pomdp.grid.spreads(belief)
+    follow = _follow(team, k, robot or 1 + int(q[1:].argmax()))
+    steps = team.records[k].steps
+    answered = [step for step in steps if step.suggestion is not None and step.action is not None]
+    return Reason(
+        saving, moving, saving - moving, beta.mean, (beta.low, beta.high), theta.mean, (theta.low, theta.high),
+        len(answered), sum(step.suggestion == step.action for step in answered), follow.mean,
+        (follow.low, follow.high), goals_of(team, k),
+    )  # fmt: skip
+
+
+def _follow(team: Roster, k: int, robot: int) -> Spread:
+    """Return the mean and interval of the probability that a person follows a suggestion, under the belief."""
+    pomdp, x = team.parts[team.model[k]].policy.pomdp, team.x[k : k + 1]
+    action = pomdp.suggested[x, robot]
+    if action[0] == NOTHING:
+        return Spread(0.0, 0.0, 0.0)
+    chance = pomdp.likelihood(x, np.array([robot]), action)[0].reshape(-1)
+    order = np.argsort(chance)
+    values, place = np.unique(chance[order], return_inverse=True)
+    weights = np.bincount(place, team.belief[k].reshape(-1)[order]).astype(float)
+    return Spread.of(values, weights, limits=(0.0, 1.0))

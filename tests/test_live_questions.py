@@ -1,0 +1,226 @@
+"""A live robot that asks people about their goal and about what they did last."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import kit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_uncertain_actions import NOISY
+from test_unknown_goals import TASKS
+
+from assist.live import Assistant, Event, InapplicableError, Question, Session
+from assist.live.events import InvalidError
+from assist.people import Goals
+from assist.person import ObservationModel
+from assist.team import Setting
+
+TINY = TASKS["tiny"]
+ASKS = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01)
+BOTH = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01, observation=ObservationModel(0.05, 0.1))
+
+
+def desk(setting: Setting = ASKS, task: Any = TINY) -> Assistant:
+    return Assistant(task, ["ann"], setting=setting)
+
+
+def asked(team: Assistant) -> Question:
+    question = team.recommend().question
+    assert question is not None
+    return question
+
+
+@pytest.mark.parametrize("setting", [ASKS, BOTH])
+def test_the_robot_asks_and_suggests_only_when_the_answer_is_there(setting: Setting) -> None:
+    team = desk(setting)
+    question = asked(team)
+    assert (question.kind, question.person, team.questions) == ("goal", "ann", (question,))
+    assert question.worth > 0
+    assert team.recommend().suggestion is None
+    assert desk(Setting(c_suggest=0.0, c_move=0.0)).recommend().suggestion is not None  # which would have helped
+    team.answer("ann", True)
+    assert team.person("ann").goals[str(question.goal)] == pytest.approx(1, abs=1e-12)
+    assert (team.person("ann").question, team.recommend().question) == (None, None)
+    assert (team.recommend().suggestion is not None) or setting is BOTH  # which has few suggestions for this goal
+
+
+def test_who_has_said_what_their_goal_is_is_known_as_if_it_had_been_known_before() -> None:
+    goal = str(asked(team := desk()).goal)
+    team.answer("ann", True)
+    known = desk(ASKS, Goals(dict(TINY.tables), {name: float(name == goal) for name in TINY.tables}, sharpness=1))
+    for _ in range(3):
+        action = team.recommend().suggestion
+        assert action is not None
+        assert (known.recommend().suggestion, known.recommend().question) == (action, None)
+        for one in (team, known):
+            one.observe("ann", action)
+        np.testing.assert_allclose(team.person("ann").belief, known.person("ann").belief, rtol=0, atol=1e-12)
+
+
+def test_a_question_is_open_until_it_is_answered_declined_or_overtaken() -> None:
+    team = desk()
+    question = asked(team)
+    with pytest.raises(InvalidError, match="answer 3: expected an action, True, False or None"):
+        team.answer("ann", 3)  # type: ignore[arg-type]
+    team.elapse()
+    assert (team.recommend().question, team.recommend().suggestion, team.questions) == (None, None, (question,))
+    team.answer("ann", None)
+    assert team.recommend().question is None  # asked once, until the person acts
+    assert team.recommend().suggestion is not None
+    with pytest.raises(InapplicableError, match="ann has no open question"):
+        team.answer("ann", True)
+    team.observe("ann", team.person("ann").applicable[0])
+    asked(team)
+    team.observe("ann", team.person("ann").applicable[0])
+    assert team.person("ann").question is None
+    asked(team)
+    team.leave("ann")
+    assert team.questions == ()
+
+
+@pytest.mark.parametrize("setting", [ASKS, BOTH])
+def test_answers_are_kept_when_actions_are_taken_back_and_saved(setting: Setting) -> None:
+    team = desk(setting)
+    goal = str(asked(team).goal)
+    team.answer("ann", False)
+    told = team.person("ann").belief.copy()
+    team.observe("ann", team.person("ann").applicable[-1])
+    team.undo("ann")
+    np.testing.assert_array_equal(team.person("ann").belief, told)
+    team.observe("ann", team.person("ann").applicable[-1])
+    if team.recommend().question is not None:
+        team.answer("ann", team.recommend().question.kind == "goal" and False)  # type: ignore[union-attr]
+    assert team.person("ann").goals[goal] == pytest.approx(0, abs=1e-12)
+    team.begin("ann")
+    asked(team)
+    again = Assistant.from_json(team.to_json(), TINY)
+    np.testing.assert_array_equal(again.person("ann").belief, team.person("ann").belief)
+    assert (again.questions, again.recommend()) == (team.questions, team.recommend())
+    assert json.loads(again.to_json()) == json.loads(team.to_json())
+
+
+def test_an_impossible_answer_changes_nothing() -> None:
+    team = desk(Setting(c_suggest=0.0, c_move=0.0, c_ask=0.0))
+    for _ in range(2):  # until one goal is left
+        asked(team)
+        team.answer("ann", False)
+        team.observe("ann", team.person("ann").applicable[0])
+    record = team._team.known("ann")
+    left = max(team.person("ann").goals, key=lambda name: team.person("ann").goals[name])
+    record.question = Question("ann", left, (), 1.0)
+    before = team.to_json()
+    with pytest.raises(InapplicableError, match=rf"the answer no of ann is impossible: the goal {left} is certain"):
+        team.answer("ann", False)
+    assert team.to_json() == before
+
+
+def test_what_was_done_last_is_asked_where_that_is_worth_more_than_it_costs() -> None:
+    for cost in (0.001, 100.0):
+        team = desk(Setting(c_suggest=0.05, suggestions="all", c_ask=cost), kit("paper-fixed"))
+        assert team.recommend().question is None
+        options = team.person("ann").applicable
+        team.observe("ann", likelihoods=dict.fromkeys(options, 1.0))
+        worth, question = team.worth_of_asking("ann"), team.recommend().question
+        assert (question is not None) == (worth > cost)
+        if question is not None:
+            assert (question.kind, question.goal, set(question.options)) == ("action", None, set(options))
+            assert question.worth == pytest.approx(worth - cost)
+            with pytest.raises(InapplicableError, match="ann has no open question about the goal"):
+                team.answer("ann", True)
+            team.answer("ann", question.options[1])
+            assert len(team.person("ann").states) == 1
+            assert team.recommend().question is None
+
+
+def test_a_policy_that_never_suggests_never_asks() -> None:
+    assert Assistant(TINY, ["ann"], setting=ASKS, policy="none").recommend().question is None
+
+
+EVENTS = st.lists(st.tuples(st.sampled_from("adlmuqnb"), st.integers(0, 5), st.floats(0, 1)), max_size=8)
+
+
+@settings(max_examples=8, deadline=None)
+@given(EVENTS)
+def test_a_session_of_doubtful_actions_and_answers_resumes_to_the_bit(tmp_path_factory: Any, moves: Any) -> None:
+    journal = tmp_path_factory.mktemp("session") / "journal.sqlite"
+    session = Session(TINY, journal, setting=BOTH)
+    session.join("ann")
+    session.join("bob")
+    for kind, number, share in moves:
+        seen = session.person("ann")
+        option = seen["applicable"][number % len(seen["applicable"])] if seen["applicable"] else "(fetch box-a)"
+        event = {
+            "a": Event("acted", "ann", option), "d": Event("acted", "ann", likelihoods={option: share, "(wait)": 0.1}),
+            "l": Event("acted", "ann", likelihoods=dict.fromkeys(seen["applicable"], 1.0 + share)),
+            "m": Event("acted", "ann", missed=share), "u": Event("undone", "ann"),
+            "q": Event("answered", "ann", answer=option), "n": Event("answered", "ann", answer=share > 0.5),
+            "b": Event("began", "ann"),
+        }[kind]  # fmt: skip
+        session.report([event])
+    before = session.beliefs(), session.entry("ann"), session.entry("bob"), session.log(), session.outlook()
+    session.close()
+    again = Session(TINY, journal, setting=BOTH)
+    assert (again.beliefs(), again.entry("ann"), again.entry("bob"), again.log(), again.outlook()) == before
+    again.erase("ann", "asked for")
+    assert b"ann" not in b"".join(file.read_bytes() for file in journal.parent.iterdir())
+    again.close()
+
+
+def test_malformed_reports_are_refused_in_one_sentence_and_change_nothing(tmp_path: Path) -> None:
+    session = Session(kit("tiny"), tmp_path / "journal.sqlite", setting=NOISY)
+    session.join("ann")
+    first, believed = session.person("ann")["applicable"][0], session.beliefs()
+    nan = float("nan")
+    for wrong, kind, message in (
+        ({}, InvalidError, "expected an action, its likelihoods, or the probability"),
+        ({"action": first, "likelihoods": {first: 1.0}}, InvalidError, "expected an action, its likelihoods"),
+        ({"missed": nan}, InvalidError, "missed nan: expected a probability"),
+        ({"missed": -0.1}, InvalidError, "missed -0.1: expected a probability"),
+        ({"likelihoods": {}}, InvalidError, "likelihoods: expected finite numbers of 0 or more, one of them positive"),
+        ({"likelihoods": {first: 0.0}}, InvalidError, "one of them positive"),
+        ({"likelihoods": {first: 1.0, "(fetch box-b)": nan}}, InvalidError, "expected finite numbers"),
+        ({"likelihoods": {first: -1.0}}, InvalidError, "expected finite numbers"),
+        ({"likelihoods": {first: "much"}}, InvalidError, "likelihood of .*: expected a number"),
+        ({"likelihoods": {"(fly)": 1.0}}, ValueError, "fly"),
+        ({"likelihoods": {first: 1.0}, "followed": True}, InvalidError, "followed: expected an action that was seen"),
+    ):
+        outcome = session.report([Event("acted", "ann", **wrong)])[0]
+        assert isinstance(outcome, kind), outcome
+        with pytest.raises(kind, match=message):
+            raise outcome
+    for answer, message in ((True, "no open question"), (first, "has done nothing yet"), (1, "expected an action")):
+        with pytest.raises(ValueError, match=message):
+            session.answer("ann", answer)  # type: ignore[arg-type]
+    assert session.beliefs() == believed
+    session.observe("ann", likelihoods={first: 1e300, first.upper(): 1e300, "(fetch box-b)": 1e-300})
+    assert session.person("ann")["steps"] == 1
+    session.close()
+    certain = Session(kit("tiny"), tmp_path / "other.sqlite", setting=Setting(c_suggest=0.05))
+    certain.join("ann")
+    with pytest.raises(InvalidError, match="an uncertain action: expected a setting with an observation model"):
+        certain.observe("ann", missed=0.1)
+    certain.close()
+
+
+def test_an_answer_to_an_earlier_question_is_refused(tmp_path: Path) -> None:
+    session = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS)
+    seen = session.join("ann")
+    assert seen["question"]["goal"] in TINY.tables
+    later = session.observe("ann", seen["applicable"][0])
+    assert "question" in later
+    with pytest.raises(InapplicableError, match="there is a later question; expected an answer to that"):
+        session.answer("ann", True, seen=seen["seq"])
+    assert session.outlook().robot["questions"] == [later["question"]]
+    assert "question" not in session.answer("ann", True, seen=later["seq"])
+    assert "questions" not in session.outlook().robot
+    session.close()
+
+
+def test_confused_actions_that_the_task_does_not_have_are_refused_at_once() -> None:
+    with pytest.raises(ValueError, match=r"\((fly|a)\) is no action of this task"):
+        Assistant(kit("tiny"), ["ann"], setting=Setting(observation=ObservationModel(0, {"(fly)": {"(a)": 0.5}})))
