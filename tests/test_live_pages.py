@@ -31,6 +31,10 @@ pytestmark = [
 ]
 
 PAPER = KITTING / "paper.pddl"
+TRAVEL = (
+    "(fetch box-a)", "(place hammer slot-1 box-a)", "(return box-a)", "(fetch box-c)", "(place tape slot-2 box-c)",
+    "(return box-c)",
+)  # fmt: skip
 PATIENCE = 60_000  # milliseconds after which an event is taken as missing
 LAST = re.compile(r"^(?:Put|Fetch|Return|Take) ")
 
@@ -453,22 +457,35 @@ def test_an_animation_is_a_page_that_everybody_can_use(chromium: Any, artist: Ar
 
 
 @pytest.mark.slow
-def test_the_operator_sees_which_goals_are_probable(chromium: Any, tmp_path: Path) -> None:
+def test_people_and_the_operator_see_and_answer_questions_about_probable_goals(chromium: Any, tmp_path: Path) -> None:
     from serving import served
 
     kits = ROOT / "docs" / "examples" / "kits"
-    with served("--goals", kits, "--humans", 2, "--data", tmp_path, instance=kits / "travel.pddl") as running:
+    asks = ("--ask", 0.01, "--c-suggest", 0.05, "--c-move", 0, "--data", tmp_path)
+    with served("--goals", kits, "--humans", 2, *asks, instance=kits / "travel.pddl") as running:
         page, seat = chromium.new_page(), chromium.new_page()
         page.goto(running.operator)
         shown = page.locator('.card:has-text("person-1") .plot[aria-label^="Goal"]')
         shown.wait_for()
         assert shown.get_attribute("aria-label") == "Goal: travel 33 %, mend 33 %, mount 33 %"
         seat.goto(running.links["person-1"])
+        seat.locator('#asked:has-text("Is your goal travel?")').wait_for()
         assert violations(seat) == []
         assert seat.locator("#goal-word").is_hidden()
-        seat.click('#actions button:has-text("fetch box-c")')
-        page.wait_for_selector('.plot[aria-label^="Goal"]:not([aria-label*="travel 33 %"])')
+        seat.click('#answers button:has-text("Yes")')
+        seat.wait_for_selector("#question", state="hidden")
+        page.wait_for_selector('.plot[aria-label="Goal: travel 100 %, mend 0 %, mount 0 %"]')
+        asked = page.locator('.card:has-text("person-2") p:has-text("Asked: is the goal travel?")')
+        asked.wait_for()
         assert violations(page) == []
+        page.get_by_label("Answer of person-2: No answer").click()
+        asked.wait_for(state="hidden")
+        seat.goto(running.links["person-2"])
+        for action in TRAVEL:
+            running.ask("POST", "/api/people/person-2/actions", json={"action": action})
+        seat.locator('#done-text:has-text("You have probably reached your goal: was that all?")').wait_for()
+        assert seat.locator("#actions button").count() > 0
+        assert violations(seat) == []
 
 
 @pytest.mark.slow

@@ -62,6 +62,21 @@ def test_who_has_said_what_their_goal_is_is_known_as_if_it_had_been_known_before
         np.testing.assert_allclose(team.person("ann").belief, known.person("ann").belief, rtol=0, atol=1e-12)
 
 
+def test_who_has_said_what_their_goal_is_finishes_for_certain() -> None:
+    told, silent = desk(), desk()
+    goal = str(asked(told).goal)
+    told.answer("ann", True)
+    for action in TINY.tables[goal].optimal_plan():
+        told.observe("ann", action)
+        silent.observe("ann", action)
+    assert (told.finished, told.person("ann").applicable) == (True, ())
+    assert told.explain("ann").text() == "You have reached the goal."
+    with pytest.raises(InapplicableError, match="ann has reached the goal"):
+        told.observe("ann", "(fetch box-a)")
+    assert silent.person("ann").applicable
+    assert not silent.finished or silent.explain("ann").text() == "You have probably reached the goal."
+
+
 def test_a_question_is_open_until_it_is_answered_declined_or_overtaken() -> None:
     team = desk()
     question = asked(team)

@@ -173,10 +173,8 @@ class DecisionPoint:
     def _certainly_ended(self, place: int) -> bool:
         """Return whether a person has certainly reached their goal."""
         _, part, row = self._at(place)
-        joint = self.joint[place]
-        if joint is not None:
-            return is_certain(joint.finished(part.choices))
-        return bool(part.choices.goal[part.choices.of_goals(np.array([row]))].all())
+        joint = self.joint[place] or JointBelief.at(row, self.belief[place])
+        return is_certain(joint.finished(part.choices))
 
     def nothing_at_all(self) -> Explanation:
         """Return why there is no suggestion."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
-from ..people.goals import goal_shares
 from ..person.joint_belief import JointBelief, is_certain
 from ..team.hidden_states import expected_answers
 from ..team.state import Ask, by_model
@@ -237,22 +236,19 @@ class Roster:
             self._people[self.model[k]] -= 1
         self.model[k], self.x[k], self.erred[k], self.robot[k] = self._numbered(part), row, erred, robot
         self._people[self.model[k]] += 1
-        rows = part.choices.of_goals(np.array([row]))[:, 0]
-        reached = part.choices.goal[rows]
-        if record.joint is not None:
-            self.ended[k] = record.joint.finished(part.choices) > 1 / 2
-            self._change[k] += 1
-            return
-        # With several goals, whether they have reached theirs is only more or less probable.
-        self.ended[k] = reached[0] if len(rows) == 1 else goal_shares(self.belief[k], len(rows))[reached].sum() > 1 / 2
+        self.ended[k] = self.finished(record) > 1 / 2
         self._change[k] += 1
 
-    def stopped(self, record: RosterEntry) -> bool:
-        """Return whether a person has certainly reached their goal, since every possible one is reached."""
+    def finished(self, record: RosterEntry) -> float:
+        """Return the probability that a person has reached their goal, of which several may be possible."""
         part, row = self.part(record)
-        if record.joint is not None:
-            return is_certain(record.joint.finished(part.choices))
-        return bool(part.choices.goal[part.choices.of_goals(np.array([row]))].all())
+        if record.joint is None and part.choices.goal_count == 1:
+            return float(part.choices.goal[row])
+        return self.joint(record.place).finished(part.choices)
+
+    def stopped(self, record: RosterEntry) -> bool:
+        """Return whether a person has certainly reached their goal."""
+        return is_certain(self.finished(record))
 
     def _numbered(self, part: TaskPart) -> int:
         """Return the index of a part in `parts`. A new part replaces one without people, if there is one."""
