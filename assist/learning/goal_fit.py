@@ -46,14 +46,9 @@ def fit_with_goals(
 
     Parameters
     ----------
-    goals : mapping of str to CostToGo
-        Cost-to-go of each goal, by the goal's name, such as the tables of `planner.sweep_goals`. The tasks differ in
-        their goals only.
-    log : Log
-        A log, as from `read_log`.
-    prior : mapping of str to float, optional
-        Probability of each goal in an episode; by default all are equal.
-    drop, rename, method, strict, jobs
+    goals, log, prior, drop, rename, strict
+        As in `infer_goals`; suggestions in the log are used.
+    method, jobs
         As in `fit`.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes: the number of people who are finished.

@@ -44,8 +44,10 @@ def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None)
         odd = min(set(prior) ^ set(goals))
         raise ValueError(f"prior: '{odd}' is {'no goal' if odd in prior else 'missing'}; expected {', '.join(goals)}")
     shares = np.array([float(prior[name]) for name in goals])
-    if not ((shares >= 0).all() and abs(shares.sum() - 1) <= 1e-6):
-        raise ValueError(f"prior: sum {shares.sum():g}; expected numbers of 0 or more that add up to 1")
+    wrong = [name for name, share in zip(goals, shares, strict=True) if not share >= 0]
+    if wrong or not abs(shares.sum() - 1) <= 1e-6:
+        found = f"'{wrong[0]}' has {float(prior[wrong[0]]):g}" if wrong else f"sum {shares.sum():g}"
+        raise ValueError(f"prior: {found}; expected numbers of 0 or more that add up to 1")
     return shares / shares.sum()
 
 
