@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from ...states.packing import Ints, Words
 from ...system.jit import njit
 
@@ -19,10 +17,7 @@ class DecisionTree(NamedTuple):
     mask, value : uint64 arrays, shape (tests,)
         A test holds in a packed state `s` where `s[word] & mask == value`.
     skip : int64 array, shape (tests,)
-        Next test after a failed one: the first that is not below it. A negative entry denotes a *switch*, a test that
-        never holds; the next test is then `jump[(s[word] >> shift & field) - skip - 1]`.
-    shift, field : uint64 arrays, shape (tests,)
-    jump : int64 array
+        Next test after a failed one: the first that is not below it.
     first : int64 array, shape (tests + 1,)
         Rows `first[t]:first[t + 1]` of `operator` apply if `t` and all tests above it hold.
     operator : int64 array, shape (operators,)
@@ -35,9 +30,6 @@ class DecisionTree(NamedTuple):
     mask: Words
     value: Words
     skip: Ints
-    shift: Words
-    field: Words
-    jump: Ints
     first: Ints
     operator: Ints
     most: int
@@ -47,22 +39,17 @@ class DecisionTree(NamedTuple):
 def matching(tree, begin, end, state, found):
     """Write the operators that the tests `begin` to `end` find in a state to `found`; return their number."""
     # Unpacked once, since unpacking takes longer than use.
-    words, mask, value, skip, shift, field = tree.word, tree.mask, tree.value, tree.skip, tree.shift, tree.field
-    jump, first, operator = tree.jump, tree.first, tree.operator
+    words, mask, value, skip, first, operator = tree.word, tree.mask, tree.value, tree.skip, tree.first, tree.operator
     count = 0
     t = begin
     while t < end:
-        word = state[words[t]]
-        if word & mask[t] == value[t]:
+        if state[words[t]] & mask[t] == value[t]:
             for row in range(first[t], first[t + 1]):
                 found[count] = operator[row]
                 count += 1
             t += 1
-            continue
-        target = skip[t]
-        if target < 0:
-            target = jump[np.int64(word >> shift[t] & field[t]) - target - 1]
-        t = target
+        else:
+            t = skip[t]
     return count
 
 
