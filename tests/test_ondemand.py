@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,7 +15,6 @@ from conftest import DOMAINS, KITTING, graph_task, table_of, write_instance
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load, sweep
 from planner.costtogo.astar import fastest_search
-from planner.costtogo.portfolio import _Stop
 from planner.grounding.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
 from planner.pddl.validation import Refusal
 from planner.system.limits import NO_LIMITS
@@ -313,18 +311,6 @@ def test_where_actions_are_free_a_plan_too_long_from_the_start_is_no_reason_to_r
     assert asked.lookup(state).tolist() == [2.0]
     with pytest.raises(LimitError, match="a plan of 6 actions and cost 2: where actions cost nothing, at most 3"):
         asked.lookup([asked.initial])
-
-
-def test_a_sweep_waits_for_its_turn_and_not_when_it_is_over() -> None:
-    stop = _Stop()
-    assert not stop.is_set()
-    start = time.monotonic()
-    stop.pause(0.2)
-    assert not stop.is_set()
-    assert time.monotonic() - start >= 0.2
-    stop.pause(3600)
-    threading.Timer(0.05, stop.set).start()
-    assert stop.is_set()
 
 
 def test_asking_ends_when_all_states_are_enumerated_and_most_are_not_answered(tmp_path: Path) -> None:

@@ -274,21 +274,14 @@ def _grounded(source: Source, checker: ValidationProcess, phases: _Phases, until
 
 
 class _Swept(NamedTuple):
-    """The result of the sweep.
-
-    Attributes
-    ----------
-    known : Table, OnDemand or None
-        Provider of the cost-to-go of all states.
-    table : Table or None
-        Table of the swept states: all states, or one canonical state of each orbit.
-    why : str or None
-        The reason why not all states were swept.
-    """
+    """The result of the sweep."""
 
     known: Table | OnDemand | None
+    """Provider of the cost-to-go of all states."""
     table: Table | None
+    """Table of the swept states: all states, or one canonical state of each orbit."""
     why: str | None
+    """The reason why not all states were swept."""
 
 
 def _solve(
@@ -360,12 +353,7 @@ def _sweep(task: Task, options: SolveOptions, phases: _Phases, early: Early) -> 
 def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phases: _Phases) -> SolveRecord:
     """Return the record of the results, after the checks that take little time.
 
-    Raises
-    ------
-    MismatchError
-        The table, A* and the plan contradict each other.
-    LimitError
-        Neither the sweep nor A* has found a solution.
+    If the table, A* and the plan contradict each other, this raises a `MismatchError`.
     """
     record = empty_record(task.instance, "solved", None)
     known, table, why = swept

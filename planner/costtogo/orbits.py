@@ -36,27 +36,17 @@ AT_ONCE = 300_000_000
 
 @dataclass(frozen=True)
 class OrbitTable:
-    """Exact cost-to-go of all reachable states of a task, by orbits.
-
-    Attributes
-    ----------
-    index : OrbitIndex
-        The reachable orbits.
-    distance : unsigned integer array, shape (orbits,)
-        h* of each orbit; the type's largest value marks dead ends.
-    lengths : int64 array, shape (orbits,), or None
-        Least number of actions of an optimal plan; None if all actions have positive costs.
-    order : int
-        Order of the symmetry group.
-    transition_count : int
-        Number of applicable ground actions, summed over the canonical states.
-    """
+    """Exact cost-to-go of all reachable states of a task, by orbits."""
 
     index: OrbitIndex
     distance: NDArray[np.unsignedinteger]
+    """h* of each orbit; the type's largest value marks dead ends."""
     lengths: NDArray[np.int64] | None
+    """Least number of actions of an optimal plan from each orbit; None if all actions have positive costs."""
     order: int
+    """Order of the symmetry group."""
     transition_count: int
+    """Number of applicable ground actions, summed over the canonical states."""
 
     __repr__ = outline
 

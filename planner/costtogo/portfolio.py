@@ -2,15 +2,13 @@
 
 `cost_to_go` sweeps all states if the limits allow it, and otherwise solves states on demand. If only some states are
 requested, both methods run concurrently, and the first to finish provides the result. Since each has about half of the
-processors, this takes at most about twice as long as the better method alone. At the start each method runs alone for a
-moment: the sweep for `FIRST` seconds, then the single-state search for 0.03 seconds, which are enough for an easy
-state. If there are too many states for a sweep, one canonical state of each orbit is swept, provided that there are few
-enough orbits. The result is a `Table` or an `OnDemand`; both implement `CostToGo`.
+processors, this takes at most about twice as long as the better method alone. At the start the sweep runs alone for
+`FIRST` seconds. If there are too many states for a sweep, one canonical state of each orbit is swept, provided that
+there are few enough orbits. The result is a `Table` or an `OnDemand`; both implement `CostToGo`.
 """
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -39,23 +37,6 @@ class _Unswept(NamedTuple):
 
     reason: str
     orbits: OrbitTable | None
-
-
-class _Stop(threading.Event):
-    """The stop signal of the sweep; it can also pause the sweep."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._waits_until = -math.inf
-
-    def pause(self, seconds: float) -> None:
-        """Make calls of `is_set` wait for some seconds."""
-        self._waits_until = time.monotonic() + seconds
-
-    def is_set(self) -> bool:
-        """Whether the sweep should end; waits during a pause."""
-        seconds = self._waits_until - time.monotonic()
-        return self.wait(seconds) if seconds > 0 else super().is_set()
 
 
 @shows_progress
@@ -161,7 +142,7 @@ def _race(
     wanted = asked.numbers(states)
     if not np.isnan(asked.known(wanted)).any():
         return asked.under(limits, f"the {len(states)} states that are wanted are known already")
-    enough, over, late = _Stop(), threading.Event(), threading.Event()
+    enough, over, late = (threading.Event() for _ in range(3))
     answered = 0
 
     def count(more: int) -> None:
@@ -185,7 +166,6 @@ def _race(
             sweep_of_all = pool.submit(sweeping)
             if over.wait(FIRST) and isinstance(table := sweep_of_all.result(), Table):
                 return table
-            enough.pause(0.03)
             start = time.monotonic()
             try:
                 asked.under(replace(limits, stop=late), None).lookup(wanted, count)

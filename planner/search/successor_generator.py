@@ -84,8 +84,8 @@ class _DecisionTreeBuilder:
         """Return the tree of all tests, whose rows are the given operators."""
         types: Any = (np.int64, np.uint64, np.uint64, np.int64, np.int64)
         rows: Any = zip(*self.tests, [0] * 4 + [len(self.order)], strict=True)
-        *tests, first = (np.array(column, kind) for column, kind in zip(rows, types, strict=True))
-        return DecisionTree(*(column[:-1] for column in tests), first, operators, most)
+        word, mask, value, skip, first = (np.array(column, kind) for column, kind in zip(rows, types, strict=True))
+        return DecisionTree(word[:-1], mask[:-1], value[:-1], skip[:-1], first, operators, most)
 
 
 class _ChangeTables:

@@ -11,28 +11,20 @@ from ...system.jit import njit
 class DecisionTree(NamedTuple):
     """Tests that find the applicable operators, or rules, in depth-first order.
 
-    Attributes
-    ----------
-    word : int64 array, shape (tests,)
-    mask, value : uint64 arrays, shape (tests,)
-        A test holds in a packed state `s` where `s[word] & mask == value`.
-    skip : int64 array, shape (tests,)
-        Next test after a failed one: the first that is not below it.
-    first : int64 array, shape (tests + 1,)
-        Rows `first[t]:first[t + 1]` of `operator` apply if `t` and all tests above it hold.
-    operator : int64 array, shape (operators,)
-        Operators, or rules, in the order of the tests.
-    most : int
-        Bound on the number of them, within one group, that apply in one state.
+    A test holds in a packed state `s` where `s[word] & mask == value`. The first four arrays have an entry per test.
     """
 
     word: Ints
     mask: Words
     value: Words
     skip: Ints
+    """Next test after a failed one: the first that is not below it."""
     first: Ints
+    """Rows `first[t]:first[t + 1]` of `operator` apply if `t` and all tests above it hold."""
     operator: Ints
+    """Operators, or rules, in the order of the tests."""
     most: int
+    """Bound on the number of them, within one group, that apply in one state."""
 
 
 @njit(nogil=True, error_model="numpy", inline="always")

@@ -22,14 +22,8 @@ def expand_block(tests, decoder, closed, block, start, out):
     Several threads may share a bitmap. Exactly one of them pushes each new successor. The words of many successors are
     prefetched before the first one is read, since memory latency is high.
 
-    Returns
-    -------
-    stop : int
-        `block[start:stop]` has been expanded.
-    filled : int
-        `out[:filled]` is in use.
-    transitions : int
-        Number of transitions of the expanded states.
+    Return `stop`, such that `block[start:stop]` has been expanded, the number of entries of `out` in use, and the
+    number of transitions of the expanded states.
     """
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.tree.most, dtype=np.int64)
     pending = np.empty(PENDING + tests.tree.most, dtype=np.int64)

@@ -19,60 +19,39 @@ from .decision_tree import DecisionTree, matching, sort_first
 class Rules(NamedTuple):
     """Conditional effects of operators, or of stages of axioms.
 
-    Attributes
-    ----------
-    tree : DecisionTree
-        Finds the rules that apply.
-    begin : int64 array, shape (n + 1,)
-        Tests `begin[i]:begin[i + 1]` are those of the i-th operator, or of the i-th stage of axioms.
-    writes : int64 array, shape (rules + 1,)
-        Rows `writes[r]:writes[r + 1]` of the next three arrays are the writes of rule `r`. A write sets
-        `s[word] = s[word] & keep | value` in the packed state `s`.
-    word : int64 array
-        The word of the packed state that is written.
-    keep, value : uint64 arrays
-        The bits of the word that stay, and those that are set.
+    A write sets `s[word] = s[word] & keep | value` in the packed state `s`.
     """
 
     tree: DecisionTree
+    """Finds the rules that apply."""
     begin: Ints
+    """Tests `begin[i]:begin[i + 1]` are those of the i-th operator, or of the i-th stage of axioms."""
     writes: Ints
+    """Rows `writes[r]:writes[r + 1]` of the next three arrays are the writes of rule `r`."""
     word: Ints
     keep: Words
+    """The bits of the word that stay."""
     value: Words
+    """The bits of the word that are set."""
 
 
 class PackedOperators(NamedTuple):
-    """The transition function of a task; operators are in the order of their actions.
-
-    Attributes
-    ----------
-    tree : DecisionTree
-    action : int64 array, shape (operators,)
-    effects : Rules
-        Effects of each operator.
-    axioms : Rules
-        Axioms in stages; the first sets all derived variables to their defaults.
-    again : bool array, shape (stages,)
-        Whether the axioms of a stage are cyclic, so that it is repeated until nothing changes.
-    """
+    """The transition function of a task; operators are in the order of their actions."""
 
     tree: DecisionTree
     action: Ints
+    """Action of each operator."""
     effects: Rules
+    """Effects of each operator."""
     axioms: Rules
+    """Axioms in stages; the first sets all derived variables to their defaults."""
     again: NDArray[np.bool_]
+    """Whether the axioms of each stage are cyclic, so that it is repeated until nothing changes."""
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
 def apply_rules(rules, group, before, after, found):
-    """Apply the rules of a group whose conditions hold in the state `before`, in order, to the state `after`.
-
-    Returns
-    -------
-    bool
-        Whether `after` has changed.
-    """
+    """Apply the rules of a group whose conditions hold in `before`, in order, to `after`; return whether it changed."""
     changed = False
     writes, words, keep, value = rules.writes, rules.word, rules.keep, rules.value
     count = matching(rules.tree, rules.begin[group], rules.begin[group + 1], before, found)
@@ -114,14 +93,7 @@ def expand(book, states, start, counts, actions, after):
     """Write the successors of `states[start:]`, as far as they fit the output.
 
     `counts` receives the number of actions of each state. `actions` and `after`, shape (m, words), receive a row per
-    action.
-
-    Returns
-    -------
-    stop : int
-        `states[start:stop]` has been expanded.
-    filled : int
-        Number of rows in use.
+    action. Return `stop`, such that `states[start:stop]` has been expanded, and the number of rows in use.
     """
     operators, found = np.empty(book.tree.most, dtype=np.int64), np.empty(book.effects.tree.most, dtype=np.int64)
     filled, i = 0, start

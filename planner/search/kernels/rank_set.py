@@ -16,21 +16,13 @@ from .atomics import fetch_or, lowest_bit, prefetch
 
 
 class RankSet(NamedTuple):
-    """The set of reachable ranks.
-
-    Attributes
-    ----------
-    bits : uint64 array, shape (8 * blocks,)
-        The bitmap.
-    before : int64 array, shape (pages + 1,)
-        Number of states before each page, which is 128 blocks; the last entry is the number of all states.
-    within : uint16 array, shape (blocks,)
-        Number of states before each block of 512 bits in its page; undefined in pages without states.
-    """
+    """The set of reachable ranks: a bitmap in blocks of 512 bits, and in pages of 128 blocks."""
 
     bits: Words
     before: Ints
+    """Number of states before each page; the last entry is the number of all states."""
     within: npt.NDArray[np.uint16]
+    """Number of states before each block in its page; undefined in pages without states."""
 
 
 @njit(nogil=True, error_model="numpy")
@@ -121,13 +113,9 @@ def select(states, numbers, out):
 
 @njit(nogil=True, error_model="numpy")
 def list_members(states, start, out):
-    """Write the next ranks in ascending order to `out`, from position `start` on.
+    """Write the next ranks in ascending order to `out`, from the word `start` of the bitmap on.
 
-    Returns
-    -------
-    stop : int
-        Number of words of the bitmap that have been processed.
-    filled : int
+    Return the number of words that have been processed, and that of the ranks.
     """
     filled, word = 0, start
     while word < len(states.bits):

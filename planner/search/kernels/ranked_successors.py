@@ -22,73 +22,49 @@ from .unranking import CLUSTER, NOWHERE, PRIME
 class ApplicableSets(NamedTuple):
     """The sets of moves that are compatible with each row of the unranking tables, and the remaining tests.
 
-    Attributes
-    ----------
-    sets : uint64 array, shape (rows, words)
-        Bit `m & 63` of word `m >> 6` is set if the values of the row allow the move `m`.
-    begin : int64 array, shape (moves + 1,)
-        Tests `begin[m]:begin[m + 1]` are those of move `m`.
-    word : int64 array, shape (tests,)
-    mask, value : uint64 arrays, shape (tests,)
-        A test holds in a packed state `s` where `s[word] & mask == value`.
+    A test holds in a packed state `s` where `s[word] & mask == value`.
     """
 
     sets: Words
+    """Bit `m & 63` of word `m >> 6` of each row is set if the values of the row allow the move `m`."""
     begin: Ints
+    """Tests `begin[m]:begin[m + 1]` are those of move `m`."""
     word: Ints
     mask: Words
     value: Words
 
 
 class RankedOperators(NamedTuple):
-    """The moves of a task, found by candidate sets or by a decision tree; the other one is empty.
-
-    Attributes
-    ----------
-    candidates : ApplicableSets
-    tree : DecisionTree
-        Its operators are the moves; `tree.most` bounds the number that apply in one state, by sets as well.
-    delta : int64 array, shape (moves,)
-        Constant part of the change of the rank by each move.
-    looks : int64 array, shape (moves + 1,)
-        Lookups `looks[m]:looks[m + 1]` are those of move `m`.
-    lookups : int64 array, shape (lookups, 5)
-        Columns: the word and the shift of a cluster's value, the number of table entries per value, the entry of
-        value 0, and the factor of the entry in the change of the rank.
-    table : int32 array
-        Changes of clusters' values; `NOWHERE` where the move has no successor.
-    action : int32 array, shape (moves,)
-    cost : int64 array, shape (moves,)
-    """
+    """The moves of a task, found by candidate sets or by a decision tree; the other one is empty."""
 
     candidates: ApplicableSets
     tree: DecisionTree
+    """Its operators are the moves; `tree.most` bounds the number that apply in one state, by sets as well."""
     delta: Ints
+    """Constant part of the change of the rank by each move."""
     looks: Ints
+    """Lookups `looks[m]:looks[m + 1]` are those of move `m`."""
     lookups: Ints
+    """Columns: the word and the shift of a cluster's value, the number of table entries per value, the entry of value
+    0, and the factor of the entry in the change of the rank.
+    """
     table: NDArray[np.int32]
+    """Changes of clusters' values; `NOWHERE` where the move has no successor."""
     action: NDArray[np.int32]
     cost: Ints
 
 
 class Cursor(NamedTuple):
-    """The state of the current rank, and the part that it shares with ranks of the same upper digits.
-
-    Attributes
-    ----------
-    words, sets : uint64 arrays
-        The packed state, and the set of compatible moves.
-    upper_words, upper_sets : uint64 arrays
-        Contribution of the upper digits to them.
-    upper : uint64 array, shape (1,)
-        The upper digits.
-    """
+    """The state of the current rank, and the part that it shares with ranks of the same upper digits."""
 
     words: Words
+    """The packed state."""
     sets: Words
+    """The set of compatible moves."""
     upper_words: Words
     upper_sets: Words
     upper: Words
+    """The upper digits, in one entry; `upper_words` and `upper_sets` are their contributions."""
 
 
 @njit(nogil=True, error_model="numpy")

@@ -21,14 +21,7 @@ def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, s
 
     `closed` is a bitmap from `rank_set.close`, or empty. States are closed in it as they are settled, so that most
     predecessors need no lookup. `kinds` are those of the moves, and `through` receives those of the pushed
-    predecessors.
-
-    Returns
-    -------
-    stop : int
-        `block[start:stop]` has been processed.
-    filled : int
-        Number of pushed predecessors.
+    predecessors. Return `stop`, such that `block[start:stop]` has been processed, and the number of these predecessors.
     """
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.tree.most, dtype=np.int64)
     pending = np.empty(PENDING + tests.tree.most, dtype=np.int64)

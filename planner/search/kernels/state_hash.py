@@ -16,7 +16,7 @@ def hash_of(state):
     """Return the hash of a state's words."""
     mixed = np.uint64(0)
     for w in range(len(state)):
-        mixed = (mixed ^ state[w]) * np.uint64(0x9E3779B97F4A7C15)  # as in `ranked_states.first_slot`, word by word
+        mixed = (mixed ^ state[w]) * np.uint64(0x9E3779B97F4A7C15)
         mixed ^= mixed >> np.uint64(32)
     return mixed * np.uint64(0xD6E8FEB86659FD93)
 
@@ -53,10 +53,7 @@ def find(slots, states, state, mixed):
 def insert(slots, states, held, block, numbers):
     """Write the number of each state of a block; new states are appended to `states[held:]`, which has room.
 
-    Returns
-    -------
-    int
-        Number of states in the table afterwards.
+    Return the number of states in the table afterwards.
     """
     # States that are looked up at a time; the memory of all of them is prefetched before the first comparison.
     ahead = 256

@@ -17,26 +17,18 @@ class UnrankingTables(NamedTuple):
     The digits of a rank are grouped into chunks, the lowest first. A packed state is the sum, modulo 2**64, of one row
     per chunk. Then follow steps, one for each variable that the others determine. A field of the sum, modulo the prime
     of the invariants, determines the variable's value, whose row is added.
-
-    Attributes
-    ----------
-    radix : uint64 array, shape (chunks,)
-        Number of values of each chunk.
-    first : int64 array, shape (chunks,)
-        Row of value 0 of each chunk.
-    rows : uint64 array, shape (rows, words)
-        Contributions to the words; those of `Packing` are first.
-    steps : int64 array, shape (steps, 3)
-        The word and the shift of each step's field, and the row of its value 0.
-    told : int32 array, shape (steps, prime)
-        Value for each sum; 0 for sums that belong to no value, which do not occur in reachable states.
     """
 
     radix: Words
+    """Number of values of each chunk."""
     first: Ints
+    """Row of value 0 of each chunk."""
     rows: Words
+    """Contributions to the words; those of `Packing` are first."""
     steps: Ints
+    """The word and the shift of each step's field, and the row of its value 0."""
     told: NDArray[np.int32]
+    """Value for each step and sum; 0 for sums that belong to no value, which do not occur in reachable states."""
 
 
 NOWHERE = -(1 << 31)

@@ -20,38 +20,28 @@ from .automorphisms import Symmetries
 
 
 class Forms(NamedTuple):
-    """Symmetries in the layout of the compiled code. Facts are numbered across the variables.
-
-    Attributes
-    ----------
-    word, first : int64 arrays, shape (variables,)
-        Word of each variable in a packed state, and its first fact.
-    shift, field : uint64 arrays, shape (variables,)
-    at : int64 array, shape (facts,)
-        Word in which each fact is stored.
-    bits : uint64 array, shape (facts,)
-        Bits that represent each fact in its word.
-    begin : int64 array, shape (levels + 1,)
-        The symmetries of level `l` are the rows `begin[l]:begin[l + 1]` of `moves`.
-    moves : int32 array, shape (rows, facts)
-        Image of every fact under each symmetry.
-    weight : uint64 array, shape (facts * rows,)
-        From `facts * begin[l]` on, the contribution of each fact to the key of its image, one entry for each
-        symmetry of level `l`.
-    own : uint64 array, shape (facts,)
-        Contribution of each fact to the hash that distinguishes images.
-    """
+    """Symmetries in the layout of the compiled code. Facts are numbered across the variables."""
 
     word: Ints
+    """Word of each variable in a packed state."""
     first: Ints
+    """First fact of each variable."""
     shift: Words
     field: Words
     at: Ints
+    """Word in which each fact is stored."""
     bits: Words
+    """Bits that represent each fact in its word."""
     begin: Ints
+    """The symmetries of level `l` are the rows `begin[l]:begin[l + 1]` of `moves`."""
     moves: NDArray[np.int32]
+    """Image of every fact under each symmetry."""
     weight: Words
+    """From `facts * begin[l]` on, the contribution of each fact to the key of its image, one entry for each symmetry of
+    level `l`.
+    """
     own: Words
+    """Contribution of each fact to the hash that distinguishes images."""
 
     @classmethod
     def of(cls, symmetries: Symmetries, packing: Packing) -> Forms:
