@@ -122,7 +122,7 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
         try:
             task = load(problem, limits=left())
-            plan = cheapest_plan(task, left)
+            plan = _cheapest_plan(task, left)
         except MemoryLimitError as error:
             return self._without(Status.MEMOUT, error)
         except PDDLError as error:
@@ -133,23 +133,17 @@ class Engine(engines.Engine, OneshotPlannerMixin):
             return self._without(Status.INTERNAL_ERROR, error)
         if plan is None:
             return PlanGenerationResult(Status.UNSOLVABLE_PROVEN, None, self.name)
-        return PlanGenerationResult(Status.SOLVED_OPTIMALLY, read_plan(problem, plan), self.name)
+        return PlanGenerationResult(Status.SOLVED_OPTIMALLY, _read_plan(problem, plan), self.name)
 
     def _without(self, status: Status, error: Exception) -> PlanGenerationResult:
         message = engines.results.LogMessage(engines.results.LogLevel.ERROR, str(error))
         return PlanGenerationResult(status, None, self.name, log_messages=[message])
 
 
-def cheapest_plan(task: Task, left: Callable[[], Limits]) -> list[str] | None:
+def _cheapest_plan(task: Task, left: Callable[[], Limits]) -> list[str] | None:
     """Return an optimal plan; None if there is no plan.
 
-    A task whose costs are too large for Fast Downward is swept.
-
-    Parameters
-    ----------
-    task : Task
-    left : callable
-        Returns the limits with the remaining time.
+    A task whose costs are too large for Fast Downward is swept. `left` returns the limits with the remaining time.
     """
     try:
         return astar(task, limits=left())[1]
@@ -159,14 +153,10 @@ def cheapest_plan(task: Task, left: Callable[[], Limits]) -> list[str] | None:
         return table.optimal_plan() if isfinite(table[table.initial]) else None
 
 
-def read_plan(problem: Problem, plan: list[str]) -> SequentialPlan:
+def _read_plan(problem: Problem, plan: list[str]) -> SequentialPlan:
     """Return a plan, ground actions as `(name argument ...)`, as a plan of unified-planning.
 
-    Parameters
-    ----------
-    problem : Problem
-    plan : list of str
-        Ground actions, with the problem's own names, or else the names in its PDDL files.
+    The actions have the problem's own names, or else the names in its PDDL files.
     """
     own = {item.name: item for item in (*problem.actions, *problem.all_objects)}
     written: dict[str, Any] = {}

@@ -41,42 +41,17 @@ def solve_batch(
     stages: Callable[..., None] | None = None,
     tell: Callable[[SolveRecord], None] | None = None,
 ) -> list[SolveRecord]:
-    """Solve many instances, and return their records.
+    """Solve many instances, and return their records, in the order of the instances.
 
-    Parameters
-    ----------
-    instances : sequence of Instance
-    options : SolveOptions, optional
-    out : Path, optional
-        Folder for tables, plans and `results.jsonl`, to which each record is added at once.
-    jobs : int
-        Largest number of worker processes, which share the machine's memory and processors.
-    resume : bool
-        Whether valid records of solved and unsolvable instances are kept, so that only the others are run.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers solve the instances instead of processes of this machine. They
-        must see the same files at the same paths, and run one thread each.
-    progress : callable, optional
-        Called with each final record.
-    stages : callable, optional
-        Called in a thread with an instance and the arguments of `progress` in `solve_instance`.
-    tell : callable, optional
-        Called in a thread with each new intermediate record of an instance that is not finished. If the run is
-        interrupted, it is called with the latest record of each. A cluster reports none.
+    The folder `out` receives tables, plans and `results.jsonl`, to which each record is added at once. With `resume`,
+    its valid records of solved and unsolvable instances are kept, and only the others are run; without it, results in
+    the folder raise a `ResultsExistError`. At most `jobs` worker processes share the machine's memory and processors.
+    Instead, the workers of the Dask `scheduler` at an address can solve the instances. They must see the same files at
+    the same paths, and run one thread each.
 
-    Returns
-    -------
-    list of SolveRecord
-        Records in the order of `instances`.
-
-    Raises
-    ------
-    ResultsExistError
-        `out` contains results, and `resume` is not set.
-    DamagedFileError
-        The files in `out` are not results of this program.
-    MissingExtraError
-        A scheduler is given, and the extra `cluster` is not installed.
+    `progress` is called with each final record. In other threads, `stages` is called with an instance and the
+    arguments of `progress` in `solve_instance`, and `tell` with each new intermediate record of an unfinished
+    instance. If the run is interrupted, `tell` is called with the latest record of each. A cluster reports none.
     """
     grace = 10.0  # seconds that a worker may take to stop after its time limit, before it is killed
     options = options or SolveOptions()

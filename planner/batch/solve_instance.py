@@ -50,39 +50,29 @@ COMPARING = "the comparison with A* had not ended"
 
 @dataclass(frozen=True)
 class SolveOptions:
-    """Options for solving an instance.
-
-    Attributes
-    ----------
-    time_limit : float or None
-        Wall-clock seconds for one instance; None for no limit.
-    memory_limit : float or None
-        Memory in MB for one instance; None for all available memory.
-    max_states : int
-        Largest number of states that are swept. A larger task is solved from its initial state only.
-    verify : int, optional
-        Number of states compared with Fast Downward's A*, the initial state first, within the limits. By default, up to
-        20 states are compared, in the time that `comparison_share` and `comparison_seconds` allow.
-    threads : int, optional
-        Threads of the sweep; by default one per processor.
-    search_delay : float
-        Seconds before the search for the initial state alone starts, since most tasks are swept in less. A longer delay
-        means a later first result of large tasks.
-    sweep_share : float
-        Share of `time_limit` after which the sweep ends. The rest is reserved for the initial state alone.
-    comparison_share, comparison_seconds : float
-        The default comparison takes at most this share of the search's time, or this number of seconds if it is longer.
-    """
+    """Options for solving an instance."""
 
     time_limit: float | None = None
+    """Wall-clock seconds for one instance; None for no limit."""
     memory_limit: float | None = None
+    """Memory in MB for one instance; None for all available memory."""
     max_states: int = MAX_STATES
+    """Largest number of states that are swept. A larger task is solved from its initial state only."""
     verify: int | None = None
+    """Number of states compared with Fast Downward's A*, the initial state first, within the limits. By default, up to
+    20 states are compared, in the time that `comparison_share` and `comparison_seconds` allow.
+    """
     threads: int | None = None
+    """Threads of the sweep; by default one per processor."""
     search_delay: float = 0.5
+    """Seconds before the search for the initial state alone starts, since most tasks are swept in less. A longer delay
+    means a later first result of large tasks.
+    """
     sweep_share: float = 0.75
+    """Share of `time_limit` after which the sweep ends. The rest is reserved for the initial state alone."""
     comparison_share: float = 0.25
     comparison_seconds: float = 1.0
+    """The default comparison takes at most this share of the search's time, or these seconds if that is longer."""
 
 
 COMPILING = "compiling"
@@ -195,20 +185,13 @@ def solve_instance(
     Faults of the instance or of its solution are not raised. They are reported in the fields `status` and `error`. A
     table that contradicts Fast Downward, and a plan that the validator rejects, are such faults.
 
-    Parameters
-    ----------
-    instance : Instance
-    options : SolveOptions, optional
-    place : Path, optional
-        Path for the cost-to-go table and the plan, without their endings `.npz` and `.plan`.
-    progress : callable, optional
-        Called with the stage, the number of items done, and their total (None if it is unknown).
-    tell : callable, optional
-        Called with an intermediate record, and whether the table and the plan are saved. The call may come from another
-        thread. It occurs when the plan is known before all states are, and before and during the comparison with A*.
-        Each record replaces the earlier ones.
-    use : callable, optional
-        Called at the end with the table of all states, if they were swept. Its time is not limited.
+    `place` is the path for the cost-to-go table and the plan, without their endings `.npz` and `.plan`. `progress` is
+    called with the stage, the number of items done, and their total (None if it is unknown). `use` is called at the
+    end with the table of all states, if they were swept; its time is not limited.
+
+    `tell` is called with an intermediate record, and whether the table and the plan are saved: when the plan is known
+    before all states are, in another thread, and before and during the comparison with A*. Each record replaces the
+    earlier ones.
     """
     options = options or SolveOptions()
     phases = _Phases(options.time_limit, options.memory_limit, progress or (lambda *_: None), tell)

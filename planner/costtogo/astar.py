@@ -63,7 +63,7 @@ def astar(
         return 0.0, []
     if not can_hold(task.goal):
         return float("inf"), None
-    sas, dearest = with_small_costs(task)
+    sas, dearest = task.reduced.sas, max(task.reduced.costs, default=1)
     if dearest >= LARGE:
         search = fast_downward.ASTAR_WITH_AXIOMS
         # Without a limit, some searches with costs above 2^29 were observed not to terminate.
@@ -82,11 +82,6 @@ def astar(
     if task.reduced.plan_cost(plan) + 2 * dearest >= OVERFLOW:
         raise CostLimitError(f"{task.instance}: Fast Downward's sums of costs may overflow, its plan costs {cost}")
     return float(cost), plan
-
-
-def with_small_costs(task: Task) -> tuple[str, int]:
-    """Return the SAS text of a task with costs divided by their greatest common divisor, and its largest cost."""
-    return task.reduced.sas, max(task.reduced.costs, default=1)
 
 
 UNIT = 1000
@@ -133,7 +128,7 @@ def fastest_search(task: Task, *, limits: Limits = NO_LIMITS) -> Chosen:
     """
     if not task.goal or not can_hold(task.goal):
         return Chosen(fast_downward.ASTAR, True, None if task.goal else [])
-    sas, dearest = with_small_costs(task)
+    sas, dearest = task.reduced.sas, max(task.reduced.costs, default=1)
     if fast_downward.has_axioms(sas) or dearest >= LARGE:
         return Chosen(fast_downward.ASTAR_WITH_AXIOMS, False, None)
     best, shortest = None, limits.seconds

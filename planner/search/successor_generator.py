@@ -171,15 +171,13 @@ def build_tests(
     )
 
 
-def tree_of(conditions: Sequence[frozenset[Fact]], packing: Packing, check: Check = unchecked) -> DecisionTree:
-    """Return a decision tree for operators with the given consistent preconditions."""
-    return trees_of([conditions], packing, check)[0]
-
-
 def trees_of(
     groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing, check: Check = unchecked
 ) -> tuple[DecisionTree, Ints]:
-    """Return the decision trees of several groups, concatenated and numbered consecutively, and where each begins."""
+    """Return the decision trees of several groups, concatenated and numbered consecutively, and where each begins.
+
+    A group is the consistent preconditions of some operators.
+    """
     builder, most, begin, number = _DecisionTreeBuilder(packing, check), 0, [0], 0
     for conditions in groups:
         most = max(most, builder.root([(facts, number + place) for place, facts in enumerate(conditions)]))
@@ -221,7 +219,7 @@ def packed_operators(task: Task, packing: Packing, check: Check = unchecked) -> 
     conditions = [frozenset(task.operators[number].preconditions) for number in order]
     stages = list(_axioms(task, packing))
     return PackedOperators(
-        tree_of(conditions, packing, still),
+        trees_of([conditions], packing, still)[0],
         np.array([task.operators[number].action for number in order], dtype=np.int64),
         _rules([_grouped(task.operators[n].effects, packing) for n in order], packing, still),
         _rules([rules for rules, _ in stages], packing, still),

@@ -45,15 +45,7 @@ class MismatchError(AssertionError):
 
 
 class DamagedFileError(ValueError):
-    """A results file was truncated or changed, or another program wrote it.
-
-    Attributes
-    ----------
-    file : Path
-    line : int or None
-        Line number, counted from 1.
-    message : str
-    """
+    """A results file was truncated or changed, or another program wrote it; lines are counted from 1."""
 
     def __init__(self, file: Path, line: int | None, message: str) -> None:
         super().__init__(file, line, message)

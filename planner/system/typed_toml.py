@@ -39,12 +39,7 @@ NAMED = re.compile(r"Object (?P<fault>contains unknown|missing required) field `
 
 
 def load(file: Path) -> dict[str, Any]:
-    """Read a TOML file. A byte order mark, as some editors write it, is ignored.
-
-    Raises
-    ------
-    InputFileError
-    """
+    """Read a TOML file, or raise an `InputFileError`. A byte order mark, as some editors write it, is ignored."""
     try:
         data = file.read_bytes()
     except FileNotFoundError:
@@ -65,13 +60,7 @@ def fault(file: Path, place: str, message: str) -> InputFileError:
 
 
 def regular_expression(text: str | None, file: Path, place: str) -> re.Pattern[str] | None:
-    """Return a compiled regular expression; None if there is none.
-
-    Raises
-    ------
-    InputFileError
-        The text is no regular expression.
-    """
+    """Return a compiled regular expression, None if there is none; raise `InputFileError` if the text is not one."""
     try:
         return None if text is None else re.compile(text)
     except re.error as error:
@@ -125,21 +114,9 @@ def _has(content: Any, path: list[Any]) -> bool:
 
 
 def convert(content: Any, kind: type[T], file: Path, place: str = "") -> T:
-    """Convert a table to a type.
+    """Convert the table at a place of a file to a type, a `Struct` whose fields have descriptions.
 
-    Parameters
-    ----------
-    content : dict
-        Content of the table.
-    kind : type
-        A `Struct` whose fields have descriptions.
-    file : Path
-    place : str
-        Place of the table in the file; empty for the whole file.
-
-    Raises
-    ------
-    InputFileError
+    The place is empty for the whole file. Fields that do not fit the type raise an `InputFileError`.
     """
     try:
         return msgspec.convert(content, kind)

@@ -43,27 +43,13 @@ def outcomes(
 ) -> Generator[tuple[Item, Result | Exception]]:
     """Yield each item with `work(item, *arguments)`, or with the exception that was raised.
 
-    Parameters
-    ----------
-    work : callable
-        A module-level function, so that other processes can import it.
-    items, arguments : sequence
-        They must be picklable.
-    jobs : int
-        Number of processes on this machine, each a new interpreter.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers do the work instead. They must see the same files at the same paths,
-        and run one thread each.
-    timeout : float, optional
-        Seconds after which a process of this machine is stopped; its item is yielded with a `TimeoutError`.
-    hear : callable, optional
-        Called in a thread with an item and the values that its work reports. `work` then receives a `Reporter` as an
-        additional last argument. Workers of a cluster do not report.
+    The work is a module-level function, so that other processes can import it; items and arguments are picklable. It
+    is done by `jobs` processes of this machine, each a new interpreter, or by the workers of a Dask `scheduler` at an
+    address. These must see the same files at the same paths, and run one thread each. After `timeout` seconds, a
+    process of this machine is stopped, and its item is yielded with a `TimeoutError`.
 
-    Raises
-    ------
-    MissingExtraError
-        A scheduler is given, and the extra `cluster` is not installed.
+    `hear` is called in a thread with an item and the values that its work reports. The work then receives a `Reporter`
+    as an additional last argument. Workers of a cluster do not report.
     """
     if scheduler is not None:
         return _on_cluster(work, items, arguments if hear is None else (*arguments, Reporter(None, 0)), scheduler)

@@ -9,7 +9,7 @@ uses clusters of variables with few joint values (`variable_clusters`). A move t
 depends on the cluster's digit.
 
 A state is unranked by adding up table entries. Its applicable moves are found by intersecting one set per entry
-(`candidates`), or by a decision tree (`tree_of`).
+(`candidates`), or by a decision tree (`trees_of`).
 """
 
 from __future__ import annotations
@@ -232,7 +232,9 @@ def _joined(
         sums = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1)
         told = np.full(PRIME, -1, dtype=np.int64)
         told[weights[own.variable]] = np.arange(len(weights[own.variable]))
-        whole[number] = cluster.joined(own.variable, told[(rest - sums) % PRIME])
+        values = told[(rest - sums) % PRIME]
+        rows = np.column_stack([cluster.values, values])[values >= 0]  # the others are impossible
+        whole[number] = Cluster((*cluster.variables, own.variable), rows)
     return left, whole
 
 

@@ -41,14 +41,6 @@ class Cluster:
     def __len__(self) -> int:
         return len(self.values)
 
-    def joined(self, variable: int, values: Ints) -> Cluster:
-        """Return the cluster with an additional variable, which has the given value in each row, shape (n,).
-
-        Rows with a negative value are dropped.
-        """
-        table = np.column_stack([self.values, values])[values >= 0]
-        return Cluster((*self.variables, variable), table)
-
 
 class Projections:
     """The moves of a task as arrays, from which projections are extracted."""
