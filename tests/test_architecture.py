@@ -37,7 +37,7 @@ ROOMS = {
         mixture
         spread belief influence_kernels trust_rules user_code action_names signals""",
     "assist.person": """leaf_bounds observation_model pomdp visiting_robot policy lazy_policy archive problem_arrays
-        belief_filter joint_belief qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search memory_needed
+        belief_filter dynamics joint_belief qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search memory_needed
         further_beliefs solver
         suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
@@ -46,10 +46,10 @@ ROOMS = {
         rule_search trust_fit trust_comparison""",
     "assist.team": """by_policy travel state hidden_states action_check settings assignment attention questions
         time_expansion
-        memory_needed subproblem_frontier attention_subproblem priority whittle policies""",
+        memory_needed subproblem_frontier attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
-    "assist.simulation": """memory_needed pool schedule common_random_numbers trace episodes dynamics model_group
+    "assist.simulation": """memory_needed pool schedule common_random_numbers trace episodes model_group
         observed_people task_parts task_view run traced_run requested suggestion_search simulate belief_trace
         illustration""",
     "assist.coupled": "agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum",

@@ -22,7 +22,7 @@ from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
-from assist.simulation import dynamics
+from assist.person import dynamics
 from planner import sweep
 
 Floats = NDArray[np.float64]

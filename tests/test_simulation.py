@@ -19,7 +19,7 @@ from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.simulation.common_random_numbers import BLOCK
-from assist.simulation.dynamics import Minds, PeopleArrays, act
+from assist.person.dynamics import Minds, PeopleArrays, act
 from assist.simulation.episodes import Episodes
 from assist.simulation.illustration import typical
 from assist.simulation.pool import Pool

@@ -58,6 +58,7 @@ LOOKS = {
     "attention-never": PolicyLook(SKY, "D", (0, (5, 1.5, 1, 1.5))),
     "priority": PolicyLook(GREEN, "P"),
     "whittle": PolicyLook(WINE, "*", (0, (3, 1, 1, 1))),
+    "rollout": PolicyLook("#332288", "h", (0, (8, 2))),
 }
 OTHERS = ((VERMILLION, "v"), (PURPLE, "X"), ("#999933", "<"), ("#A0522D", "p"))
 

@@ -15,7 +15,7 @@ from ..people.human import Human
 from ..people.trust_rules import PerceivedSuggestions, TrustRule, moved
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only
-from .dynamics import Minds, PeopleArrays, act
+from ..person.dynamics import Minds, PeopleArrays, act
 from .pool import Pool
 
 World = Literal["people", "model"]

@@ -15,7 +15,7 @@ from ..team.questions import answered
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
-from .dynamics import PeopleArrays
+from ..person.dynamics import PeopleArrays
 from .episodes import Episodes
 from .model_group import World
 from .observed_people import ObservedPeople

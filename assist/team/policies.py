@@ -18,11 +18,12 @@ from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from .attention import AttentionSwitching, NoAssistance, Reactive
 from .priority import Priority
+from .rollout import Rollout
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
 from .travel import Travel
 from .whittle import Whittle
 
-POLICIES = ("none", "reactive", "attention", "attention-never", "priority", "whittle")
+POLICIES = ("none", "reactive", "attention", "attention-never", "priority", "whittle", "rollout")
 """The names that `named` accepts."""
 
 
@@ -37,7 +38,7 @@ def named(
     ----------
     name : str
         The paper's "none", "reactive" and "attention"; "attention-never" for the other reading of its Algorithm 1;
-        "whittle" for Whittle indices; or our "priority".
+        "whittle" for Whittle indices; our "priority"; or "rollout", which improves on it by simulation.
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
@@ -65,6 +66,8 @@ def named(
         return Priority.of(policies, travel, solver=solver)
     if name == "whittle":
         return Whittle.of(policies, travel)
+    if name == "rollout":
+        return Rollout.of(policies, travel)
     raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', or a function')}")
 
 

@@ -16,8 +16,8 @@ from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import update_trust, weigh_by_influence
-from ..person.belief_filter import exclude_reached, update
-from ..person.problem_arrays import ProblemArrays
+from .belief_filter import exclude_reached, update
+from .problem_arrays import ProblemArrays
 
 
 # numba accepts and caches compiled code for named tuples of arrays, but not for dataclasses.

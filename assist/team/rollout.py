@@ -1,0 +1,331 @@
+"""A team policy by rollout: priority, with the next decision improved by simulation.
+
+At a decision, priority's action is compared with a few alternatives that its values rank close to it. Sample paths are
+simulated in the robot's model: everybody's type is drawn from the belief, and priority acts from the next step on. (D.
+P. Bertsekas, J. N. Tsitsiklis and C. Wu, "Rollout algorithms for combinatorial optimization", Journal of Heuristics 3,
+1997.)
+
+An alternative is measured by advantages rather than by rewards. With V and Q of each person's problem with a robot that
+comes and goes (`assist.team.attention_subproblem`), in the sampled type,
+
+    sum_{h<H} gamma^h r_h + gamma^H V(s_H) = V(s_0) + sum_{h<H} gamma^h (Q(s_h, a_h) - V(s_h)) + D,
+
+summed over people. D is a discounted sum of differences between V and its expectation one step before, so that its mean
+is 0. The sum of advantages has the mean of the rewards, followed by V, without the part of their variance that V
+explains. The prices of attention in Q are added again. All alternatives meet the same random numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.arguments import number, whole
+from ..people.decision import Floats
+from ..person.dynamics import Minds, PeopleArrays, act
+from ..person.policy import Policy
+from ..person.problem_arrays import ProblemArrays, read_only
+from .by_policy import ByPolicy
+from .hidden_states import HiddenTeamState
+from .priority import Priority, to_the_best
+from .state import BASE, NOBODY, TeamAction, TeamState, by_model
+from .time_expansion import AWAY, HERE
+from .travel import Travel
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class RolloutOptions:
+    """Effort of a rollout policy at one decision.
+
+    Attributes
+    ----------
+    samples : int
+        Sample paths of each alternative. After an eighth and three eighths of them, alternatives are dropped that are
+        not ahead, or not by a standard error.
+    horizon : int
+        Steps of a sample path. V stands for later steps.
+    alternatives : int
+        Alternatives at most to priority's action: to attend to a person whom it leaves out, or to leave one out.
+    near : float
+        Largest loss of an alternative by priority's own values, in costs of the cheapest action.
+    errors : float
+        Standard errors by which an alternative has to be better.
+    people : int
+        Number of people at work up to which alternatives are simulated. With more, priority acts.
+    seed : int
+        Seed of the sample paths. In the same state of the team, the policy always takes the same action.
+    """
+
+    samples: int = 512
+    horizon: int = 20
+    alternatives: int = 3
+    near: float = 0.5
+    errors: float = 2.0
+    people: int = 12
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("samples", 8), ("horizon", 1), ("alternatives", 1), ("people", 0), ("seed", 0)):
+            object.__setattr__(self, name, whole(name, getattr(self, name), least))
+        for name in ("near", "errors"):
+            value = number(name, getattr(self, name))
+            if value < 0:
+                raise ValueError(f"{name} {value:g}: expected a number of 0 or more")
+            object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """Priority, with the next decision improved by simulation.
+
+    Attributes
+    ----------
+    base : Priority
+        At a constant price.
+    near : float
+        As in the options, in cost units.
+    options : RolloutOptions
+    models : ByPolicy of pairs of Minds and ProblemArrays
+        The people of each policy, as the robot's model has them.
+    """
+
+    base: Priority
+    near: float
+    options: RolloutOptions
+    models: ByPolicy[tuple[Minds, ProblemArrays]]
+    uses_belief = True
+
+    @classmethod
+    def of(cls, policies: Sequence[Policy], travel: Travel, options: RolloutOptions | None = None) -> Rollout:
+        """Return the policy for people with the given policies and travel.
+
+        The data about each of them are computed on first use, or by `prepare`.
+
+        Parameters
+        ----------
+        policies : sequence of Policy
+        travel : Travel
+        options : RolloutOptions, optional
+
+        Raises
+        ------
+        ValueError
+            A policy is one for a truncated task.
+        """
+        options = options or RolloutOptions()
+        for policy in policies:
+            policy.require_enumerated("policy 'rollout'")
+        near = options.near * min(policy.cheapest for policy in policies)
+        return cls(Priority.of(policies, travel), near, options, ByPolicy(policies, _model))
+
+    def with_policies(self, policies: Sequence[Policy], travel: Travel) -> Rollout:
+        """Return the same team policy, with the same options, with other policies for single people."""
+        return Rollout.of(policies, travel, self.options)
+
+    def prepare(self, policy: Policy) -> None:
+        """Compute now the data about the people of a policy."""
+        self.base.prepare(policy)
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        """Return priority's action in every team, or an alternative that is better by simulation."""
+        if isinstance(team, HiddenTeamState):
+            raise ValueError("policy 'rollout': expected actions that are all seen as they are")  # noqa: TRY004
+        actions, simulated = self._alternatives(team)
+        best = np.zeros(len(team.x), dtype=np.int64)
+        rows = np.flatnonzero(simulated.any(axis=1))
+        if len(rows):
+            best[rows] = self._best(team, rows, actions, simulated[rows])
+        each = np.arange(len(team.x))
+        return TeamAction(*(np.stack([getattr(one, name) for one in actions])[best, each] for name in _ACTION))
+
+    def _alternatives(self, team: TeamState) -> tuple[list[TeamAction], Bools]:
+        """Return priority's action and C alternatives, and which alternatives are to be simulated, shape (N, C)."""
+        robot, going, holding = self.base.worth(team)
+        actions = [to_the_best(team, robot, going, holding)]
+        N, K = team.x.shape
+        worth, staying = going.reshape(N, -1, K), holding.reshape(N, -1).clip(0)
+        person = actions[0].person.reshape(N, -1)
+        n, m = np.nonzero(person != NOBODY)
+        served = np.zeros((N, K), dtype=bool)
+        served[n, person[n, m]] = True
+        gained = staying.copy()
+        gained[n, m] = worth[n, m, person[n, m]]
+        instead = np.maximum(np.where(served[:, None], -np.inf, worth).max(axis=2), staying)
+        loss = np.full((N, 2, K), np.inf)  # of attending to a person, and of leaving one out
+        free = np.where(team.may_choose().reshape(person.shape), gained, np.inf).min(axis=1)
+        loss[:, 0] = np.where(served, np.inf, free[:, None] - worth.max(axis=1))
+        loss[n, 1, person[n, m]] = gained[n, m] - instead[n, m]
+        loss[team.active.sum(axis=1) > self.options.people] = np.inf
+        flat = loss.reshape(N, -1)
+        order = np.argsort(flat, axis=1, kind="stable")[:, : self.options.alternatives]
+        simulated = np.take_along_axis(flat, order, axis=1) <= self.near
+        each, above_all = np.arange(N), 1 + 2 * np.abs(worth[np.isfinite(worth)]).sum()  # to send a robot to a person
+        for place, (omits, k) in enumerate(zip(*np.divmod(order.T, K), strict=True)):
+            wanted, held = worth.copy(), holding.reshape(N, -1).copy()
+            wanted[each, :, k] = np.where(omits[:, None] == 1, -np.inf, wanted[each, :, k] + above_all)
+            held[(omits == 1)[:, None] & (team.location.reshape(N, -1) == k[:, None])] = 0.0
+            actions.append(to_the_best(team, robot, wanted.reshape(going.shape), held.reshape(holding.shape)))
+            for other in actions[:-1]:
+                same = [getattr(other, name) == getattr(actions[-1], name) for name in _ACTION]
+                simulated[:, place] &= ~np.logical_and(*same).reshape(N, -1).all(axis=1)
+        return actions, simulated
+
+    def _best(self, team: TeamState, rows: Ints, actions: list[TeamAction], simulated: Bools) -> Ints:
+        """Return the number of the best action in some teams: 0 unless an alternative is better by enough."""
+        alive = np.concatenate([simulated.any(axis=1)[:, None], simulated], axis=1)
+        total, squares, mean, error = (np.zeros(alive.shape) for _ in range(4))
+        done = 0
+        for batch, share in enumerate((1 / 8, 3 / 8, 1.0)):
+            size = round(share * self.options.samples) - done
+            done += size
+            for part in self._parts(alive, size, team.x.shape[1]):
+                paths = _Paths(self, team, rows[part], actions, alive[part], size, batch)
+                ahead = np.zeros((*alive[part].shape, size))
+                ahead[alive[part]] = paths.values()
+                ahead -= ahead[:, :1]
+                total[part] += ahead.sum(axis=2)
+                squares[part] += (ahead**2).sum(axis=2)
+            mean = total / done
+            error = np.sqrt((squares / done - mean**2).clip(0) / done)
+            alive[:, 1:] &= (mean > (batch if share < 1 else self.options.errors) * error)[:, 1:]
+            alive[:, 0] = alive[:, 1:].any(axis=1)
+        return np.asarray(np.where(alive, mean, 0.0).argmax(axis=1))
+
+    def _parts(self, alive: Bools, size: int, people: int, at_once: int = 30_000) -> list[Ints]:
+        """Divide the teams with alternatives that are left into parts with about `at_once` people on all paths."""
+        rows = np.flatnonzero(alive[:, 0])
+        paths = np.cumsum(alive[rows].sum(axis=1)) * size * people
+        return np.split(rows, np.flatnonzero(np.diff(paths // at_once)) + 1) if len(rows) else []
+
+
+_ACTION = ("person", "robot")
+
+
+def _model(policy: Policy) -> tuple[Minds, ProblemArrays]:
+    """Return the people of a policy as the robot's model has them, for compiled code."""
+    pomdp = policy.pomdp
+    p = np.ascontiguousarray(np.moveaxis(pomdp.chosen, 2, 0))
+    optimal = read_only(pomdp.model.choices.optimal)
+    return Minds(p, np.empty((0, 0)), optimal, 0.0, pomdp.model.lapse, on_grid=True), ProblemArrays.of(pomdp)
+
+
+class _Paths:
+    """Sample paths of actions in some teams: L pairs of team and action, with S paths each, in the rows of all arrays.
+
+    Parameters
+    ----------
+    rollout : Rollout
+    team : TeamState
+    rows : int array, shape (n,)
+        The teams.
+    actions : list of TeamAction
+        Actions for all teams.
+    used : bool array, shape (n, C)
+        Which actions are simulated in each team.
+    samples : int
+    batch : int
+        Number of the batch of paths, which have random numbers of their own.
+    """
+
+    def __init__(
+        self, rollout: Rollout, team: TeamState, rows: Ints, actions: list[TeamAction], used: Bools, samples: int,
+        batch: int,
+    ) -> None:  # fmt: skip
+        n, c = np.nonzero(used)
+        self.rollout, self.team, self.samples = rollout, team, samples
+        self.pairs, people = len(n), team.x.shape[1]
+        self.rng = np.random.default_rng([rollout.options.seed, batch])
+        own = rows[n].repeat(samples)
+        self.model, self.active, self.erred = team.model[own], team.active[own], team.erred[own]
+        assert team.belief is not None
+        self.belief, self.location = team.belief[own], team.location[own]
+        # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
+        self.left = 1 - team.may_choose()[own].astype(np.int64)
+        person, robot = (np.stack([getattr(one, name) for one in actions])[c, rows[n]] for name in _ACTION)
+        self.first = TeamAction(person.repeat(samples, axis=0), robot.repeat(samples, axis=0))
+        self.grid = team.policies[0].pomdp.grid
+        strata = np.stack([self.rng.permutation(samples) for _ in range(people)], axis=1)
+        uniform = (strata + self.rng.random(strata.shape)) / samples
+        cells = team.belief[rows[n]].reshape(self.pairs, 1, people, -1).cumsum(axis=3)
+        cells = (cells <= uniform[:, :, None] * cells[..., -1:]).sum(axis=3).reshape(-1, people)
+        types, cell = np.divmod(cells, len(self.grid.theta))
+        goal, self.mind = np.divmod(types, len(self.grid.beta))
+        self.theta, self.seen = self.grid.theta[cell], self.grid.count[cell]
+        goals = [policy.pomdp.model.choices.goal_count for policy in team.policies]
+        states = np.array([len(one.pomdp.robot_actions) // of for one, of in zip(team.policies, goals, strict=True)])
+        self.states = states[self.model]
+        self.x = team.x[own] + goal * self.states
+
+    def values(self) -> Floats:
+        """Return the sum of discounted advantages on each path, shape (L, S)."""
+        values, discount = np.zeros(len(self.x)), 1.0
+        gamma = self.team.policies[0].pomdp.gamma
+        for step in range(self.rollout.options.horizon):
+            if not self.active.any():
+                break
+            values += discount * self._step(step)
+            discount *= gamma
+        return values.reshape(self.pairs, self.samples)
+
+    def _step(self, step: int) -> Floats:
+        """Advance all paths by one step; return their advantages."""
+        action = self.first if step == 0 else self._priority(step)
+        before = self._positions()
+        going = np.nonzero(action.person != NOBODY)
+        origin, to = self.location[going], action.person[going]
+        robot, gained = np.zeros_like(self.x), np.zeros(len(self.x))
+        robot[going[0], to] = action.robot[going]
+        np.subtract.at(gained, going[0], self.team.travel.c_move * self.team.travel.distance[origin, to])
+        self.location[going], self.left[going] = to, self.team.travel.steps[origin, to]
+        now = self._positions()
+        attended = self.active & (now != AWAY)
+        gained += self.rollout.base.price[0] * attended.sum(axis=1)
+        # In the position after the robot's way: leave or stay away (0), or stay (1), or make a suggestion (2 and up).
+        move = np.where(now == HERE, 1 + robot, 0)
+        advantage = self._act(before, np.where(now == AWAY, before, now), move, robot)
+        self.left = (self.left - 1).clip(0)
+        return gained + advantage.sum(axis=1)
+
+    def _priority(self, step: int) -> TeamAction:
+        """Return priority's action in the present state of all paths."""
+        free, goals = self.left == 0, self.team.policies[0].pomdp.model.choices.goal_count
+        team = TeamState(
+            self.team.step + step, self.x % self.states if goals > 1 else self.x, self.active, self.erred,
+            self.location, self.model, self.belief, self.team.policies, self.team.travel,
+            free=free if self.team.is_joint else None,
+        )  # fmt: skip
+        action = self.rollout.base(team)
+        return action if team.is_joint else TeamAction(np.where(free, action.person, NOBODY), action.robot * free)
+
+    def _positions(self) -> Ints:
+        """Return the robot's position for each person, as in their problem with a robot that comes and goes."""
+        position = np.full(self.x.shape, AWAY)
+        somewhere = np.nonzero(self.location != BASE)
+        position[somewhere[0], self.location[somewhere]] = HERE + self.left[somewhere]
+        return position
+
+    def _act(self, before: Ints, now: Ints, move: Ints, robot: Ints) -> Floats:
+        """Let everybody act; return the advantage of each robot action, shape (rows, K)."""
+        uniform = self.rng.random((1, self.samples, self.x.shape[1], 2)).repeat(self.pairs, axis=0)
+        people = PeopleArrays.of_teams(
+            self.x, robot, self.mind, self.theta, self.seen, uniform, self.belief, self.erred
+        )
+        cell = np.searchsorted(self.grid.values, self.theta) + self.seen * len(self.grid.values)
+        advantage = np.zeros(self.x.shape)
+        for number, rows in by_model(self.model.reshape(-1), np.flatnonzero(self.active), len(self.team.policies)):
+            policy = self.team.policies[number]
+            solved, (minds, arrays) = policy.with_robot(self.rollout.base), self.rollout.models[policy]
+            x, b, t = (array.reshape(-1)[rows] for array in (self.x, self.mind, cell))
+            states = solved.states[0]
+            q = solved.policy.q_mdp[states[now.reshape(-1)[rows], x], move.reshape(-1)[rows], b, t]
+            value = solved.policy.value_mdp[states[before.reshape(-1)[rows], x], b, t]
+            advantage.reshape(-1)[rows] = q - value
+            act(rows, people, minds, arrays)
+            self.active.reshape(-1)[rows] = ~arrays.goal[people.x[rows]]
+        return advantage
