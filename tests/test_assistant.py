@@ -46,6 +46,7 @@ def trace_of(pool: Pool, policy: str, team: list[int], **more: Any) -> tuple[lis
         ("attention", Setting(c_suggest=0.2)),
         ("attention-never", Setting(c_suggest=0.2)),
         ("priority", Setting(c_suggest=0.2)),
+        ("rollout", Setting(c_suggest=0.2)),
         ("attention", Setting(c_suggest=0.1, travel_time=2, c_move=0.1)),
         ("priority", Setting(c_suggest=0.1, travel_time=2, c_move=0.1)),
         ("attention", Setting(c_suggest=0.2, knowledge="exact", suggestions="all")),

@@ -110,7 +110,7 @@ def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
     assert (found.price >= 0).all()
     values = {}
     for name in POLICIES:
-        certificate = found.certify(pool.policy(name), name, episodes=1000)
+        certificate = found.certify(pool.policy(name), name, episodes=50 if name == "rollout" else 1000)
         values[name] = certificate.value
         assert certificate.value <= certificate.upper + 4 * certificate.value_stderr
         expected = 100 * (certificate.upper - certificate.value) / abs(certificate.value)

@@ -115,6 +115,8 @@ class Assistant:
         if self.setting.execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy
+        if policy == "rollout":
+            self.setting.require_all_seen("policy 'rollout'")
         self._task = task
         self._distance = None if distance is None else np.array(distance, dtype=float)
         self._problems: dict[tuple[int, Population | Mixture], LiveTask] = {}

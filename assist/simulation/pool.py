@@ -234,6 +234,8 @@ class Pool:
         solver : callable
             As in `team.policies.named`.
         """
+        if name == "rollout":
+            self.setting.require_all_seen("policy 'rollout'")
         # All distances are equal, so that travel between two places has the same costs as between more.
         return named(name, self.policies, travel or self.setting.travel(2), solver)
 

@@ -31,7 +31,7 @@ from ..person.problem_arrays import ProblemArrays, read_only
 from .by_policy import ByPolicy
 from .hidden_states import HiddenTeamState
 from .priority import Priority, to_the_best
-from .state import BASE, NOBODY, TeamAction, TeamState, by_model
+from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState, by_model
 from .time_expansion import AWAY, HERE
 from .travel import Travel
 
@@ -135,7 +135,7 @@ class Rollout:
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return priority's action in every team, or an alternative that is better by simulation."""
         if isinstance(team, HiddenTeamState):
-            raise ValueError("policy 'rollout': expected actions that are all seen as they are")  # noqa: TRY004
+            raise PolicyError("policy 'rollout': expected actions that are all seen as they are")
         actions, simulated = self._alternatives(team)
         best = np.zeros(len(team.x), dtype=np.int64)
         rows = np.flatnonzero(simulated.any(axis=1))
@@ -172,13 +172,13 @@ class Rollout:
             held[(omits == 1)[:, None] & (team.location.reshape(N, -1) == k[:, None])] = 0.0
             actions.append(to_the_best(team, robot, wanted.reshape(going.shape), held.reshape(holding.shape)))
             for other in actions[:-1]:
-                same = [getattr(other, name) == getattr(actions[-1], name) for name in _ACTION]
-                simulated[:, place] &= ~np.logical_and(*same).reshape(N, -1).all(axis=1)
+                same = [(getattr(other, one) == getattr(actions[-1], one)).reshape(N, -1) for one in _ACTION]
+                simulated[:, place] &= ~np.concatenate(same, axis=1).all(axis=1)
         return actions, simulated
 
     def _best(self, team: TeamState, rows: Ints, actions: list[TeamAction], simulated: Bools) -> Ints:
         """Return the number of the best action in some teams: 0 unless an alternative is better by enough."""
-        alive = np.concatenate([simulated.any(axis=1)[:, None], simulated], axis=1)
+        alive = np.concatenate([simulated.any(axis=1, keepdims=True), simulated], axis=1)
         total, squares, mean, error = (np.zeros(alive.shape) for _ in range(4))
         done = 0
         for batch, share in enumerate((1 / 8, 3 / 8, 1.0)):
@@ -318,8 +318,8 @@ class _Paths:
         )
         cell = np.searchsorted(self.grid.values, self.theta) + self.seen * len(self.grid.values)
         advantage = np.zeros(self.x.shape)
-        for number, rows in by_model(self.model.reshape(-1), np.flatnonzero(self.active), len(self.team.policies)):
-            policy = self.team.policies[number]
+        for model, rows in by_model(self.model.reshape(-1), np.flatnonzero(self.active), len(self.team.policies)):
+            policy = self.team.policies[model]
             solved, (minds, arrays) = policy.with_robot(self.rollout.base), self.rollout.models[policy]
             x, b, t = (array.reshape(-1)[rows] for array in (self.x, self.mind, cell))
             states = solved.states[0]

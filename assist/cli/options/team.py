@@ -84,7 +84,8 @@ class TeamSetup(NamedTuple):
         try:
             return self.pool.policy(policy, self.travel)
         except ValueError as error:  # the policy needs a problem that is not truncated
-            hint = " (--region-states)" if self.pool.goals == 1 else ""
+            truncated = self.pool.goals == 1 and self.pool.setting.observation is None
+            hint = " (--region-states)" if truncated else ""
             fail(f"{self.instance}: {error}{hint}", ExitCode.FAILED)
 
 

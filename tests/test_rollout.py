@@ -1,0 +1,132 @@
+"""The rollout policy of teams: its estimates against simulated returns, and its place among the other policies."""
+
+from __future__ import annotations
+
+import operator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import invoke, kit
+from teams import state
+
+from assist.people.choices import Choices
+from assist.people.goals import Goals
+from assist.person.observation_model import ObservationModel
+from assist.simulation.pool import Pool
+from assist.simulation.simulate import simulate
+from assist.team.rollout import Rollout, RolloutOptions, _Paths
+from assist.team.settings import Setting
+from assist.team.state import TeamAction, TeamState
+from planner import OnDemand, Table, sweep_goals
+
+TEAM = [0, 1, 2]
+
+
+def of(table: Table | Choices | Goals, **setting: Any) -> Pool:
+    return Pool.sample(table, 3, seed=0, setting=Setting(c_suggest=0.2, **setting))
+
+
+def start(pool: Pool) -> TeamState:
+    """Return the first state of the pool's people, with the axis of robots if there are several."""
+    one, robots = state(pool, [pool.choices(k).initial for k in TEAM]), pool.setting.robots
+    return one if robots == 1 else replace(one, location=one.location[:, None].repeat(robots, axis=1))
+
+
+def two_goals(table: Table) -> Goals:
+    """Return a task with its own goal, and with the last two facts of the first state after a change of both."""
+    at, rng = table.initial, np.random.default_rng(0)
+    first = facts = table.values([at])[0].tolist()[-2:]
+    while any(map(operator.eq, facts, first)):
+        at = int(rng.choice(table.choices([at]).targets))
+        facts = table.values([at])[0].tolist()[-2:]
+    size = len(table.values([at])[0])
+    other = replace(table.task, goal=((size - 2, facts[0]), (size - 1, facts[1])))
+    return Goals(dict(zip(("own", "other"), sweep_goals([table.task, other]), strict=True)), {"own": 0.6, "other": 0.4})
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [{}, {"robots": 2, "travel_time": 2.0}, {"execute": True, "travel_time": 1.0}, {"goals": True}],
+    ids=str,
+)
+def test_the_advantages_on_sample_paths_are_those_of_simulated_returns(tiny: Table, setting: dict[str, Any]) -> None:
+    """V at the start and the mean sum of advantages are priority's return: the differences of V have mean 0."""
+    pool = of(two_goals(tiny)) if "goals" in setting else of(tiny, **setting)
+    policy, team = Rollout.of(pool.policies, pool.setting.travel(3), RolloutOptions(horizon=200)), start(pool)
+    assert team.belief is not None
+    paths = _Paths(policy, team, np.array([0]), [policy.base(team)], np.ones((1, 1), dtype=bool), 800, 0)
+    sums = paths.values()[0]
+    for k, one in enumerate(pool.policies):
+        solved = one.with_robot(policy.base)
+        rows = pool.choices(k).of_goals(team.x[0, [k]])[:, 0]
+        values = solved.policy.value_mdp[solved.states[0][0, rows]].reshape(team.belief[0, k].shape)
+        sums += (values * team.belief[0, k]).sum()
+    found = simulate(pool, "priority", humans=TEAM, episodes=2500, seed=1, world="model").discounted_return
+    error = np.hypot(sums.std() / np.sqrt(len(sums)), found.std() / np.sqrt(len(found)))
+    assert abs(sums.mean() - found.mean()) < 4 * error
+    assert sums.std() < found.std() / 2
+
+
+@pytest.mark.parametrize("options", [RolloutOptions(people=0), RolloutOptions(errors=1e9), RolloutOptions(near=0)])
+def test_without_a_better_alternative_it_is_priority(tiny: Table, options: RolloutOptions) -> None:
+    pool = of(tiny)
+    policy = Rollout.of(pool.policies, pool.setting.travel(3), options)
+    own, base = (simulate(pool, one, humans=3, episodes=30, seed=2) for one in (policy, pool.policy("priority")))
+    np.testing.assert_array_equal(own.discounted_return, base.discounted_return)
+
+
+def test_the_same_state_has_the_same_action_whatever_is_simulated_beside_it(tiny: Table) -> None:
+    pool = of(tiny, c_move=2.0)
+    policy = Rollout.of(pool.policies, pool.setting.travel(3), RolloutOptions(samples=64, errors=0.0))
+    whole = simulate(pool, policy, humans=TEAM, episodes=130, seed=4, jobs=2)
+    part = simulate(pool, policy, humans=TEAM, episodes=[3, 70, 129], seed=4)
+    np.testing.assert_array_equal(part.discounted_return, whole.discounted_return[[3, 70, 129]])
+    base = simulate(pool, "priority", humans=TEAM, episodes=130, seed=4)
+    assert (whole.discounted_return != base.discounted_return).any()
+
+
+@pytest.mark.slow
+def test_changed_actions_are_better_on_other_sample_paths() -> None:
+    pool = Pool.sample(kit("paper"), 3, seed=0, setting=Setting(c_move=2.0))
+    policy = Rollout.of(pool.policies, pool.setting.travel(3))
+    gains = []
+
+    def compared(team: TeamState) -> TeamAction:
+        own, base = policy(team), policy.base(team)
+        rows = np.flatnonzero(((own.person != base.person) | (own.robot != base.robot)).reshape(len(team.x), -1).any(1))
+        if len(rows):
+            ahead = _Paths(policy, team, rows, [base, own], np.ones((len(rows), 2), dtype=bool), 200, 9).values()
+            gains.extend((ahead[1::2] - ahead[::2]).mean(axis=1).tolist())
+        return own
+
+    simulate(pool, compared, humans=TEAM, episodes=50, seed=7, world="model")
+    assert len(gains) >= 10
+    assert np.mean(gains) > 2 * np.std(gains) / np.sqrt(len(gains))
+
+
+def test_it_infers_goals(tiny: Table) -> None:
+    pool = of(two_goals(tiny))
+    found = simulate(pool, "rollout", humans=TEAM, episodes=20, seed=0)
+    assert found.finished.all()
+    assert found.interventions.any()
+
+
+def test_what_it_cannot_know_is_refused(tiny: Table) -> None:
+    hidden = of(tiny, observation=ObservationModel(0.05, 0.1))
+    with pytest.raises(ValueError, match="observation: expected none, as policy 'rollout' has actions"):
+        hidden.policy("rollout")
+    with pytest.raises(ValueError, match="policy 'rollout'"):
+        Pool.sample(OnDemand(tiny.task), 2, seed=0).policy("rollout")
+    for wrong in ({"samples": 4}, {"near": -1.0}, {"people": -1}, {"errors": "many"}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            RolloutOptions(**wrong)
+
+
+def test_it_has_a_name_on_the_command_line() -> None:
+    asked = ["simulate", "kitting/tiny", "--humans", "2", "--policy", "rollout", "--episodes", "5"]
+    assert "rollout" in invoke(*asked).output
+    done = invoke(*asked, "--miss", ".05")
+    assert done.exit_code == 1
+    assert "expected none, as policy 'rollout' has actions that are all seen as they are\n" in done.output
