@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from assist.person.problem_arrays import ProblemArrays
 from assist.person.dynamics import Minds, PeopleArrays, act
+from assist.person.problem_arrays import ProblemArrays
 from assist.simulation.pool import Pool
 from assist.team.priority import Priority
 from assist.team.time_expansion import HERE

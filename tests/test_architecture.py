@@ -37,7 +37,8 @@ ROOMS = {
         mixture
         spread belief influence_kernels trust_rules user_code action_names signals""",
     "assist.person": """leaf_bounds observation_model pomdp visiting_robot policy lazy_policy archive problem_arrays
-        belief_filter dynamics joint_belief qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search memory_needed
+        belief_filter dynamics joint_belief qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
+        memory_needed
         further_beliefs solver
         suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing

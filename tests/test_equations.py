@@ -17,12 +17,11 @@ from assist.people.choices import Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_cost, perceived_value, trust
 from assist.people.human import HumanModel
 from assist.people.misconception import perceived_cost_to_go
-from assist.person import belief_filter
+from assist.person import belief_filter, dynamics
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
-from assist.person import dynamics
 from planner import sweep
 
 Floats = NDArray[np.float64]

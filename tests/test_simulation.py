@@ -16,10 +16,10 @@ from teams import equal, run
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import HumanModel, Population
+from assist.person.dynamics import Minds, PeopleArrays, act
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.simulation.common_random_numbers import BLOCK
-from assist.person.dynamics import Minds, PeopleArrays, act
 from assist.simulation.episodes import Episodes
 from assist.simulation.illustration import typical
 from assist.simulation.pool import Pool

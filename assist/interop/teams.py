@@ -19,8 +19,8 @@ from planner import load, sweep
 from ..people.decision import NOTHING, Floats
 from ..people.human import Population
 from ..people.mixture import Mixture
-from ..simulation.common_random_numbers import from_the_prior
 from ..person.dynamics import PeopleArrays
+from ..simulation.common_random_numbers import from_the_prior
 from ..simulation.model_group import ModelGroup, World
 from ..simulation.pool import MAX_ENUMERATED, Pool
 from ..team.settings import Setting

@@ -13,9 +13,9 @@ from ..people.choices import Choices
 from ..people.decision import Floats, perceived_cost
 from ..people.human import Human
 from ..people.trust_rules import PerceivedSuggestions, TrustRule, moved
+from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only
-from ..person.dynamics import Minds, PeopleArrays, act
 from .pool import Pool
 
 World = Literal["people", "model"]

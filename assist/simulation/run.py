@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
 from ..people.goals import drawn_goals, given_likeliest
+from ..person.dynamics import PeopleArrays
 from ..team.action_check import check
 from ..team.questions import answered
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
-from ..person.dynamics import PeopleArrays
 from .episodes import Episodes
 from .model_group import World
 from .observed_people import ObservedPeople
