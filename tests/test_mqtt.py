@@ -433,6 +433,8 @@ def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path
                 ("worker", b'{"name": "bob", "action": "fetch(box-a)", "id": 7}'),
                 ("worker", b'{"name": "../ann", "action": "fetch(box-a)", "id": "x/y"}'),
                 ("worker", b'{"name": "bob", "id": "without"}'), ("worker", b"[]"),
+                ("worker", b'{"id": ' + b"9" * 5000 + b"}"), ("worker", b'{"name": "bob", "id": "\\ud800"}'),
+                ("worker", b'{"person": "\\ud800"}'), ("worker", b'{"person": "' + b"x" * 9000 + b'"}'),
                 ("robot/arrived", b'{"person": "bob", "id": "r"}'), ("robot/arrived", b"?"),
             ]  # fmt: skip
             for topic, payload in sent:
@@ -621,5 +623,6 @@ def test_passwords_and_certificates_come_from_the_environment(tmp_path: Path) ->
     assert settings.port == 8883
     assert settings.password({"KITASSIST_MQTT_PASSWORD": "secret"}) == "secret"
     assert settings.context({}) is not None
-    with pytest.raises(OSError):
-        settings.context({"KITASSIST_MQTT_CA": str(tmp_path / "none.pem")})
+    for name, where in (("none.pem", "No such file"), ("bridge.toml", "")):
+        with pytest.raises(OSError, match=f"KITASSIST_MQTT_CA: .*{where}.*{name}"):
+            settings.context({"KITASSIST_MQTT_CA": str(tmp_path / name)})

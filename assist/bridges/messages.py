@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 Fields = dict[str, str]
 """Fields of a message, as texts."""
@@ -101,6 +102,27 @@ def filled(template: str, fields: Mapping[str, str], names: Mapping[str, str]) -
     return FIELD.sub(value, template)
 
 
+def texts_of(content: Mapping[str, Any]) -> Fields:
+    """Return the texts and numbers of a message, as texts.
+
+    Raises
+    ------
+    MessageError
+        A text has half a character (an escape in JSON), which cannot be sent.
+    """
+    found = {
+        name: str(value)
+        for name, value in content.items()
+        if isinstance(value, str | int | float) and not isinstance(value, bool)
+    }
+    for name, value in found.items():
+        try:
+            f"{name}{value}".encode()
+        except UnicodeEncodeError:
+            raise MessageError(f"field {name[:40]!r} is {value[:40]!r}; expected Unicode text") from None
+    return found
+
+
 def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
     """Return the fields of a payload: those of a JSON object, or the named groups of a pattern in a text.
 
@@ -111,21 +133,17 @@ def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
     """
     try:
         text = payload.decode()
-        if pattern is not None:
-            found = pattern.search(text)
-            if found is None:
-                raise MessageError(f"{text[:40]!r} does not match {pattern.pattern}")
-            return {name: value for name, value in found.groupdict().items() if value is not None}
-        content = json.loads(text)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError):
-        raise MessageError(f"{payload[:40]!r}; expected a JSON object in UTF-8") from None
+        content = json.loads(text) if pattern is None else pattern.search(text)
+    except (ValueError, RecursionError):  # a ValueError for integers of thousands of digits, too
+        expected = "a JSON object" if pattern is None else "text"
+        raise MessageError(f"{payload[:40]!r}; expected {expected} in UTF-8") from None
+    if isinstance(content, re.Match):
+        return {name: value for name, value in content.groupdict().items() if value is not None}
+    if pattern is not None:
+        raise MessageError(f"{text[:40]!r} does not match {pattern.pattern}")
     if not isinstance(content, dict):
         raise MessageError(f"{text[:40]}; expected a JSON object")
-    return {
-        str(name): str(value)
-        for name, value in content.items()
-        if isinstance(value, str | int | float) and not isinstance(value, bool)
-    }
+    return texts_of(content)
 
 
 @dataclass(frozen=True)

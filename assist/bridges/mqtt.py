@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from planner.system.errors import MissingExtraError
 
 from ..web.client import RefusedError
-from .messages import MessageError, Report, fields_of
+from .messages import LONGEST_ID, MessageError, Report, fields_of
 from .mqtt_settings import MqttSettings
 from .ordering import Acknowledgements, InOrder
 from .session_client import SessionClient
@@ -276,7 +276,6 @@ class MqttBridge:
             fields = source.fields(topic, payload)
             report = source.report(fields)
         except MessageError as error:
-            LOG.warning("MQTT: %s: %s", topic, error)
             self._answer(fields.get("person"), fields.get("id"), None, "refused", str(error))
             acknowledge()
             return
@@ -346,7 +345,9 @@ class MqttBridge:
     ) -> None:  # fmt: skip
         """Publish the answer to a report; that to a numbered one is retained, with the number that comes next."""
         self.counts[status] += 1
-        if self.settings.answers is None or not person or WILD.search(person):
+        if detail is not None:
+            LOG.warning("MQTT: a report of %.80s: %s", person or "nobody", detail)
+        if self.settings.answers is None or not person or len(person) > LONGEST_ID or WILD.search(person):
             return
         answer: dict[str, Any] = {"id": identifier, "status": status, **more}
         answer |= {} if detail is None else {"detail": detail}

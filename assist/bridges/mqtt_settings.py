@@ -170,9 +170,15 @@ class MqttSettings:
         """
         if not self.tls:
             return None
-        context = ssl.create_default_context(cafile=environment.get(f"{ENVIRONMENT}CA"))
-        if certificate := environment.get(f"{ENVIRONMENT}CERTIFICATE"):
-            context.load_cert_chain(certificate, environment.get(f"{ENVIRONMENT}KEY"))
+        name = "CA"
+        try:
+            context = ssl.create_default_context(cafile=environment.get(f"{ENVIRONMENT}CA"))
+            if certificate := environment.get(f"{ENVIRONMENT}CERTIFICATE"):
+                name = "CERTIFICATE"
+                context.load_cert_chain(certificate, environment.get(f"{ENVIRONMENT}KEY"))
+        except OSError as error:
+            why = error.strerror or "it is no file in PEM format"
+            raise OSError(error.errno, f"{ENVIRONMENT}{name}: {why}", environment.get(f"{ENVIRONMENT}{name}")) from None
         return context
 
     def password(self, environment: Mapping[str, str] = os.environ) -> str | None:

@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 from planner.system import typed_toml
 from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located, regular_expression
 
-from .messages import FIELD, Fields, MessageError, Source, Topic, fields_of
+from .messages import FIELD, Fields, MessageError, Source, Topic, fields_of, texts_of
 from .mqtt_settings import ADVICE, VIEW
 
 STRING = "std_msgs/msg/String"
@@ -99,11 +99,7 @@ class Observed:
         """
         if self.type == STRING:
             return fields_of(str(message.get("data", "")).encode(errors="replace"), self.source.pattern)
-        return {
-            name: str(value)
-            for name, value in message.items()
-            if isinstance(value, str | int | float) and not isinstance(value, bool)
-        }
+        return texts_of(message)
 
 
 @dataclass(frozen=True)
