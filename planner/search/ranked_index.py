@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mmap
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import zip_longest
@@ -96,7 +96,15 @@ class RankedIndex:
 
     def ranks_where(self, facts: Sequence[Fact]) -> Iterator[Ints]:
         """Yield, in blocks, the ranks of the states in which the facts hold."""
-        for block in self.blocks():
+        # Largest number of ranks that are tested one by one as goal states. Beyond it, all states are scanned.
+        most_candidates = 1 << 26
+        blocks: Iterable[Ints] = self.blocks()
+        candidates = self.coding.matching(facts, min(len(self), most_candidates))
+        if candidates is not None:  # at most as many as states
+            numbers = np.empty(len(candidates), dtype=np.int64)
+            rank_set.numbers_of(self.states, candidates, numbers)
+            blocks = [candidates[numbers >= 0]]
+        for block in blocks:
             self.budget.check_time(len(self))
             yield block[self._holding(block, facts)]
 

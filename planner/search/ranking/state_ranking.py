@@ -188,6 +188,24 @@ class StateRanking:
         at = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
         return np.where(known & (own[at] == wanted), at, -1)
 
+    def matching(self, facts: Sequence[Fact], most: int) -> Ints | None:
+        """Return the ranks whose digits agree with the facts; None if there are more than `most`."""
+        wanted = dict(facts)
+        digits: list[Ints] = []
+        for number, cluster in enumerate(self.clusters):
+            if self.stride[number]:
+                holds = np.ones(len(cluster), dtype=bool)
+                for place, v in enumerate(cluster.variables):
+                    if v in wanted:
+                        holds &= cluster.values[:, place] == wanted[v]
+                digits.append(np.flatnonzero(holds) * self.stride[number])
+        if math.prod(map(len, digits)) > most:
+            return None
+        index = np.zeros(1, dtype=np.int64)
+        for own in digits:
+            index = np.add.outer(own, index).reshape(-1)
+        return index
+
     def encode(self, values: ArrayLike) -> Ints:
         """Return the ranks of states with values of shape (n, variables); -1 for states without a rank."""
         encoded = 1 << 11  # states that are ranked at a time, so that intermediate arrays fit the cache
