@@ -160,7 +160,7 @@ def the_same_texts_are_grounded_once(shared_folder: Path) -> None:
     def once(source: Source, limits: Limits = NO_LIMITS) -> str:
         if limits != NO_LIMITS:
             return translate(source, limits)
-        texts = json.dumps([source.domain_text, source.problem_text])
+        texts = json.dumps([source.rendered_domain.text, source.rendered_problem.text])
         grounded = shared_folder / f"{hashlib.sha256(texts.encode()).hexdigest()}.sas"
         if not grounded.exists():
             part = grounded.with_suffix(f".{os.getpid()}-{threading.get_ident()}")
@@ -258,7 +258,7 @@ def understood(instance: Instance) -> Any:
     """Return an instance as a problem of unified-planning."""
     source = Source.of(instance)
     try:
-        return parsed(source.typed_domain.text, source.problem_text)
+        return parsed(source.typed_domain.text, source.rendered_problem.text)
     except InstanceRefusedError as error:
         refusal = error.refusal.placed(source)
         raise PDDLError(getattr(instance, refusal.file), refusal.line, f"unified-planning: {refusal.message}") from None

@@ -78,7 +78,7 @@ def without_processes() -> None:
     translated: dict[tuple[str, str], str] = {}
 
     def translate_once(source: Any, *limits: Any) -> str:
-        texts = source.domain_text, source.problem_text
+        texts = source.rendered_domain.text, source.rendered_problem.text
         if texts not in translated:
             translated[texts] = translate(source, *limits)
         return translated[texts]
@@ -92,7 +92,7 @@ def without_processes() -> None:
 
         def refusal(self, seconds: float = 0.0) -> Any:  # noqa: ARG002
             try:
-                self._problem = parsed(self._source.typed_domain.text, self._source.problem_text)
+                self._problem = parsed(self._source.typed_domain.text, self._source.rendered_problem.text)
             except validation.InstanceRefusedError as error:
                 return error.refusal.placed(self._source)
             return None

@@ -330,7 +330,8 @@ def _sweep(task: Task, options: SolveOptions, phases: _Phases, early: Early) -> 
             return _Swept(known, known, None)
         if known.orbits is None:
             return _Swept(None, None, known.reason)
-        return _Swept(known, known.orbits.table(task), f"{known.reason}; swept are {known.orbits.described}")
+        swept = f"{len(known.orbits):,} orbits of {known.orbits.order:,} symmetries"
+        return _Swept(known, known.orbits.table(task), f"{known.reason}; swept are {swept}")
 
 
 def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phases: _Phases) -> SolveRecord:

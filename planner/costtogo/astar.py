@@ -63,7 +63,9 @@ def astar(
         return 0.0, []
     if not can_hold(task.goal):
         return float("inf"), None
-    sas, dearest = task.reduced.sas, max(task.reduced.costs, default=1)
+    dearest = max(task.reduced.costs, default=1)
+    if search is None:
+        search = fast_downward.ASTAR_WITH_AXIOMS if task.axioms else fast_downward.ASTAR
     if dearest >= LARGE:
         search = fast_downward.ASTAR_WITH_AXIOMS
         # Without a limit, some searches with costs above 2^29 were observed not to terminate.
@@ -75,7 +77,7 @@ def astar(
             value if variable.axiom_layer < 0 else default
             for value, default, variable in zip(state, task.initial, task.variables, strict=True)
         )
-    plan = fast_downward.optimal_plan(sas, state, search=search, limits=limits)
+    plan = fast_downward.optimal_plan(task.reduced.sas, state, search=search, limits=limits)
     if plan is None:
         return float("inf"), None
     cost = task.plan_cost(plan)
@@ -128,14 +130,13 @@ def fastest_search(task: Task, *, limits: Limits = NO_LIMITS) -> Chosen:
     """
     if not task.goal or not can_hold(task.goal):
         return Chosen(fast_downward.ASTAR, True, None if task.goal else [])
-    sas, dearest = task.reduced.sas, max(task.reduced.costs, default=1)
-    if fast_downward.has_axioms(sas) or dearest >= LARGE:
+    if task.axioms or max(task.reduced.costs, default=1) >= LARGE:
         return Chosen(fast_downward.ASTAR_WITH_AXIOMS, False, None)
     best, shortest = None, limits.seconds
     for search in ADMISSIBLE:
         start = time.monotonic()
         try:
-            plan = fast_downward.optimal_plan(sas, search=search, limits=replace(limits, seconds=shortest))
+            plan = fast_downward.optimal_plan(task.reduced.sas, search=search, limits=replace(limits, seconds=shortest))
         except (LimitError, FastDownwardError):
             continue
         seconds = time.monotonic() - start

@@ -60,11 +60,6 @@ class OrbitTable:
         h = np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
         return np.where(rows >= 0, h, np.nan)
 
-    @property
-    def described(self) -> str:
-        """Text with the numbers of orbits and symmetries."""
-        return f"{len(self):,} orbits of {self.order:,} symmetries"
-
     def table(self, task: Task) -> Table:
         """Return a table of the canonical states; its transitions lead to canonical states."""
         return Table(StateSpace(task, len(self), 0, self.transition_count, self.index), self.distance)

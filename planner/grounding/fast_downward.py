@@ -69,8 +69,8 @@ def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         sas, domain, problem = (Path(folder) / name for name in ("output.sas", "domain.pddl", "problem.pddl"))
         # The normalised texts, which all other readers use too.
-        domain.write_text(source.domain_text, encoding="utf-8")
-        problem.write_text(source.problem_text, encoding="utf-8")
+        domain.write_text(source.rendered_domain.text, encoding="utf-8")
+        problem.write_text(source.rendered_problem.text, encoding="utf-8")
         command = python("fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas))
         code, output = _run([*command, str(domain), str(problem)], folder, None, limits)
         _check_limits("translation", code, output, limits)
@@ -80,18 +80,16 @@ def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
 
 
 def optimal_plan(
-    sas: str, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
+    sas: str, state: Sequence[int] | None = None, *, search: str = ASTAR, limits: Limits = NO_LIMITS
 ) -> list[str] | None:
     """Return an optimal plan that A* finds, as ground actions; None if it has proven that no plan exists.
 
     The plan is from the initial state, or from `state`, the values of all variables. That state must be reachable,
-    since the translator has removed everything else. The default `search` is an admissible configuration that supports
-    the task. After a `LimitError` or a `FastDownwardError`, nothing is known about the state.
+    since the translator has removed everything else. After a `LimitError` or a `FastDownwardError`, nothing is known
+    about the state.
     """
     if state is not None:
         sas = with_initial_state(sas, state)
-    if search is None:
-        search = ASTAR_WITH_AXIOMS if has_axioms(sas) else ASTAR
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         plan = Path(folder) / "plan"
         command = [str(_binary()), "--internal-plan-file", str(plan), "--search", search]
@@ -122,11 +120,6 @@ def with_initial_state(sas: str, state: Sequence[int]) -> str:
     if len(state) != len(old.split("\n")):
         raise ValueError(f"the state has {len(state)} values, the task {len(old.split(chr(10)))} variables")
     return before + "begin_state\n" + "\n".join(str(int(value)) for value in state) + "\nend_state" + after
-
-
-def has_axioms(sas: str) -> bool:
-    """Whether a SAS text has derived variables."""
-    return sas.rsplit("end_operator" if "end_operator" in sas else "end_goal", 1)[1].split()[-1:] != ["0"]
 
 
 def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> tuple[int, str]:

@@ -15,7 +15,10 @@ from .writer import Rendered
 
 @dataclass(frozen=True)
 class Source:
-    """The content of an instance's files, and both files rewritten in normalised form."""
+    """The content of an instance's files, and both files rewritten in normalised form.
+
+    The rewritten problem is for all readers, the domain for the translator.
+    """
 
     reading: Reading
     rendered_domain: Rendered
@@ -56,13 +59,3 @@ class Source:
     def problem(self) -> Expression:
         """The normalised problem, with the positions of the original file."""
         return self.rendered_problem.whole
-
-    @property
-    def domain_text(self) -> str:
-        """The text of the domain, for the translator."""
-        return self.rendered_domain.text
-
-    @property
-    def problem_text(self) -> str:
-        """The text of the problem, for all readers."""
-        return self.rendered_problem.text

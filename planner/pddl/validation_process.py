@@ -41,7 +41,7 @@ class ValidationProcess:
     def __init__(self, source: Source, limits: Limits = NO_LIMITS) -> None:
         self._process = _Process.idle(limits)
         self._source = source
-        self._process.ask({"domain": source.typed_domain.text, "problem": source.problem_text})
+        self._process.ask({"domain": source.typed_domain.text, "problem": source.rendered_problem.text})
 
     def __enter__(self) -> ValidationProcess:
         return self
