@@ -164,3 +164,19 @@ def test_faults_of_the_settings_are_said(wrong: str, right: str, message: str, t
     result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--bridge", str(file)])
     assert (result.exit_code, result.stdout) == (2, "")
     assert message in result.stderr
+
+
+def test_a_node_that_the_server_does_not_have_is_named(
+    plant: Plant, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The service works without it."""
+    here = Here(tmp_path / "opcua", ["person-1"])
+    text = SETTINGS.replace("A.Pick", "A.Picks").replace("PORT", str(plant.port))
+    (file := tmp_path / "bridge.toml").write_text(text)
+
+    async def work() -> None:
+        while "node ns=2;s=A.Picks: " not in caplog.text:
+            await asyncio.sleep(0.05)
+
+    here.run(file, work)
+    assert "Traceback" not in caplog.text

@@ -14,6 +14,8 @@ import asyncio
 import json
 import logging
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from random import Random
 from types import ModuleType
@@ -149,19 +151,29 @@ class OpcUaBridge:
             self.counts["connections"] += 1
             subscription = await client.create_subscription(self._period, _Handler(self))
             for node in self._observed:
-                await subscription.subscribe_data_change(
-                    client.get_node(node), queuesize=100, sampling_interval=self._period
-                )
+                with self._naming(node):
+                    await subscription.subscribe_data_change(
+                        client.get_node(node), queuesize=100, sampling_interval=self._period
+                    )
             self._waiting = {**self._kept, **self._waiting}
             self.connected = True
             while not ended.is_set():
                 while self._waiting:
                     node, text = next(iter(self._waiting.items()))
-                    await client.get_node(node).write_value(ua.Variant(text, ua.VariantType.String))
+                    with self._naming(node):
+                        await client.get_node(node).write_value(ua.Variant(text, ua.VariantType.String))
                     if self._waiting[node] == text:  # and no newer one
                         del self._waiting[node]
                 self._wake.clear()
                 await self._wake.wait()
+
+    @contextmanager
+    def _naming(self, node: str) -> Iterator[None]:
+        """Name the node in an error of the library."""
+        try:
+            yield
+        except self._library.ua.UaError as error:
+            raise self._library.ua.UaError(f"node {node}: {error}") from error
 
     def _write(self, node: str, text: str) -> None:
         self._kept[node] = self._waiting[node] = text

@@ -315,12 +315,11 @@ async def _serve(
     service = Service(session, access, tick=plan.tick, texts=plan.texts)
     service.simulated = frozenset(plan.simulated)
     app = make_app(service, trusted_proxies=plan.trusted_proxies)
-    seats = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))
-    others = seats
-    if beside is not None:
-        bridge = beside(f"{_local(listening)}/operator#{access.operator}")
+    bridge = None if beside is None else beside(f"{_local(listening)}/operator#{access.operator}")
+    others = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))
+    if bridge is not None:
         service.bridges[type(bridge).__name__] = bridge
-        others = _both(seats, bridge)
+        others = _both(others, bridge)
     service.changed_settings = changed_settings
     reloads: set[asyncio.Task[None]] = set()
 
