@@ -53,7 +53,6 @@ ROOMS = {
     "assist.simulation": """memory_needed pool schedule common_random_numbers trace episodes model_group
         observed_people task_parts task_view run traced_run requested suggestion_search simulate belief_trace
         illustration""",
-    "assist.coupled": "agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum",
     "assist.texts": "catalogue",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.explain": "continuations contrast explanation",
@@ -63,6 +62,8 @@ ROOMS = {
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options memory_needed prices certificate visited_beliefs computation truncated_prices
         sample_paths team_bound comparison""",
+    "assist.coupled": """agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum
+        sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",
     "assist.study": "study protocol tasks cells runner",

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from assist import coupled
-from assist.coupled import Agents, RolloutOptions, bound, certify, policy, simulate, whittle_index
+from assist.coupled import Agents, RolloutOptions, bound, certify, policy, sampled_bound, simulate, whittle_index
 from assist.coupled.rollout import serve
 from planner import LimitError
 
@@ -105,15 +105,46 @@ def test_the_joint_optimum_is_that_of_brute_force(seed: int) -> None:
         coupled.joint_optimum(agents, 1, largest=7)
 
 
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 3), st.integers(2, 3), st.integers(0, 2))
+def test_samples_are_between_the_optimum_and_the_prices_bound(seed: int, count: int, states: int, M: int) -> None:
+    """Prices of a sample path never give a lower bound than the best actions on it, whichever prices it begins with."""
+    agents = problem(seed, count, states)
+    best = coupled.joint_optimum(agents, M).value
+    solved = bound(agents, M, prices=np.random.default_rng(seed).uniform(0, 1, 30))
+    exact, by_prices = (
+        sampled_bound(agents, M, paths=30, seed=seed, prices=solved, largest=largest) for largest in (5000, 1)
+    )
+    assert best - 4 * exact.stderr - 1e-6 <= exact.mean <= by_prices.mean + 1e-9
+    assert by_prices.mean <= solved.upper + 1e-9
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 3), st.floats(0, 2))
+def test_without_chance_samples_give_the_optimum(seed: int, count: int, M: float) -> None:
+    rng = np.random.default_rng(seed)
+    P = np.eye(3)[rng.integers(3, size=(count, 2, 3))]
+    uses = np.stack([np.zeros((count, 3)), rng.uniform(0.2, 1.5, size=(count, 3))], axis=1)
+    agents = Agents(P, rng.normal(size=(count, 2, 3)), uses, gamma=GAMMA)
+    found = sampled_bound(agents, M, paths=2, prices=bound(agents, M, window=70))
+    assert found.mean == pytest.approx(coupled.joint_optimum(agents, M).value, abs=1e-5)
+    assert found.stderr < 1e-9
+
+
 @pytest.mark.slow
-def test_no_policy_exceeds_the_bound_in_two_hundred_problems() -> None:
-    gaps = []
+def test_no_policy_exceeds_the_bounds_in_two_hundred_problems() -> None:
+    """Samples take more than a third of what prices lose."""
+    by_prices, by_samples = [], []
     for seed in range(200):
         agents = problem(seed, 2 + seed % 3, 2 + seed % 2)
-        best, upper = joint_optimum(agents, 1), bound(agents, 1).upper
-        assert upper >= best - 1e-9, seed
-        gaps.append((upper - best) / abs(best))
-    assert np.median(gaps) < 0.1
+        best, solved = joint_optimum(agents, 1), bound(agents, 1)
+        assert solved.upper >= best - 1e-9, seed
+        sampled = sampled_bound(agents, 1, paths=40, seed=seed, prices=solved)
+        assert sampled.mean >= best - 4 * sampled.stderr - 1e-6, seed
+        by_prices.append((solved.upper - best) / abs(best))
+        by_samples.append((sampled.mean - best) / abs(best))
+    assert np.median(by_prices) < 0.1
+    assert np.mean(by_samples) < 2 / 3 * np.mean(by_prices)
 
 
 @pytest.mark.parametrize("seed", thinned(range(3), 3))

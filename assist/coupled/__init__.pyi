@@ -8,6 +8,7 @@ from .price_bound import PriceBound as PriceBound
 from .price_bound import bound as bound
 from .rollout import RolloutOptions as RolloutOptions
 from .rollout import RolloutPolicy as RolloutPolicy
+from .sampled_bound import sampled_bound as sampled_bound
 from .simulation import CoupledCertificate as CoupledCertificate
 from .simulation import CoupledRuns as CoupledRuns
 from .simulation import certify as certify
