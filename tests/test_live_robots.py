@@ -97,6 +97,40 @@ def test_each_robot_has_its_own_way(tiny: Table) -> None:
         desk.arrived("ann", robot=3)
 
 
+def test_more_robots_than_people_leave_the_others_where_they_are(tiny: Table) -> None:
+    desk = Assistant(tiny, ["ann", "bob"], policy="reactive", robots=5)
+    for name in ("ann", "bob"):
+        desk.observe(name, "(fetch box-a)")
+        desk.observe(name, WRONG)
+    assert [one.person for one in desk.recommend_all()] == ["ann", "bob", None, None, None]
+    assert desk.robots == ("ann", "bob", None, None, None)
+    for number in (0, -1, 6, 1.5, "1", True):
+        for ask in (desk.recommend, lambda robot: desk.arrived("ann", robot=robot)):
+            with pytest.raises(UnknownError, match=r"robot .*: expected a number from 1 to 5"):
+                ask(number)  # type: ignore[arg-type]
+
+
+def test_two_robots_that_report_the_same_arrival(tiny: Table, tmp_path: Path) -> None:
+    """One of them makes the suggestion. A report with the id of another robot's report is refused, not forgotten."""
+    setting = Setting(c_suggest=0.02, c_move=0.01, trust="paper", robots=2)
+    session = Session({"tiny": tiny}, tmp_path / "one.sqlite", setting=setting, population=Population())
+    session.report([Event("joined", "ann"), *(Event("acted", "ann", action) for action in ("(fetch box-a)", WRONG))])
+    assert [one["person"] for one in session.outlook().robots] == ["ann", None]
+    for order in ((1, 2), (2, 1)):
+        session.report([Event("arrived", "ann", robot=number) for number in order])
+        assert [one["location"] for one in session.outlook().robots] == ["ann", "ann"]
+        assert [one["suggestion"] is None for one in session.outlook().robots] == [False, True]
+    session.report([Event("arrived", robot=1)])
+    assert [one["person"] for one in session.outlook().robots] == [None, "ann"]  # who is still there
+    first, again, other = session.report([
+        Event("arrived", "ann", robot=1, id="7"), Event("arrived", "ann", robot=1, id="7"),
+        Event("arrived", "ann", robot=2, id="7"),
+    ])  # fmt: skip
+    assert first == again
+    assert str(other) == "the id '7' belongs to another event; expected a new id"
+    session.close()
+
+
 @settings(max_examples=8, deadline=None)
 @given(HAPPENS, st.integers(0, 10**6))
 def test_a_session_of_two_robots_is_restored(

@@ -498,20 +498,26 @@ class Course:
     def robot(self, number: int = 1) -> dict[str, Any]:
         """Return where a robot should be and what it suggests there, as JSON; robots are numbered from 1.
 
-        A suggestion remains until it is answered or replaced by another one.
+        A suggestion remains until it is answered or replaced by another one. Of several robots with the person, the one
+        that was sent makes it, or else the first.
         """
         self.require_robot(number)
         here, advice = self.desk.robots[number - 1], self.advices[number - 1]
         errand: dict[str, Any] = {"person": None, "suggestion": None, "reason": None, "arrived": True}
         if not self.paused and advice.person is not None:
             errand = advice.as_dict() | {"reason": _plain(advice.reason)}
-        elif not self.paused and here is not None and here in self.present:
+        elif not self.paused and here is not None and here in self.present and self._attends(here) == number - 1:
             known = self.person(here)
             if known["suggestion"] is not None:
                 errand |= {"person": here, "suggestion": known["suggestion"], "reason": known["reason"]}
         errand.pop("question", None)  # which may have been asked some events ago
         asked = [one.as_dict() for one in self.desk.questions if one.person in self.present] if number == 1 else []
         return {**errand, "location": here, "seq": self.count, **({"questions": asked} if asked else {})}
+
+    def _attends(self, person: str) -> int:
+        """Return the index of the robot that attends to a person with whom one or more robots are."""
+        there = [m for m, where in enumerate(self.desk.robots) if where == person and self.advices[m].arrived]
+        return next((m for m in there if self.advices[m].person == person), min(there, default=0))
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Return all actions as `fit` reads them, with their times in seconds since the session began.

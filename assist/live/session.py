@@ -266,15 +266,16 @@ class Session:
         return answer
 
     def _known(self, event: Event) -> Outcome | None:
-        """Return the stored answer if an event with this person and id was applied before, else None."""
+        """Return the stored answer if an event with this person, id and robot was applied before, else None."""
         try:
             found = self._store.answer(event.person, event.id) if event.id else None
         except UnicodeEncodeError:
             return InvalidError(f"the id {event.id!r} is no text; expected letters, digits and signs")
         if found is None:
             return None
-        kind, answer = found
-        if kind != event.kind:
+        record, answer = found
+        # Robots that count their reports on their own use the same ids.
+        if (record["event"], record.get("robot", 1)) != (event.kind, event.robot):
             return InapplicableError(f"the id {event.id!r} belongs to another event; expected a new id")
         return answer
 

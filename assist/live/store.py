@@ -162,8 +162,8 @@ class EventStore:
             for n, record in self._db.execute("SELECT n, record FROM events ORDER BY n"):
                 yield _document(record, self.file, n)
 
-    def answer(self, person: str | None, id: str) -> tuple[str, dict[str, Any]] | None:
-        """Return the kind of the event of this person and id, and its answer; None if there is none."""
+    def answer(self, person: str | None, id: str) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Return the record of the event of this person and id, and its answer; None if there is none."""
         with self._sqlite_errors():
             row = self._db.execute(
                 "SELECT n, record, answer FROM events WHERE person = ? AND id = ?", (person or "", id)
@@ -171,7 +171,7 @@ class EventStore:
         if row is None:
             return None
         n, record, answer = row
-        return _document(record, self.file, n)["event"], _document(answer, self.file, n)
+        return _document(record, self.file, n), _document(answer, self.file, n)
 
     def tombstones(self) -> list[Tombstone]:
         """Return what remains of the people whose records were erased."""
