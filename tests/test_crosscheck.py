@@ -5,6 +5,7 @@ paths.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import pytest
 from crosscheck import Case, Outcome, check
@@ -15,7 +16,11 @@ REFUSED = 0.02
 """The share of comparisons that the program may refuse by design."""
 
 
-def assert_no_violation(numbers: range) -> list[Outcome]:
+HUNDREDS = [number for number in range(8, 210) if number not in (20, 193)]
+"""Two hundred settings. The two left out take 75 s of a processor, as 60 others do; `bench/crosscheck.py` has them."""
+
+
+def assert_no_violation(numbers: Sequence[int]) -> list[Outcome]:
     outcomes = [check(Case.of(number)) for number in numbers]
     for outcome in outcomes:
         assert not outcome.violations, f"{Case.of(outcome.number)}\n" + "\n".join(outcome.violations)
@@ -37,7 +42,7 @@ def test_no_policy_exceeds_a_bound() -> None:
 
 
 def test_two_hundred_settings_have_all_features() -> None:
-    cases = [Case.of(number) for number in range(8, 208)]
+    cases = [Case.of(number) for number in HUNDREDS]
     for has in (
         lambda case: case.part is not None, lambda case: case.part is None, lambda case: case.paths > 0,
         lambda case: case.late, lambda case: case.setting.execute, lambda case: case.setting.lapse == 0,
@@ -52,8 +57,8 @@ def test_two_hundred_settings_have_all_features() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(8, 208, 25))
+@pytest.mark.parametrize("first", range(0, 200, 25))
 def test_no_policy_exceeds_a_bound_in_two_hundred_settings(first: int) -> None:
-    outcomes = assert_no_violation(range(first, first + 25))
+    outcomes = assert_no_violation(HUNDREDS[first : first + 25])
     compared = sum(len(outcome.kinds) for outcome in outcomes)
     assert sum(outcome.refused for outcome in outcomes) <= 2 * REFUSED * compared
