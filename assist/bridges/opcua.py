@@ -169,7 +169,7 @@ class OpcUaBridge:
 
     @contextmanager
     def _naming(self, node: str) -> Iterator[None]:
-        """Name the node in an error of the library."""
+        """Raise an error of the library with the name of the node."""
         try:
             yield
         except self._library.ua.UaError as error:
