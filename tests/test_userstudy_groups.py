@@ -142,12 +142,16 @@ def test_after_the_time_a_smaller_group_may_start(opened: Open) -> None:
         part.to("thanks")
     (cyd,) = waiting(session, "cyd")
     assert cyd.stage == "waiting"
+    cyd.report("expired")
+    assert cyd.stage == "task tiny"  # alone
+    cyd.errs()
+    assert session.cohort.groups["G2"].team.course.advices[0].person in ("cyd", None)
     before = {name: session.person(name) for name in ("ann", "bob", "cyd")}
     session.close()
     again = opened(EAGER)
     assert {name: again.person(name) for name in before} == before
     found = summarise(again.study, tables(again.study, again.folder / JOURNAL))
-    assert found["groups"] == {"size": 3, "began": 1, "smaller": 1, "unmatched": 0}
+    assert found["groups"] == {"size": 3, "began": 2, "smaller": 2, "unmatched": 0}
 
 
 @pytest.mark.parametrize("erased", ["ann", "cyd"])  # the first to come; and the last, whose event began the group
@@ -204,7 +208,7 @@ def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
     ("right", "wrong", "message"),
     [
         ("size = 3", "size = 1", "group.size: 1; expected a whole number from 2 to 20"),
-        ("wait = 5", 'then = "alone"', "group.then: 'alone'; expected"),
+        ("wait = 5", 'then = "alone"', "group.then: 'alone'; expected 'end', or 'start' with those who are there, even one"),
         ("seed = 3", "seed = 3\nsimulated = 1", "simulated: 1; expected 0 in a study with groups"),
         ("seed = 3", "seed = 3\nparticipants = 4", "participants: 4; expected a multiple of 3"),
         ("seed = 3", 'seed = 3\ndesign = "within"', "design: 'within'; expected 'between' in a study with groups"),

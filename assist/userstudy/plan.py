@@ -427,7 +427,8 @@ def _group(file: Path, table: FileTable) -> Grouping | None:
         return None
     size, then = table.group.size, table.group.then
     if then not in ("start", "end"):
-        raise fault(file, "group.then", f"'{then}'; {meant(then, ('start', 'end'))}")
+        expected = "'end', or 'start' with those who are there, even one alone"
+        raise fault(file, "group.then", f"'{then}'; expected {expected}")
     if table.design != BETWEEN:
         raise fault(file, "design", f"'{table.design}'; expected '{BETWEEN}' in a study with groups")
     if table.simulated:
