@@ -16,6 +16,7 @@ from userstudies import PLAN, Part, written
 from assist.live.live_task import InapplicableError
 from assist.reports.userstudy_report import _sections
 from assist.reports.userstudy_summary import measures, summarise
+from assist.texts import Catalogue, catalogue, languages
 from assist.userstudy.plan import read
 from assist.userstudy.session import JOURNAL, StudySession
 from assist.userstudy.tables import tables
@@ -208,7 +209,11 @@ def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
     ("right", "wrong", "message"),
     [
         ("size = 3", "size = 1", "group.size: 1; expected a whole number from 2 to 20"),
-        ("wait = 5", 'then = "alone"', "group.then: 'alone'; expected 'end', or 'start' with those who are there, even one"),
+        (
+            "wait = 5",
+            'then = "alone"',
+            "group.then: 'alone'; expected 'end', or 'start' with those who are there, even one",
+        ),
         ("seed = 3", "seed = 3\nsimulated = 1", "simulated: 1; expected 0 in a study with groups"),
         ("seed = 3", "seed = 3\nparticipants = 4", "participants: 4; expected a multiple of 3"),
         ("seed = 3", 'seed = 3\ndesign = "within"', "design: 'within'; expected 'between' in a study with groups"),
@@ -220,24 +225,36 @@ def test_a_group_that_cannot_be_is_refused(tmp_path: Path, right: str, wrong: st
     assert message in str(refused.value)
 
 
+def spoken(language: str) -> str:
+    return GROUPS.replace("seed = 3", f'seed = 3\nlanguage = "{language}"')
+
+
+def begins(page: Any, said: Catalogue) -> None:
+    """Consent and read the instructions."""
+    page.click(f"text={said('study.agree')}")
+    page.click(f'h2:text("{said("study.instructions")}") ~ form >> button')
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 @pytest.mark.slow
-def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path: Path) -> None:
-    text = GROUPS.replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("wait = 5", "wait = 0.02")
+@pytest.mark.parametrize("language", languages())
+def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path: Path, language: str) -> None:
+    said = catalogue(language)
+    text = spoken(language).replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("wait = 5", "wait = 0.02")
     context = chromium.new_context(viewport={"width": 360, "height": 740})
     page = context.new_page()
     page.set_default_timeout(60_000)
     with served("--study", written(tmp_path / "study.toml", text), "--data", tmp_path / "data", instance=None) as study:
         page.goto(study.links["everybody"])
-        page.click("text=I agree and take part")
-        page.click('h2:text("What you will do") ~ form >> button')
-        page.wait_for_selector('h2:text("There is no group for you")')
+        begins(page, said)
+        page.wait_for_selector(f'h2:text("{said("study.unmatched")}")')
+        assert page.get_attribute("html", "lang") == language
         assert len(page.input_value("#code")) == 8
         page.wait_for_selector("#withdrawal")
         assert violations(page, dark=False) == []
         page.click("#leave-button")
         page.click("#leave-now")
-        page.wait_for_selector('h2:text("You have left the study")')
+        page.wait_for_selector(f'h2:text("{said("study.left")}")')
     context.close()
 
 
@@ -245,7 +262,9 @@ def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path:
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 @pytest.mark.slow
 def test_three_people_in_three_browsers_share_one_robot(chromium: Any, tmp_path: Path) -> None:
-    text = GROUPS.replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("seed = 3", "seed = 3\ntick = 0.5")
+    """In German, as the pages of those who wait are seen in English above."""
+    said = catalogue("de")
+    text = spoken("de").replace(f'practice = "{KITTING}/tiny.pddl"\n', "").replace("seed = 3", "seed = 3\ntick = 0.5")
     faults: list[str] = []
     with served("--study", written(tmp_path / "study.toml", text), "--data", tmp_path / "data", instance=None) as study:
         contexts = [chromium.new_context(viewport={"width": 360, "height": 740}) for _ in range(3)]
@@ -254,12 +273,11 @@ def test_three_people_in_three_browsers_share_one_robot(chromium: Any, tmp_path:
             page.set_default_timeout(60_000)
             page.on("pageerror", lambda error: faults.append(str(error)))
             page.goto(study.links["everybody"])
-            page.click("text=I agree and take part")
-            page.click('h2:text("What you will do") ~ form >> button')
+            begins(page, said)
             if number < 3:
-                page.wait_for_selector('h2:text("Waiting for your group")')
-                page.wait_for_selector(f'#progress-word:text("{number} of 3 are here")')
-        pages[0].wait_for_selector('h1:text("Your task")')
+                page.wait_for_selector(f'h2:text("{said("study.waiting")}")')
+                page.wait_for_selector(f'#progress-word:text("{said("study.here", here=str(number), all="3")}")')
+        pages[0].wait_for_selector(f'h1:text("{said("task.title")}")')
         told = set()
         for round_ in range(30):
             for number, page in enumerate(pages):
@@ -267,14 +285,15 @@ def test_three_people_in_three_browsers_share_one_robot(chromium: Any, tmp_path:
                 if page.is_visible("#offer"):
                     told.add(number)
                 steps = int(page.inner_text("#steps"))
-                page.locator("#actions button:not([disabled])").nth(round_ % 2).click()
+                wrong = "fetch", "return"  # in turn, which leads nowhere
+                page.click(f'#actions button[data-action^="({wrong[round_ % 2]}"]:not([disabled]) >> nth=0')
                 page.wait_for_function(f"() => document.getElementById('steps').textContent === '{steps + 1}'")
             if len(told) == 3:
                 break
         assert told == {0, 1, 2}
         pages[1].click('#leave:not([hidden]) a[href*="?leave"]')
         pages[1].click("#leave-now")
-        pages[1].wait_for_selector('h2:text("You have left the study")')
+        pages[1].wait_for_selector(f'h2:text("{said("study.left")}")')
         steps = int(pages[2].inner_text("#steps"))
         pages[2].locator("#actions button:not([disabled])").nth(0).click()
         pages[2].wait_for_function(f"() => document.getElementById('steps').textContent === '{steps + 1}'")
@@ -283,12 +302,10 @@ def test_three_people_in_three_browsers_share_one_robot(chromium: Any, tmp_path:
         assert pages[0].locator('#people td:text("(G1)")').count() == 3
         late = contexts[1].new_page()
         late.goto(study.links["everybody"])
-        late.click('button:text("Begin as the next participant")')
-        late.click("text=I agree and take part")
-        late.click('h2:text("What you will do") ~ form >> button')
-        late.wait_for_selector('#progress-word:text("1 of 3 are here")')
-        for dark in (True, False):
-            assert violations(late, dark=dark) == []
+        late.click(f'button:text("{said("study.begin_next")}")')
+        begins(late, said)
+        late.wait_for_selector(f'#progress-word:text("{said("study.here", here="1", all="3")}")')
+        assert violations(late) == []
         late.screenshot(path=str(tmp_path / "waiting.png"))
     assert faults == []
     for context in contexts:
