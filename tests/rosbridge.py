@@ -34,7 +34,7 @@ TYPES: dict[str, dict[str, type]] = {
     "line_msgs/msg/Action": {"person": str, "action": str, "id": str, "seq": int},
     "line_msgs/msg/Advice": {"person": str, "suggestion": str, "finished": bool},
 }
-ACTIONS: dict[str, str] = {"/go_to": "line_msgs/action/GoTo"}
+ACTIONS: dict[str, str] = dict.fromkeys(("/go_to", "/robot1/go_to", "/robot2/go_to"), "line_msgs/action/GoTo")
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # of action_msgs/msg/GoalStatus
 
 

@@ -67,15 +67,16 @@ class Played:
     def __init__(self, *errands: dict[str, Any] | Exception) -> None:
         self.errands, self.done, self.at = list(errands), list[str](), iter(())
 
-    def robot(self) -> dict[str, Any]:
+    def robot(self, number: int = 1) -> dict[str, Any]:
+        self.asked = number
         errand = self.errands.pop(0)
         if isinstance(errand, Exception):
             raise errand
         return errand
 
-    def arrived(self, person: str) -> dict[str, Any]:
+    def arrived(self, person: str, number: int = 1) -> dict[str, Any]:
         self.done.append(f"arrived at {person}")
-        return self.robot()
+        return self.robot(number)
 
     def go(self, person: str) -> None:
         self.done.append(f"go to {person}")
@@ -100,18 +101,19 @@ def outcome(tree: Any) -> Any:
     return tree.status
 
 
-def played(*errands: dict[str, Any] | Exception) -> tuple[Any, Played]:
+def played(*errands: dict[str, Any] | Exception, number: int = 1) -> tuple[Any, Played]:
     played = Played(*errands)
     client: Any = played
-    return assistance(client, played), played
+    return assistance(client, played, number=number), played
 
 
 def test_an_errand_is_driven_reported_and_said_once() -> None:
-    tree, robot = played(GO, SAY, SAY, SAY | {"reason": {"suggestions": 1}})
+    tree, robot = played(GO, SAY, SAY, SAY | {"reason": {"suggestions": 1}}, number=2)
     robot.at = iter((None, None, True))
     assert [outcome(tree) for _ in range(3)] == [SUCCESS] * 3
     say = "say (fetch box-a) to ann"
     assert robot.done == ["go to ann", "arrived at ann", say, say]
+    assert robot.asked == 2
 
 
 @pytest.mark.parametrize(

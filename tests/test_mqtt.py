@@ -16,6 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import click
 import httpx2 as httpx
 import pytest
 from click.testing import CliRunner
@@ -154,7 +155,7 @@ class Here:
         failed = list[Exception]()
 
         async def beside() -> None:
-            self.bridge = bridge_of(file)(link, **options)
+            self.bridge = bridge_of(file, len(self.session.outlook().robots))(link, **options)
             bridge = asyncio.create_task(self.bridge.run())
             try:
                 await asyncio.wait_for(work(), 60)
@@ -371,6 +372,57 @@ def test_nothing_that_the_service_sends_waits_for_more() -> None:
         accepted, _ = listening.accept()
         with accepted:
             assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_two_robots_have_a_topic_each(
+    broker: Broker, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:  # fmt: skip
+    topics = """
+    [broker]
+    host = "127.0.0.1"
+    port = PORT
+    [observe]
+    topic = "line/{person}/action"
+    [robot]
+    topic = "robot/{robot}"
+    [arrived]
+    topic = "robot/{robot}/arrived"
+    """
+    setting = Setting(c_suggest=0.01, c_move=0.01, trust="paper", travel_time=1, robots=2)
+    here, seen = Here(tmp_path / "session", ["ann", "bob"], setting), dict[str, dict[str, Any]]()
+
+    async def work() -> None:
+        async with broker.client() as client:
+            await client.subscribe("robot/+", qos=1)
+
+            async def until(done: Callable[[], bool]) -> None:
+                while not done():
+                    message = await anext(client.messages)
+                    seen[str(message.topic)] = json.loads(message.payload)
+
+            await until(lambda: len(seen) == 2)
+            for person in ("ann", "bob"):
+                for number, action in enumerate(("(fetch box-a)", "(place hammer slot-2 box-a)")):
+                    report = {"action": action, "id": f"{person}-{number}"}
+                    await client.publish(f"line/{person}/action", json.dumps(report), qos=1)
+            await until(lambda: {one["person"] for one in seen.values()} == {"ann", "bob"})
+            assert not any(one["arrived"] for one in seen.values())
+            for number in ("0", "3", "x"):
+                await client.publish(f"robot/{number}/arrived", b'{"person": "ann"}', qos=1)
+            to = seen["robot/2"]["person"]
+            await client.publish("robot/2/arrived", json.dumps({"person": to, "id": "1"}), qos=1)
+            await until(lambda: seen["robot/2"]["arrived"])
+            assert not seen["robot/1"]["arrived"]
+            assert here.session.outlook().robots[1]["location"] == to
+
+    here.run(settings_file(tmp_path, broker, topics), work)
+    for number in ("0", "3", "x"):
+        assert f"MQTT: arrival of a robot: robot '{number}'; expected a number from 1 to 2" in caplog.text
+    for topic, wrong in (("robot/{robot}", "robot"), ("robot/{robot}/arrived", "robot/arrived")):
+        file = settings_file(tmp_path, broker, topics.replace(f'"{topic}"', f'"{wrong}"'))
+        bridge_of(file)  # one robot needs no number
+        with pytest.raises(click.UsageError, match=rf"topic: '{wrong}'; expected {{robot}} in it"):
+            bridge_of(file, 2)
 
 
 def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path) -> None:

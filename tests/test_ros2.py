@@ -22,6 +22,7 @@ from assist.cli import main
 from assist.live import Event
 from assist.live.store import stored
 from assist.team.settings import Setting
+from planner.system.errors import InputFileError
 
 SETTINGS = """
 [rosbridge]
@@ -66,6 +67,29 @@ def converse(
 def answers_of(ros: Rosbridge) -> dict[str, dict[str, Any]]:
     found = [json.loads(one["data"]) for one in ros.published("/line/answers")]
     return {one["id"]: one for one in found}
+
+
+def test_two_robots_drive_by_an_action_each(tmp_path: Path) -> None:
+    setting = Setting(c_suggest=0.01, c_move=0.01, trust="paper", travel_time=1, robots=2)
+    here = Here(tmp_path / "session", ["person-1", "person-2"], setting)
+
+    async def work(_: Rosbridge) -> None:
+        for name in ("person-1", "person-2"):
+            for action in ("(fetch box-a)", "(place hammer slot-2 box-a)"):
+                await here.service.report(Event("acted", name, action))
+        while {one["location"] for one in here.session.outlook().robots if one["arrived"]} != {"person-1", "person-2"}:
+            await asyncio.sleep(0.05)
+
+    settings = SETTINGS.replace('"/go_to"', '"/robot{robot}/go_to"')
+    ros = converse(here, tmp_path, settings, work)
+    sent = {one["action"]: one["args"]["name"] for one in ros.heard if one["op"] == "send_action_goal"}
+    assert sorted(sent) == ["/robot1/go_to", "/robot2/go_to"]
+    assert [sent[f"/robot{number}/go_to"] for number in (1, 2)] == [
+        one["location"] for one in here.session.outlook().robots
+    ]
+    (file := tmp_path / "one.toml").write_text(SETTINGS.replace("PORT", "1"))
+    with pytest.raises(InputFileError, match=r"go_to.action: '/go_to'; expected {robot} in it"):
+        Ros2Settings.read(file, 2)
 
 
 def test_three_people_act_and_the_robot_drives_although_the_connection_is_lost(tmp_path: Path) -> None:

@@ -102,14 +102,18 @@ class GetAdvice(_Request):
     client : Client
         With the operator's link.
     name, namespace : str
+    number : int
+        Number of the robot, from 1.
     """
 
-    def __init__(self, client: Client, name: str = "get advice", namespace: str = NAMESPACE) -> None:
+    def __init__(
+        self, client: Client, name: str = "get advice", namespace: str = NAMESPACE, number: int = 1
+    ) -> None:  # fmt: skip
         super().__init__(name, namespace)
-        self._client = client
+        self._client, self._number = client, number
 
     def _asks(self) -> Callable[[], dict[str, Any]]:
-        return self._client.robot
+        return lambda: self._client.robot(self._number)
 
     def update(self) -> Status:
         """Return FAILURE if there is no errand."""
@@ -166,15 +170,19 @@ class ReportArrival(_Request):
     client : Client
         With the operator's link.
     name, namespace : str
+    number : int
+        Number of the robot, from 1.
     """
 
-    def __init__(self, client: Client, name: str = "report arrival", namespace: str = NAMESPACE) -> None:
+    def __init__(
+        self, client: Client, name: str = "report arrival", namespace: str = NAMESPACE, number: int = 1
+    ) -> None:  # fmt: skip
         super().__init__(name, namespace)
-        self._client = client
+        self._client, self._number = client, number
 
     def _asks(self) -> Callable[[], dict[str, Any]] | None:
         person = self.errand["person"]
-        return None if self.errand["arrived"] else lambda: self._client.arrived(person)
+        return None if self.errand["arrived"] else lambda: self._client.arrived(person, self._number)
 
 
 class Suggest(_Leaf):
@@ -205,7 +213,7 @@ class Suggest(_Leaf):
         return Status.SUCCESS
 
 
-def assistance(client: Client, robot: Robot, namespace: str = NAMESPACE) -> Behaviour:
+def assistance(client: Client, robot: Robot, namespace: str = NAMESPACE, number: int = 1) -> Behaviour:
     """Return the tree of a robot that does what the service advises, one errand in each round.
 
     Parameters
@@ -215,9 +223,11 @@ def assistance(client: Client, robot: Robot, namespace: str = NAMESPACE) -> Beha
     robot : Robot
     namespace : str
         Namespace of the blackboard; trees of several robots in one process need one each.
+    number : int
+        Number of the robot, from 1.
     """
     leaves: list[Behaviour] = [
-        GetAdvice(client, namespace=namespace), GoTo(robot, namespace=namespace),
-        ReportArrival(client, namespace=namespace), Suggest(robot, namespace=namespace),
+        GetAdvice(client, namespace=namespace, number=number), GoTo(robot, namespace=namespace),
+        ReportArrival(client, namespace=namespace, number=number), Suggest(robot, namespace=namespace),
     ]  # fmt: skip
     return Sequence("assist", memory=True, children=leaves)

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import MissingExtraError
 
-from ..web.client import RefusedError
+from ..web.client import RefusedError, robot_path
 from .messages import LONGEST_ID, MessageError, Report, fields_of
 from .mqtt_settings import MqttSettings
 from .ordering import Acknowledgements, InOrder
@@ -122,7 +122,7 @@ class MqttBridge:
         self._senders: dict[str, _Sender] = {}
         self._tasks = Tasks()
         instructed = None if settings.robot is None else self._instructed
-        self._watch = TeamWatch(self._session, self._advise, instructed, every=every)
+        self._watch = TeamWatch(self._session, self._advise, instructed, every=every, robots=settings.robots)
         self._kept: dict[str, bytes] = {}  # retained messages by topic
         self._waiting: dict[str | int, tuple[str, bytes, bool]] = {}  # to be published, in this order
         self._keys = count()
@@ -257,8 +257,8 @@ class MqttBridge:
                 if message.retain:
                     self._resume(own["person"], payload)
                 acknowledge()
-            elif arrived is not None and arrived.fields(topic) is not None:
-                self._tasks.start(self._arrived(payload, acknowledge))
+            elif arrived is not None and (fields := arrived.fields(topic)) is not None:
+                self._tasks.start(self._arrived(fields.get("robot", "1"), payload, acknowledge))
             else:
                 self._observed(topic, payload, acknowledge)
 
@@ -360,15 +360,17 @@ class MqttBridge:
             self._waiting[next(self._keys)] = (topic, json.dumps(answer).encode(), number is not None)
             self._wake.set()
 
-    async def _arrived(self, payload: bytes, acknowledge: Acknowledge) -> None:
-        """Report where the robot is: at a person, or at its base if there is none."""
+    async def _arrived(self, robot: str, payload: bytes, acknowledge: Acknowledge) -> None:
+        """Report where a robot is: at a person, or at its base if there is none."""
         try:
+            if robot not in map(str, range(1, self.settings.robots + 1)):
+                raise MessageError(f"robot {robot[:40]!r}; expected a number from 1 to {self.settings.robots}")
             fields = fields_of(payload)
             body = {"person": fields.get("person")} | ({"id": fields["id"]} if "id" in fields else {})
-            await self._session.ask("POST", "/api/robot/arrived", body)
+            await self._session.ask("POST", f"{robot_path(int(robot))}/arrived", body)
             self._watch.moved()
         except (MessageError, RefusedError) as error:
-            LOG.warning("MQTT: arrival of the robot: %s", error)
+            LOG.warning("MQTT: arrival of a robot: %s", error)
         acknowledge()
 
     # Advice.
@@ -384,8 +386,10 @@ class MqttBridge:
             self._waiting[next(self._keys)] = (self.settings.answers.fill(person=person), b"", True)
             self._wake.set()
 
-    def _instructed(self, errand: dict[str, Any]) -> None:
-        """Publish the robot's instruction whenever it has changed."""
+    def _instructed(self, robot: int, errand: dict[str, Any]) -> None:
+        """Publish a robot's instruction whenever it has changed."""
         output = self.settings.robot
         assert output is not None
-        self._publish(output.topic.text, json.dumps({name: errand[name] for name in output.fields}).encode())
+        self._publish(
+            output.topic.fill(robot=str(robot)), json.dumps({name: errand[name] for name in output.fields}).encode()
+        )

@@ -115,6 +115,8 @@ class MqttSettings:
         Where reports are answered, where the robot reports its place, and where the bridge shows that it works.
     wait : float
         Seconds for which later messages of a person wait for an earlier one.
+    robots : int
+        Number of robots; several have the field `{robot}`, a number from 1, in their topics.
     """
 
     sources: tuple[Source, ...]
@@ -129,10 +131,11 @@ class MqttSettings:
     arrived: Topic | None = None
     status: Topic | None = None
     wait: float = 10.0
+    robots: int = 1
 
     @classmethod
-    def read(cls, file: str | Path) -> MqttSettings:
-        """Read the settings from a TOML file.
+    def read(cls, file: str | Path, robots: int = 1) -> MqttSettings:
+        """Read the settings for so many robots from a TOML file.
 
         Raises
         ------
@@ -154,10 +157,10 @@ class MqttSettings:
                 sources, broker.host, port, broker.client, broker.username, broker.tls,
                 advice=_output(tables.advice, ["person"], ADVICE, VIEW, file, "advice"),
                 answers=_topic(tables.answers, ["person"], file, "answers"),
-                robot=_output(tables.robot, [], ROBOT, ERRAND, file, "robot"),
-                arrived=_topic(tables.arrived, [], file, "arrived"),
+                robot=_output(tables.robot, _of_robot(tables.robot, robots), ROBOT, ERRAND, file, "robot"),
+                arrived=_topic(tables.arrived, _of_robot(tables.arrived, robots), file, "arrived"),
                 status=_topic(tables.status, [], file, "status"),
-                wait=tables.wait,
+                wait=tables.wait, robots=robots,
             )  # fmt: skip
 
     def context(self, environment: Mapping[str, str] = os.environ) -> ssl.SSLContext | None:
@@ -200,6 +203,11 @@ def _checked(text: str, names: list[str], file: Path, place: str) -> Topic:
         expected = " and ".join(f"{{{name}}}" for name in names) or "no field"
         raise fault(file, f"{place}.topic", f"{text!r}; expected {expected} in it")
     return topic
+
+
+def _of_robot(table: OutputTable | TopicTable | None, robots: int) -> list[str]:
+    """Return the fields that the topic of robots needs: a number, which may be absent if there is one robot."""
+    return ["robot"] if robots > 1 or (table is not None and "{robot}" in table.topic) else []
 
 
 def _topic(table: TopicTable | None, names: list[str], file: Path, place: str) -> Topic | None:

@@ -19,6 +19,7 @@ import logging
 import uuid
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import count
 from random import Random
 from typing import Any
@@ -26,7 +27,7 @@ from typing import Any
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
-from ..web.client import RefusedError
+from ..web.client import RefusedError, robot_path
 from .messages import MessageError, Report
 from .ros2_settings import STRING, Observed, Output, Ros2Settings
 from .session_client import SessionClient
@@ -38,6 +39,28 @@ LOG = logging.getLogger(__name__)
 def _succeeded(message: Mapping[str, Any]) -> bool:
     """Return whether a goal was reached; 4 is ROS's status of success, which not all servers of the protocol send."""
     return message.get("result") is True and message.get("status", 4) == 4
+
+
+@dataclass
+class _Way:
+    """Where a robot is sent.
+
+    Attributes
+    ----------
+    robot : int
+        The robot's number, from 1.
+    instruction : dict or None
+        The service's last one.
+    to : str or None
+        Person to whom the robot has been sent.
+    goal : str or None
+        Id of the goal in progress.
+    """
+
+    robot: int
+    instruction: dict[str, Any] | None = None
+    to: str | None = None
+    goal: str | None = None
 
 
 class Ros2Bridge:
@@ -73,16 +96,14 @@ class Ros2Bridge:
         self._every, self._again, self._longest_pause = every, again, longest_pause
         self._observed = {one.topic: one for one in settings.observed}
         instructed = None if settings.go_to is None else self._instructed
-        self._watch = TeamWatch(self._session, self._advise, instructed, every=every)
+        self._watch = TeamWatch(self._session, self._advise, instructed, every=every, robots=settings.robots)
         self._tasks = Tasks()
         self._reports: dict[str, asyncio.Queue[Report]] = {}
         self._kept: dict[str | int, dict[str, Any]] = {}  # the last advice to each person, as messages
         self._waiting: dict[str | int, dict[str, Any]] = {}  # to be sent, in this order
         self._keys, self._wake = count(), asyncio.Event()
         self.connected = False
-        self._to: str | None = None  # the person to whom the robot has been sent
-        self._goal: str | None = None  # id of the goal in progress
-        self._instruction: dict[str, Any] | None = None
+        self._ways = [_Way(number) for number in range(1, settings.robots + 1)]
 
     async def run(self) -> None:
         """Work until cancelled. Lost connections to the server and to the service are restored.
@@ -136,13 +157,16 @@ class Ros2Bridge:
             await socket.send(json.dumps({"op": "subscribe", "topic": one.topic, "type": one.type}))
         self._waiting = {**self._kept, **self._waiting}
         self.connected = True
-        self._go()
+        for way in self._ways:
+            self._go(way)
         sending = asyncio.create_task(self._send(socket))
         try:
             async for text in socket:
                 self._received(text)
         finally:
-            self.connected, self._to, self._goal = False, None, None
+            self.connected = False
+            for way in self._ways:
+                way.to = way.goal = None
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
             # Results of goals cannot arrive any more. The next connection has a goal of its own.
@@ -187,8 +211,10 @@ class Ros2Bridge:
             return
         if op == "publish" and message.get("topic") in self._observed and isinstance(message.get("msg"), dict):
             self._reported(self._observed[message["topic"]], message["msg"])
-        elif op == "action_result" and message.get("id") == self._goal and self._goal is not None:
-            self._tasks.start(self._ended(message))
+        elif op == "action_result" and message.get("id") is not None:
+            for way in self._ways:
+                if message["id"] == way.goal:
+                    self._tasks.start(self._ended(way, message))
         elif op == "status" and message.get("level") in ("error", "warning"):
             LOG.warning("ROS 2: the server reports: %s", str(message.get("msg"))[:300])
 
@@ -255,23 +281,25 @@ class Ros2Bridge:
                 for person, message in self._kept.items():
                     self._queue(message, person)
 
-    # The robot.
+    # Robots.
 
-    def _instructed(self, errand: dict[str, Any]) -> None:
-        self._instruction = errand
-        self._go()
+    def _instructed(self, robot: int, errand: dict[str, Any]) -> None:
+        way = self._ways[robot - 1]
+        way.instruction = errand
+        self._go(way)
 
-    def _go(self) -> None:
-        """Send the robot to where it is to go, unless it has been sent there."""
-        go_to, errand = self.settings.go_to, self._instruction
+    def _go(self, way: _Way) -> None:
+        """Send a robot to where it is to go, unless it has been sent there."""
+        go_to, errand = self.settings.go_to, way.instruction
         if go_to is None or errand is None or not self.connected:
             return
         to = None if errand["arrived"] else errand["person"]
-        if to == self._to:
+        if to == way.to:
             return
-        if self._goal is not None:
-            self._queue({"op": "cancel_action_goal", "id": self._goal, "action": go_to.action})
-        self._to, self._goal = to, None
+        action = go_to.action.replace("{robot}", str(way.robot))
+        if way.goal is not None:
+            self._queue({"op": "cancel_action_goal", "id": way.goal, "action": action})
+        way.to, way.goal = to, None
         if to is None:
             return
         try:
@@ -279,30 +307,30 @@ class Ros2Bridge:
         except MessageError as error:
             LOG.warning("ROS 2: the robot is to go to %s, but %s", to, error)
             return
-        self._goal = uuid.uuid4().hex
+        way.goal = uuid.uuid4().hex
         self.counts["goals"] += 1
         self._queue(
             {
                 "op": "send_action_goal",
-                "id": self._goal,
-                "action": go_to.action,
+                "id": way.goal,
+                "action": action,
                 "action_type": go_to.type,
                 "args": goal,
             }
         )
 
-    async def _ended(self, message: Mapping[str, Any]) -> None:
-        """Report the robot's arrival when a goal has been reached, or try again."""
-        person, goal, self._goal = self._to, message["id"], None
+    async def _ended(self, way: _Way, message: Mapping[str, Any]) -> None:
+        """Report a robot's arrival when a goal has been reached, or try again."""
+        person, goal, way.goal = way.to, message["id"], None
         if _succeeded(message):
             self.counts["arrivals"] += 1
             try:
-                await self._session.ask("POST", "/api/robot/arrived", {"person": person, "id": goal})
+                await self._session.ask("POST", f"{robot_path(way.robot)}/arrived", {"person": person, "id": goal})
             except RefusedError as error:
                 LOG.warning("ROS 2: arrival of the robot: %s", error)
         else:
             LOG.warning("ROS 2: the robot did not reach %s: %s", person, str(message.get("values"))[:200])
             await asyncio.sleep(self._again)
-        if self._goal is None and self._to == person:
-            self._to = None
+        if way.goal is None and way.to == person:
+            way.to = None
         self._watch.moved()

@@ -125,6 +125,7 @@ class GoToAction:
     Attributes
     ----------
     action, type : str
+        In the action's name, `{robot}` is a robot's number, from 1.
     goal : dict
         The goal, in which `{person}` and the fields of the person's place are filled in.
     places : mapping of str to dict
@@ -183,6 +184,8 @@ class Ros2Settings:
     advice, answers : Output or None
         Where suggestions are published, and where reports are answered.
     go_to : GoTo or None
+    robots : int
+        Number of robots; each of several has an action of its own.
     """
 
     url: str
@@ -190,10 +193,11 @@ class Ros2Settings:
     advice: Output | None = None
     answers: Output | None = None
     go_to: GoToAction | None = None
+    robots: int = 1
 
     @classmethod
-    def read(cls, file: str | Path) -> Ros2Settings:
-        """Read the settings from a TOML file.
+    def read(cls, file: str | Path, robots: int = 1) -> Ros2Settings:
+        """Read the settings for so many robots from a TOML file.
 
         Raises
         ------
@@ -218,7 +222,7 @@ class Ros2Settings:
                 tables.rosbridge.url, observed,
                 advice=_output(tables.advice, ADVICE, VIEW, file, "advice"),
                 answers=_output(tables.answers, ANSWER, {*ANSWER}, file, "answers"),
-                go_to=_go_to(tables.go_to, file),
+                go_to=_go_to(tables.go_to, file, robots), robots=robots,
             )  # fmt: skip
 
 
@@ -256,10 +260,12 @@ def _output(
     return Output(table.topic, table.type, table.fields or usual)
 
 
-def _go_to(table: GoToTable | None, file: Path) -> GoToAction | None:
+def _go_to(table: GoToTable | None, file: Path, robots: int) -> GoToAction | None:
     if table is None:
         return None
-    _checked(table.action, table.type, file, "go_to")
+    if robots > 1 and "{robot}" not in table.action:
+        raise fault(file, "go_to.action", f"{table.action!r}; expected {{robot}} in it")
+    _checked(table.action.replace("{robot}", "1"), table.type, file, "go_to")
     go_to = GoToAction(table.action, table.type, table.goal, table.places)
     for person in table.places:
         try:

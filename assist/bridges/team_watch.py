@@ -1,4 +1,4 @@
-"""The views of everybody in a team and the robot's instruction, kept current for a bridge."""
+"""The views of everybody in a team and the robots' instructions, kept current for a bridge."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Coroutine
 from typing import Any
 
+from ..web.client import robot_path
 from .session_client import SessionClient
 
 LOG = logging.getLogger(__name__)
@@ -39,7 +40,7 @@ class Tasks:
 
 
 class TeamWatch:
-    """Watches everybody in the team, and where the robot is to go.
+    """Watches everybody in the team, and where robots are to go.
 
     Parameters
     ----------
@@ -47,20 +48,24 @@ class TeamWatch:
     seen : callable
         Called with a person and the person's view now and after every change, and with None when the person has left.
     instructed : callable or None
-        Called with the robot's instruction whenever it may have changed.
+        Called with a robot's number, from 1, and its instruction, whenever it may have changed.
     every : float
         Seconds between two looks at who is in the team. Fewer add load, more delay the first advice to those who join.
+    robots : int
+        Number of robots.
     """
 
     def __init__(
         self,
         session: SessionClient,
         seen: Callable[[str, dict[str, Any] | None], None],
-        instructed: Callable[[dict[str, Any]], None] | None = None,
+        instructed: Callable[[int, dict[str, Any]], None] | None = None,
         *,
         every: float = 5.0,
+        robots: int = 1,
     ) -> None:
         self._session, self._seen, self._instructed, self._every = session, seen, instructed, every
+        self._robots = robots
         self._watched: dict[str, asyncio.Task[None]] = {}
         self._tasks, self._moved = Tasks(), asyncio.Event()
 
@@ -102,11 +107,12 @@ class TeamWatch:
         self._seen(person, None)
 
     def moved(self) -> None:
-        """Ask for the robot's instruction again."""
+        """Ask for the robots' instructions again."""
         self._moved.set()
 
     async def _robot(self) -> None:
         while self._instructed is not None:
             await self._moved.wait()
             self._moved.clear()
-            self._instructed(await self._session.ask("GET", "/api/robot"))
+            for number in range(1, self._robots + 1):
+                self._instructed(number, await self._session.ask("GET", robot_path(number)))

@@ -70,9 +70,7 @@ def serve(
         raise click.UsageError(
             f"{' and '.join(missing)}: missing; expected INSTANCE and --humans K, or --study FILE.toml"
         )
-    if bridge is not None and team["robots"] > 1:
-        raise click.UsageError(f"--bridge with --robots {team['robots']}: expected one robot")
-    beside = None if bridge is None else bridge_of(bridge)
+    beside = None if bridge is None else bridge_of(bridge, team["robots"])
     with policy_errors():
         plan = replace(plan_of(instances, **team), public_url=public_url, trusted_proxies=trusted_proxy)
         try:

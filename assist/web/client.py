@@ -157,19 +157,15 @@ class Client:
         found: dict[str, Any] = self.ask("GET", f"{self._path(person)}/explanation?{urlencode(asked)}")
         return found
 
-    @staticmethod
-    def _robot(number: int) -> str:
-        return "/api/robot" if number == 1 else f"/api/robots/{number}"  # so that earlier services understand it
-
     def robot(self, number: int = 1) -> dict[str, Any]:
         """Return where a robot, by its number from 1, should go and what it should suggest there."""
-        errand: dict[str, Any] = self.ask("GET", self._robot(number))
+        errand: dict[str, Any] = self.ask("GET", robot_path(number))
         return errand
 
     def arrived(self, person: str | None, number: int = 1) -> dict[str, Any]:
         """Report where a robot is (None: at its base); return the robot's next instruction."""
         body = {"person": person, "id": uuid.uuid4().hex}
-        errand: dict[str, Any] = self.ask("POST", f"{self._robot(number)}/arrived", body)
+        errand: dict[str, Any] = self.ask("POST", f"{robot_path(number)}/arrived", body)
         return errand
 
     def team(self) -> dict[str, Any]:
@@ -229,6 +225,11 @@ class Client:
                 if time.monotonic() > heard + self.patience:
                     raise
             time.sleep(self._pause)
+
+
+def robot_path(number: int) -> str:
+    """Return the path of a robot's instruction, by its number from 1."""
+    return "/api/robot" if number == 1 else f"/api/robots/{number}"  # so that earlier services understand it
 
 
 def _detail(error: urllib.error.HTTPError) -> str:

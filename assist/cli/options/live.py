@@ -201,8 +201,8 @@ def _require_known(chosen: Mapping[str, str], people: Collection[str], tasks: Co
                 raise click.UsageError(f"tasks.{name}: there is no {what} {one!r}; {expected(one, list(known))}")
 
 
-def bridge_of(file: Path) -> Callable[[str], Bridge]:
-    """Read the settings of a bridge; return a function that makes the bridge, given the operator's link.
+def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
+    """Read the settings of a bridge of so many robots; return a function that makes it, given the operator's link.
 
     The settings of an OPC UA bridge have a table `server`, those of a ROS 2 bridge a table `rosbridge`. Others are of
     an MQTT bridge.
@@ -227,12 +227,12 @@ def bridge_of(file: Path) -> Callable[[str], Bridge]:
     try:
         tables = typed_toml.load(file)
         if "rosbridge" in tables:
-            return partial(Ros2Bridge, Ros2Settings.read(file))
+            return partial(Ros2Bridge, Ros2Settings.read(file, robots))
         if "server" in tables:
             opcua.library()
             return partial(opcua.OpcUaBridge, OpcUaSettings.read(file))
         mqtt.library()
-        settings = MqttSettings.read(file)
+        settings = MqttSettings.read(file, robots)
         settings.context()
         return partial(mqtt.MqttBridge, settings)
     except (InputFileError, OSError) as error:
