@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,9 +13,13 @@ from planner import load
 from planner.system.files import each_record
 
 from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option
+from .options.goals import goal_list_options, several_goals
 from .options.help import command
 from .options.task import one_instance
 from .terminal.console import ExitCode, fail, print_json
+
+if TYPE_CHECKING:
+    from ..people.goals import Goals
 
 
 @command("draw kitting/tiny --out tiny.svg")
@@ -22,6 +29,7 @@ from .terminal.console import ExitCode, fail, print_json
 @click.option("--plan", type=INPUT_FILE, help="Plan to draw: one action per line, as written by `solve --out`.")
 @click.option("--trace", type=INPUT_FILE, help="Trace to draw (JSON Lines), as written by `simulate --trace`.")
 @click.option("--episode", metavar="E", help="Episode of the trace. The first unless given.")
+@goal_list_options
 @click.option(
     "--width", type=click.IntRange(200, 4000), default=760, show_default=True, help="Approximate width in pixels."
 )
@@ -29,11 +37,14 @@ from .terminal.console import ExitCode, fail, print_json
 @json_option
 def draw(
     instance: str, domain: str | None, state: Path | None, plan: Path | None, trace: Path | None, episode: str | None,
-    width: int, out: Path, as_json: bool,
+    problems: tuple[str, ...], goal_prior: tuple[str, ...], width: int, out: Path, as_json: bool,
 ) -> None:  # fmt: skip
-    """Draw a state, a plan or an episode as a picture (.svg, .png) or an animation (.gif, .html)."""
+    """Draw a state, a plan or an episode as a picture (.svg, .png) or an animation (.gif, .html).
+
+    With --goals, an episode shows how probable each goal was.
+    """
     from ..drawing.files import FORMATS, save
-    from ..drawing.frames import Frame, FramesError, episode_frames, plan_frames
+    from ..drawing.frames import Frame, FramesError, episode_frames, episode_of, plan_frames, with_goals
     from ..drawing.picture import Artist
     from ..drawing.profile import ProfileError
     from ..drawing.raster import require
@@ -45,11 +56,14 @@ def draw(
     apart({"--state": state, "--plan": plan, "--trace": trace})
     if episode is not None and not trace:
         raise click.UsageError("--episode: expected --trace as well")
+    if (problems or goal_prior) and not trace:
+        raise click.UsageError("--goals: expected --trace as well, the actions from which goals are inferred")
     separate_files({"--out": out}, {"--state": state, "--plan": plan, "--trace": trace})
     require(out.suffix)
     found = one_instance(instance, domain)
+    goals = several_goals(instance, problems, goal_prior, domain=domain)
     try:
-        artist = Artist(load(found))
+        artist = Artist(load(found), goal=goals is None)
         if plan:
             lines = (line.partition(";")[0].strip() for line in plan.read_text(encoding="utf-8").splitlines())
             rows = plan_frames(artist, [line for line in lines if line and line != "SequentialPlan:"])
@@ -58,7 +72,10 @@ def draw(
             damaged = next((record for record in records if isinstance(record, Exception)), None)
             if damaged is not None:
                 raise damaged
-            rows = episode_frames(artist, [record for record in records if isinstance(record, dict)], episode)
+            known = [record for record in records if isinstance(record, dict)]
+            rows = episode_frames(artist, known, episode)
+            if goals is not None:
+                rows = with_goals(rows, _shares(goals, episode_of(known, episode)))
         else:
             values = read_state(state, artist.subject) if state else artist.subject.initial
             rows = [(Frame(tuple(values), "State" if state else "Start"),)]
@@ -77,3 +94,23 @@ def draw(
         print_json(record)
     else:
         click.echo(f"{out}: {frames} frame{'s'[: frames > 1]}, {record['bytes']:,} bytes")
+
+
+def _shares(goals: Goals, rows: Sequence[Mapping[str, Any]]) -> list[list[dict[str, float]]]:
+    """Return the probability of each goal of each person of an episode, before each of its steps and at the end."""
+    from ..learning.goals import infer_goals
+    from ..learning.log import Log
+
+    people, steps = (
+        list(dict.fromkeys(str(row.get("person")) for row in rows)),
+        sorted({int(row["step"]) for row in rows}),
+    )
+    found = infer_goals(goals.tables, Log.of(rows, gaps=True, name="the trace"), prior=goals.prior, strict=True)
+    after = {record["person"]: record["steps"] for record in found.as_dicts()}
+    return [
+        [
+            next((one["posterior"] for one in reversed(after.get(person, [])) if one["step"] < step), dict(goals.prior))
+            for step in [*steps, math.inf]
+        ]
+        for person in people
+    ]

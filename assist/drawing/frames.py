@@ -7,7 +7,7 @@ the robot's location and its suggestions.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ..people.action_names import words_of
@@ -16,7 +16,7 @@ from .layout import TAG, Layout, text_width
 from .picture import MARGIN, WIDTH, Artist, Picture
 
 CAPTION = 3 * TAG
-"""Height of the caption of a frame, in pixels: title, action and advice."""
+"""Height of the caption of a frame, in pixels: title, action and advice; goals are a further line."""
 
 
 class FramesError(ValueError):
@@ -41,6 +41,8 @@ class Frame:
         The objects of the action, and those of the suggestion.
     robot : bool
         Whether the robot was with this person.
+    goals : str
+        The probable goals of the person; empty if the goal is known.
     """
 
     values: tuple[int, ...]
@@ -50,10 +52,11 @@ class Frame:
     acted: frozenset[str] = frozenset()
     hint: frozenset[str] = frozenset()
     robot: bool = False
+    goals: str = ""
 
     def text(self) -> str:
         """Return one line that describes the frame."""
-        return " ".join(part for part in (f"{self.title}:", self.done or "the end.", self.advice) if part)
+        return " ".join(part for part in (f"{self.title}:", self.done or "the end.", self.advice, self.goals) if part)
 
 
 Row = tuple[Frame, ...]
@@ -99,15 +102,7 @@ def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: 
     FramesError
         The trace has no such episode, or an action is not applicable in its state.
     """
-    rows = list(trace)
-    names = list(dict.fromkeys(str(row.get("episode")) for row in rows))
-    if not names:
-        raise FramesError("the trace is empty")
-    matching = [name for name in names if name == episode or name.endswith(f"-{episode}")]
-    episode = names[0] if episode is None else matching[0] if len(matching) == 1 else episode
-    if episode not in names:
-        raise FramesError(f"episode {episode!r}: the trace has {', '.join(names[:10])}{' ...' * (len(names) > 10)}")
-    mine = [row for row in rows if str(row.get("episode")) == episode]
+    mine = episode_of(list(trace), episode)
     people = list(dict.fromkeys(str(row.get("person")) for row in mine))
     steps = sorted({int(row["step"]) for row in mine})
     found = []
@@ -117,7 +112,7 @@ def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: 
         for step in steps:
             row, after = own.get(step), values
             if row is not None:
-                place_in = f"{person}, {episode}, step {step}"
+                place_in = f"{person}, {row.get('episode')}, step {step}"
                 row = dict(row)
                 if row.get("suggestion"):
                     row["suggestion"] = _meant(artist, row["suggestion"], values, place_in)[0]
@@ -127,6 +122,40 @@ def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: 
             values = after
         found.append((*frames, Frame(tuple(values), f"{person}, end")))
     return found
+
+
+def episode_of(rows: Sequence[Mapping[str, Any]], episode: str | None = None) -> list[Mapping[str, Any]]:
+    """Return the rows of one episode of a trace; parameters and errors as in `episode_frames`."""
+    names = list(dict.fromkeys(str(row.get("episode")) for row in rows))
+    if not names:
+        raise FramesError("the trace is empty")
+    matching = [name for name in names if name == episode or name.endswith(f"-{episode}")]
+    episode = names[0] if episode is None else matching[0] if len(matching) == 1 else episode
+    if episode not in names:
+        raise FramesError(f"episode {episode!r}: the trace has {', '.join(names[:10])}{' ...' * (len(names) > 10)}")
+    return [row for row in rows if str(row.get("episode")) == episode]
+
+
+def with_goals(rows: Sequence[Row], shares: Sequence[Sequence[Mapping[str, float]]], *, most: int = 3) -> list[Row]:
+    """Return frames with the most probable goals of each person at each time.
+
+    Parameters
+    ----------
+    rows : list of tuple of Frame
+    shares : sequence, shape (people, frames), of mapping of str to float
+        The probability of each goal.
+    most : int
+        Number of goals that are named.
+    """
+
+    def named(share: Mapping[str, float]) -> str:
+        first = sorted(share, key=lambda name: -share[name])[:most]
+        return f"goal: {', '.join(f'{name} {share[name]:.0%}' for name in first)}{', ...' * (len(share) > most)}"
+
+    return [
+        tuple(replace(frame, goals=named(share)) for frame, share in zip(row, own, strict=True))
+        for row, own in zip(rows, shares, strict=True)
+    ]
 
 
 def _meant(artist: Artist, text: str, values: Sequence[int], where: str) -> tuple[str, list[int]]:
@@ -182,7 +211,7 @@ def draw_strip(artist: Artist, rows: Sequence[Row], *, width: float = WIDTH, the
             parts.append(f'<g class="ka-step" data-step="{place}">')
             parts += [
                 *_caption(frame, x, y),
-                *svg.draw_layout(cell[frame], x, y + CAPTION, frame.acted, frame.hint),
+                *svg.draw_layout(cell[frame], x, y + _caption_height(frame), frame.acted, frame.hint),
             ]
             parts.append("</g>")
             texts.append(frame.text())
@@ -218,7 +247,7 @@ def draw_frames(
             frame = row[step]
             parts += [
                 *_caption(frame, x, y),
-                *svg.draw_layout(cell[frame], x, y + CAPTION, frame.acted, frame.hint),
+                *svg.draw_layout(cell[frame], x, y + _caption_height(frame), frame.acted, frame.hint),
             ]
             texts.append(frame.text())
         text = " ".join(texts)
@@ -231,14 +260,18 @@ def draw_frames(
 def _cells(artist: Artist, rows: Sequence[Row], width: float) -> tuple[dict[Frame, Layout], tuple[float, float]]:
     """Return the layouts of all frames, and the size of a cell in which each fits."""
     found = {frame: artist.layout(frame.values, width) for row in rows for frame in row}
-    words = max(text_width(line) for frame in found for line in (frame.title, frame.done, frame.advice))
+    words = max(text_width(line) for frame in found for line in (frame.title, frame.done, frame.advice, frame.goals))
     wide = max(words + 10, *(layout.width for layout in found.values()))
     high = max(layout.height for layout in found.values())
-    return found, (wide + 2 * MARGIN, high + CAPTION + MARGIN)
+    return found, (wide + 2 * MARGIN, high + max(map(_caption_height, found)) + MARGIN)
+
+
+def _caption_height(frame: Frame) -> float:
+    return CAPTION + (TAG if frame.goals else 0)
 
 
 def _caption(frame: Frame, x: float, y: float) -> list[str]:
-    """Return the caption of a frame: title, action and advice, with an icon if the robot is there."""
+    """Return the caption of a frame: title, action, advice and goals, with an icon if the robot is there."""
     parts = []
     if frame.robot:
         parts.append(svg.icon("robot", x, y, "ka-here"))
@@ -246,4 +279,6 @@ def _caption(frame: Frame, x: float, y: float) -> list[str]:
     parts.append(svg.text(x, y + 14 + TAG, frame.done))
     if frame.advice:
         parts.append(svg.text(x, y + 14 + 2 * TAG, frame.advice, "ka-said"))
+    if frame.goals:
+        parts.append(svg.text(x, y + 14 + 3 * TAG, frame.goals, "ka-small"))
     return parts
