@@ -67,6 +67,8 @@ def test_attention_to_people_who_do_what_they_are_told() -> None:
         free = qmdp(AttentionSubproblem.of(pool.policies[0].pomdp, 0.02, int(time)).pomdp, tolerance=1e-12).value_mdp
         np.testing.assert_allclose(kind.tail, free, atol=1e-5)
         assert (kind.tail >= free - 1e-9).all()
+        left = kind.simulated(np.array([0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0]), 8, 5, 0)[0]
+        assert left.tolist()[:5] == [*attended[:4], 0]  # the robot leaves before the price
     assert kind.simulated(np.full(7, 9.0), 3, 5, 0)[0].tolist() == [0] * 7
 
 
@@ -95,8 +97,9 @@ def test_prices_on_a_truncated_task(truncated: SubproblemKind) -> None:
     kind, price = truncated, np.array([1.0, 0.5, 0.2])
     assert (kind.count, len(kind.visits.price)) == (2, 0)
     assert kind.outer is not None
+    kind = replace(kind, pairs=3)
     visits = kind.at(price)
-    kept = likely(kind.visits.alone, 3, kind.pairs)
+    kept = likely(kind.visits.alone, 3, 3)
     plain = AttentionSubproblem.of(kind.visits.alone, kind.visits.entry, kind.visits.entry_steps, price, kept=kept)
     for found, same in ((visits, plain), (kind.at(np.zeros(0)), kind.visits)):
         np.testing.assert_array_equal(found.layout.x, same.layout.x)
@@ -194,7 +197,11 @@ def test_steps_with_prices(ways: list[tuple[int, int, int]], options: dict[str, 
 
 
 def test_steps_with_prices_for_people_who_stray() -> None:
-    pool = pool_of([(2, 1, 1), (1, 0, 1), (1, 2, 1)], 2, 3, population=Population(beta=(0.0, 0.1)))
+    """If the robot's model is of people who do not stray, two of them are at work for two steps."""
+    ways = [(2, 1, 1), (1, 0, 1), (1, 2, 1)]
+    strays, sure = (Population(beta=(beta, beta)) for beta in (0.0, 40.0))
+    assert window_of(pool_of(ways, 2, population=strays, prior=sure), (0, 1), 0, at_work=0) == 4  # type: ignore[arg-type]
+    pool = pool_of(ways, 2, 3, population=Population(beta=(0.0, 0.1)))
     alone = simulate(pool, "none", humans=[0, 1, 2], episodes=64, seed=4, world="model").actions
     busy = [np.mean([sum(actions > step for actions in one) for one in alone]) for step in range(24)]
     for at_work in (0.1, 0.2, 0.4, 0.6):

@@ -14,7 +14,7 @@ from ..person.policy import Policy
 from ..person.qmdp import evaluate
 from .assignment import assigned
 from .by_policy import ByPolicy
-from .state import NOBODY, TeamAction, TeamState
+from .state import BASE, NOBODY, TeamAction, TeamState
 from .travel import Travel
 
 
@@ -26,7 +26,7 @@ class NoAssistance:
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return no action for every team."""
-        nobody = np.full(team.location.shape, NOBODY, dtype=np.int64)
+        nobody = np.full(team.location.shape, NOBODY)
         return TeamAction(nobody, np.zeros_like(nobody))
 
 
@@ -52,7 +52,7 @@ class Reactive:
             nearness = 1.0 + float(team.travel.distance.max()) - far  # positive, so that it never pays to be idle
             return team.act(assigned(team, np.where(wanted[:, None], nearness, -np.inf)), robot)
         teams = np.arange(len(team.x))
-        stay = (team.location >= 0) & wanted[teams, team.location]
+        stay = (team.location != BASE) & wanted[teams, team.location]
         person = np.where(stay, team.location, np.where(wanted.any(axis=1), wanted.argmax(axis=1), NOBODY))
         return team.act(person, robot)
 
