@@ -84,6 +84,10 @@ CASES = {
     ),
     "confidence": ("--seeds 100", "--seeds 5 --settings 1"),
     "random_pddl": ("100 --jobs 2", "10"),
+    "robots": (
+        "--humans 6 --episodes 500 --rollout-episodes 50 --time-limit 10",
+        "--humans 2 --robots 2 --instance tiny --episodes 20 --rollout-episodes 4 --time-limit 1",
+    ),
     "signals": ("--walks 200", "kitting/tiny --walks 10"),
     "start": ("--repeat 3", "--repeat 1"),
     "study": ("--humans 2 --people 4", "--check"),
