@@ -16,8 +16,8 @@ REFUSED = 0.02
 """The share of comparisons that the program may refuse by design."""
 
 
-HUNDREDS = [number for number in range(8, 210) if number not in (20, 193)]
-"""Two hundred settings. The two left out take 75 s of a processor, as 60 others do; `bench/crosscheck.py` has them."""
+SETTINGS = [number for number in range(9, 210, 2) if number != 193]
+"""A hundred settings. Number 193 takes half a minute; `bench/crosscheck.py 200` checks it and those between."""
 
 
 def assert_no_violation(numbers: Sequence[int]) -> list[Outcome]:
@@ -41,8 +41,8 @@ def test_no_policy_exceeds_a_bound() -> None:
     assert len(near) >= len(outcomes) / 2
 
 
-def test_two_hundred_settings_have_all_features() -> None:
-    cases = [Case.of(number) for number in HUNDREDS]
+def test_a_hundred_settings_have_all_features() -> None:
+    cases = [Case.of(number) for number in SETTINGS]
     for has in (
         lambda case: case.part is not None, lambda case: case.part is None, lambda case: case.paths > 0,
         lambda case: case.late, lambda case: case.setting.execute, lambda case: case.setting.lapse == 0,
@@ -57,8 +57,8 @@ def test_two_hundred_settings_have_all_features() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(0, 200, 25))
-def test_no_policy_exceeds_a_bound_in_two_hundred_settings(first: int) -> None:
-    outcomes = assert_no_violation(HUNDREDS[first : first + 25])
+@pytest.mark.parametrize("first", range(0, 100, 20))
+def test_no_policy_exceeds_a_bound_in_a_hundred_settings(first: int) -> None:
+    outcomes = assert_no_violation(SETTINGS[first : first + 20])
     compared = sum(len(outcome.kinds) for outcome in outcomes)
     assert sum(outcome.refused for outcome in outcomes) <= 2 * REFUSED * compared
