@@ -24,11 +24,14 @@ from assist.explain import (
 )
 from assist.explain.contrast import Consequence
 from assist.explain.explanation import Cause
-from assist.live import Advice, Assistant, InapplicableError, UnknownError
+from assist.live import Advice, Assistant, InapplicableError, TraceReasons, UnknownError
 from assist.live.live_task import LiveTask
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
+from assist.person.observation_model import ObservationModel
 from assist.person.qmdp import QMDP, look_ahead
+from assist.simulation import Pool, simulate
+from assist.simulation.trace import Trace
 from assist.team.settings import Setting
 from assist.texts import Catalogue, catalogue, languages
 from planner import CostToGo, Instance, OnDemand, Table, optimal_choices
@@ -476,6 +479,38 @@ def test_large_tasks_are_explained_too() -> None:
     found = assistant.recommend().explanation
     assert found.nothing is not None or found.step is not None
     assert found.text()
+
+
+@pytest.mark.parametrize("options", [{}, {"robots": 2}, {"observation": ObservationModel(0.1, 0.1)}])
+def test_a_trace_explains_suggestions_as_a_live_team_does(options: dict[str, Any]) -> None:
+    """The trace is otherwise the same to the byte, also with a policy that uses no beliefs."""
+    known = table("kitting/tiny")
+    pool = Pool.sample(known, 3, seed=1, setting=replace(SETTING, **options))
+    for policy in ("attention", "reactive"):
+        plain, explained = Trace(), Trace()
+        for trace, reasons in ((plain, None), (explained, TraceReasons(pool, known))):
+            simulate(pool, policy, humans=[2, 0], episodes=10, seed=3, trace=trace, reasons=reasons)
+        reasons = [row.pop("explanation", None) for row in explained]
+        assert explained == plain
+        if not pool.setting.observation:  # else a suggestion may not be applicable in the true state
+            assert [reason is not None for reason in reasons] == [row["suggestion"] is not None for row in plain]
+        assert any(reasons)
+        for row, reason in zip(plain, reasons, strict=True):
+            if reason is not None:
+                assert reason["now"]["prospect"]["person"] == row["person"]
+                assert reason["step"]["step"] == row["suggestion"] or pool.setting.observation
+                assert reason["text"].startswith("I suggest that you ")
+    if options:
+        return
+    live = Assistant(people={row["person"]: pool.policies[0] for row in plain}, policy="reactive", setting=pool.setting)
+    for row, reason in zip(plain, reasons, strict=True):
+        if row["episode"] == "reactive-0":
+            if row["place"] == 0:
+                advice = live.recommend()
+            if reason is not None:
+                live_one = advice.explanation.as_dict()
+                assert [live_one[part] for part in ("step", "now")] == [reason["step"], reason["now"]]
+            live.observe(row["person"], row["action"])
 
 
 def test_advice_stays_what_it_was() -> None:

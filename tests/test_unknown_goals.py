@@ -456,8 +456,20 @@ def test_the_command(tmp_path: Path) -> None:
     assert (result.exit_code, "expected people whose goal is known" in result.stderr) == (1, True)
     result = invoke(*given[:2], *given[4:], "--goal-prior", "travel=1")
     assert (result.exit_code, "--goal-prior: expected --goals, too" in result.stderr) == (2, True)
-    asks = invoke(*given, "--ask", "0.1", "--json")
-    assert json.loads(asks.stdout)["policies"][0]["questions"] > 0
+    asks = invoke(*given, "--ask", "0.1", "--trace", tmp_path / "asked.jsonl", "--json")
+    questions = json.loads(asks.stdout)["policies"][0]["questions"]
+    assert questions > 0
+    trace = [json.loads(line) for line in (tmp_path / "asked.jsonl").read_text().splitlines()]
+    asked = [(row["question"], row["goal"]) for row in trace if "question" in row]
+    assert len(asked) == 20 * questions
+    assert all(one["answer"] == (one["goal"] == goal) and one["worth"] > 0 for one, goal in asked)
+    for options, message in (
+        (["--ask", "1", "--miss", ".1"], "--ask with --miss: a simulated robot asks only where it sees all actions"),
+        (["--goal-knowledge", "likeliest", "--confusion", ".1"], "likeliest with --confusion: expected inferred or k"),
+        (["--reasons"], "--reasons: expected --trace, too"),
+    ):
+        result = invoke(*given, *options)
+        assert (result.exit_code, message in " ".join(result.stderr.split())) == (2, True)
     result = invoke(*given[:2], *given[4:], "--ask", "1")
     assert (result.exit_code, "--ask: expected --goals, too" in result.stderr) == (2, True)
     result = invoke(*given, "--max-states", "10")

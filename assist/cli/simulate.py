@@ -30,6 +30,7 @@ from .terminal.console import print_json
 )  # fmt: skip
 @click.option("--out", type=OUTPUT_FILE, help="Write one record per episode (JSON Lines).")
 @click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines).")
+@click.option("--reasons", is_flag=True, help="Explain each suggestion in the trace.")
 @click.option("--figure", type=OUTPUT_FILE, help="Plot an episode in which the last policy saved actions (.png, .svg).")
 @click.option(
     "--max-steps",
@@ -46,10 +47,11 @@ from .terminal.console import print_json
 @json_option
 def simulate(
     instance: str, names: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
-    figure: Path | None, as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...], goal_knowledge: str,
-    miss: float, confusion: float, ask: float | None, ask_error: float, **team: Any,
+    reasons: bool, figure: Path | None, as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...],
+    goal_knowledge: str, miss: float, confusion: float, ask: float | None, ask_error: float, **team: Any,
 ) -> None:  # fmt: skip
     """Simulate a team of people and a robot that assists them, and compare policies."""
+    from ..live.trace_reasons import TraceReasons
     from ..person.observation_model import ObservationModel
     from ..plots import style
     from ..plots.episode import episode_figure
@@ -60,7 +62,14 @@ def simulate(
     size = size or max(12, team["humans"])
     team |= questions_of(ask, ask_error, problems)
     team["observation"] = ObservationModel(miss, confusion)
+    for option, value in {"--miss": miss, "--confusion": confusion}.items():
+        if value and ask is not None:
+            raise click.UsageError(f"--ask with {option}: a simulated robot asks only where it sees all actions")
+        if value and problems and goal_knowledge == "likeliest":
+            raise click.UsageError(f"--goal-knowledge likeliest with {option}: expected inferred or known")
     separate_files({"--out": out, "--trace": trace, "--figure": figure}, {"--population": team["population_file"]})
+    if reasons and trace is None:
+        raise click.UsageError("--reasons: expected --trace, too")
     if figure:
         style.require()
         if figure.suffix not in style.FORMATS:
@@ -72,6 +81,7 @@ def simulate(
         options = {"humans": team["humans"], "seed": team["seed"], "travel": made.travel, "goals": goal_knowledge}
         steps: list[Any] = []
         kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": team["memory_limit"]}
+        kept["reasons"] = TraceReasons(made.pool, made.known) if reasons else None
         for name, policy in policies.items():
             ready = made.prepared(policy)
             with stages() as show:

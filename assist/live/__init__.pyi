@@ -12,3 +12,4 @@ from .people_store import PeopleStore as PeopleStore
 from .session import Session as Session
 from .store import JournalError as JournalError
 from .store import Tombstone as Tombstone
+from .trace_reasons import TraceReasons as TraceReasons

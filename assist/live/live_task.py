@@ -89,6 +89,8 @@ class LiveTask:
     setting : Setting
     prior : Population or Mixture
         The robot's prior of people.
+    policy : Policy, optional
+        The policy for one person, if there is one already.
 
     Attributes
     ----------
@@ -98,9 +100,15 @@ class LiveTask:
         The place at which people begin.
     """
 
-    def __init__(self, task: CostToGo | Goals | Policy, setting: Setting, prior: Population | Mixture) -> None:
+    def __init__(
+        self,
+        task: CostToGo | Goals | Policy,
+        setting: Setting,
+        prior: Population | Mixture,
+        policy: Policy | None = None,
+    ) -> None:
         self.task, self.prior = task, prior
-        self.policy = task if isinstance(task, Policy) else _policy_for(task, setting, prior)
+        self.policy = policy or (task if isinstance(task, Policy) else _policy_for(task, setting, prior))
         self.initial = self.policy.task.initial
         # Local problems exist only while a person is in their state.
         self._around: WeakValueDictionary[int, TaskPart] = WeakValueDictionary()

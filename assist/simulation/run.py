@@ -13,7 +13,7 @@ from ..people.goals import drawn_goals, given_likeliest
 from ..person.dynamics import PeopleArrays
 from ..team.action_check import check
 from ..team.questions import answered
-from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
+from ..team.state import BASE, NOBODY, PolicyError, TeamAction, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
 from .episodes import Episodes
@@ -43,6 +43,9 @@ class StepTaken(NamedTuple):
 
 class Run:
     """A chunk of episodes in progress; the episodes are the first axis of all arrays."""
+
+    keeps_beliefs = False
+    """Whether beliefs are kept for policies, too, that do not use them."""
 
     def __init__(
         self,
@@ -99,7 +102,8 @@ class Run:
         self.location = np.full((len(numbers), self.robots), BASE, dtype=np.int64)
         self.busy_until = np.zeros((len(numbers), self.robots), dtype=np.int64)
         self.belief: Floats | None = None
-        if getattr(policy, "uses_belief", True):
+        uses_belief = getattr(policy, "uses_belief", True)
+        if uses_belief or self.keeps_beliefs:
             self.belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
             if pool.goals > 1 and goals == "known":
                 own = np.arange(pool.goals) == goal[:, :, None]
@@ -116,7 +120,7 @@ class Run:
                 pool.setting.observation, visible, belief if self.belief is None else self.belief
             )
             self.belief = None
-        self.questions = parts.questions if self.belief is not None else None
+        self.questions = parts.questions if uses_belief and self.belief is not None else None
         self.asked = np.zeros(len(numbers), dtype=np.int64)
         self.actions = np.zeros(shape, dtype=np.int64)
         self.costs = np.zeros(shape)
@@ -198,6 +202,12 @@ class Run:
     def watch(self, taken: StepTaken) -> None:
         """See each step that has been taken; a `TracedRun` writes it down."""
 
+    def decided(self, team: TeamState, action: TeamAction, teams: NDArray[np.int64]) -> None:
+        """See what the robots of some teams, given by their numbers, do in a step, before it is carried out."""
+
+    def asked_about(self, team: int, place: int, goal: int, *, yes: bool, worth: float) -> None:
+        """See a question that was asked, and its answer."""
+
     def _ask(self, teams: NDArray[np.int64], active: NDArray[np.bool_], x: NDArray[np.int64], charged: Floats) -> None:
         """Ask the person in each team for whom it is worth most about their goal, if it is worth its cost."""
         if self.questions is None or self.belief is None:
@@ -221,6 +231,7 @@ class Run:
             )
             charged[team, k] += self.questions.cost
             self.asked[team] += 1
+            self.asked_about(team, k, int(about[team, k]), yes=yes, worth=float(worth[team, k]))
 
     def _robot(
         self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: StepView
@@ -255,6 +266,7 @@ class Run:
             check(team, action)
         except PolicyError as error:
             raise PolicyError(f"{getattr(self.policy, 'place', self.name)}: {error}") from None
+        self.decided(team, action, free)
         person, does = (array.reshape(len(free), self.robots) for array in (action.person, action.robot))
         rows, number = np.nonzero(person != NOBODY)
         teams, to, does = free[rows], person[rows, number], does[rows, number]

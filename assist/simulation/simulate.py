@@ -34,7 +34,7 @@ from .schedule import Schedule
 from .suggestion_search import with_threshold
 from .task_parts import TaskParts
 from .task_view import GoalKnowledge
-from .trace import Trace
+from .trace import Reasons, Trace
 from .traced_run import TracedRun
 
 SOLVING = "solving people's POMDPs"
@@ -56,6 +56,7 @@ def simulate(
     world: World = "people",
     goals: GoalKnowledge = "inferred",
     trace: Trace | None = None,
+    reasons: Reasons | None = None,
     jobs: int = 1,
     memory_limit_mb: float = MEMORY_LIMIT_MB,
     explain: bool = True,
@@ -88,6 +89,8 @@ def simulate(
         the most probable one alone, or is told the goal at the beginning of each episode.
     trace : list, optional
         A dictionary is appended for every action of every person.
+    reasons : Reasons, optional
+        Explains each suggestion in the trace, which takes time; `assist.live.TraceReasons` is one.
     jobs : int
         Number of threads. They call the policy concurrently; the results do not depend on their number.
     memory_limit_mb : float
@@ -150,7 +153,7 @@ def simulate(
     advance = adding(progress, f"simulating {called}", count)
 
     def run(chunk: slice) -> Episodes:
-        made = Run if trace is None else partial(TracedRun, trace=trace)
+        made = Run if trace is None else partial(TracedRun, trace=trace, reasons=reasons)
         return made(
             pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=seed_number,
             name=called, travel=travel, presence=presence, world=world, progress=advance, parts=parts,

@@ -4,20 +4,44 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from planner.system.files import finite
 
 from ..people.decision import NOTHING
-from ..team.state import BASE
+from ..team.state import BASE, TeamAction, TeamState
 from .run import Run, StepTaken
-from .trace import Trace
+from .trace import Reasons, Trace
 
 
 class TracedRun(Run):
     """A chunk of episodes in progress that appends to a trace; further arguments as in `Run`."""
 
-    def __init__(self, *args: Any, trace: Trace, **options: Any) -> None:
+    def __init__(self, *args: Any, trace: Trace, reasons: Reasons | None, **options: Any) -> None:
+        self.keeps_beliefs = reasons is not None
         super().__init__(*args, **options)
-        self.trace = trace
+        self.trace, self.reasons = trace, reasons
+        self.said: dict[tuple[int, int], dict[str, Any]] = {}
+
+    def decided(self, team: TeamState, action: TeamAction, teams: NDArray[np.int64]) -> None:
+        """Keep the reason of each suggestion for the record of the person who gets it."""
+        if self.reasons is None:
+            return
+        person, does = (array.reshape(len(teams), -1) for array in (action.person, action.robot))
+        for row, number in np.argwhere(does > 0).tolist():
+            k, robot, e = int(person[row, number]), int(does[row, number]), int(teams[row])
+            if team.policies[team.model[row, k]].pomdp.suggested[team.x[row, k], robot] != NOTHING:
+                reason = self.reasons(
+                    team, row, k, robot, number=number, names=[f"human-{one + 1}" for one in self.people[e].tolist()],
+                    rule=self.name,
+                )  # fmt: skip
+                self.said.setdefault((e, k), {})["explanation"] = reason
+
+    def asked_about(self, team: int, place: int, goal: int, *, yes: bool, worth: float) -> None:
+        """Keep a question and its answer for the record of the person who was asked."""
+        name = list(self.pool.choices(int(self.people[team, place])).goals or ())[goal]
+        self.said.setdefault((team, place), {})["question"] = {"goal": name, "answer": yes, "worth": worth}
 
     def watch(self, taken: StepTaken) -> None:
         """Append a record for each person who acted."""
@@ -48,5 +72,7 @@ class TracedRun(Run):
                 "theta": float(taken.theta[e, k]),
                 "reward": float(taken.reward[e, k]),
                 **({"goal": list(choices.goals or ())[self.goal[e, k]]} if self.pool.goals > 1 else {}),
+                **self.said.get((e, k), {}),
             }
             self.trace.append(row)
+        self.said.clear()

@@ -40,7 +40,7 @@ GROUPS = {
         "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",
         "--verify", "--jobs", "--scheduler", "--cache", "--resume", "--seed",
     ),
-    "Output": ("--out", "--trace", "--figure", "--figures", "--width", "--json", "--help"),
+    "Output": ("--out", "--trace", "--reasons", "--figure", "--figures", "--width", "--json", "--help"),
 }  # fmt: skip
 """Options of all commands by topic, in the order in which the help shows them."""
 

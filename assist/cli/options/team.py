@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from planner import Instance, LimitError
+from planner import CostToGo, Instance, LimitError
 
 from ..terminal.console import ExitCode, fail
 from .common import (
@@ -70,9 +70,10 @@ def team_options(command: Command) -> Command:
 
 
 class TeamSetup(NamedTuple):
-    """The pool of people from which teams are drawn, and the distances between their stations."""
+    """The task, the pool of people from which teams are drawn, and the distances between their stations."""
 
     instance: Instance
+    known: CostToGo | Goals
     population: Population | Mixture
     pool: Pool
     travel: Travel
@@ -121,4 +122,4 @@ def team_of(
         fail(f"{found}: {error} (--memory-limit)", ExitCode.FAILED)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
-    return TeamSetup(found, population, pool, travel)
+    return TeamSetup(found, known, population, pool, travel)

@@ -1,0 +1,81 @@
+"""Explanations of the suggestions in a simulation, the same as those of a live team's advice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from planner import CostToGo
+
+from ..people.goals import Goals
+from ..people.human import Population
+from ..person.problem_arrays import ProblemArrays
+from ..simulation.pool import Pool
+from ..team.hidden_states import HiddenTeamState
+from ..team.state import TeamState
+from .decision_point import DecisionPoint
+from .live_task import LiveTask, TaskPart
+
+
+class TraceReasons:
+    """Explains suggestions of a simulated robot, for the trace of `simulate`.
+
+    Parameters
+    ----------
+    pool : Pool
+        The people who are simulated.
+    task : CostToGo or Goals, optional
+        Their task, which has the domain's words; without it, actions are in PDDL notation.
+    """
+
+    def __init__(self, pool: Pool, task: CostToGo | Goals | None = None) -> None:
+        self._pool, self._task = pool, task
+        self._problems: dict[int, LiveTask] = {}
+
+    def __call__(
+        self, team: TeamState, row: int, place: int, robot: int, *, number: int, names: Sequence[str], rule: str
+    ) -> dict[str, Any]:
+        """Return why a person gets a suggestion, as data and as a text; arguments as `simulate` passes them.
+
+        Parameters
+        ----------
+        team : TeamState
+            The teams before the decision.
+        row, place : int
+            The team, and the person's place in it.
+        robot : int
+            The robot action.
+        number : int
+            Which robot of the team it is, from 0.
+        names : sequence of str
+            Names of the team's people.
+        rule : str
+            Name of the team's policy.
+        """
+        assert team.belief is not None
+        # The models of people who are not active may have no problem in this step, and none is looked at.
+        model, own = np.unique(np.where(team.active[row], team.model[row], team.model[row, place]), return_inverse=True)
+        parts = [self._part(team, one) for one in model.tolist()]
+        here = int(team.location.reshape(len(team.x), -1)[row, number])
+        count, joint = len(names), team.joint if isinstance(team, HiddenTeamState) else [None] * team.x.size
+        point = DecisionPoint(
+            tuple(names), tuple(self._problem(int(model[one])) for one in own), parts, team.x[row], own,
+            np.zeros(count, dtype=np.int64), team.active[row], ~team.active[row], team.erred[row], team.belief[row],
+            tuple(joint[row * count : (row + 1) * count]), here, team.travel.c_move * team.travel.distance[here], rule,
+        )  # fmt: skip
+        found = point.suggested(place, robot, arrived=True)
+        plain = {name: part for name, part in found.as_dict().items() if part is not None}
+        return {"text": found.text(), **plain}
+
+    def _problem(self, model: int) -> LiveTask:
+        if model not in self._problems:
+            policy, pool = self._pool.policies[model], self._pool
+            self._problems[model] = LiveTask(self._task or policy, pool.setting, Population(), policy)
+        return self._problems[model]
+
+    @staticmethod
+    def _part(team: TeamState, model: int) -> TaskPart:
+        policy = team.policies[model]
+        return TaskPart(policy, ProblemArrays.of(policy.pomdp), policy.states)
