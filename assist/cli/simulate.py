@@ -31,7 +31,7 @@ from .terminal.console import print_json
 @click.option("--out", type=OUTPUT_FILE, help="Write one record per episode (JSON Lines).")
 @click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines).")
 @click.option("--reasons", is_flag=True, help="Explain each suggestion in the trace.")
-@click.option("--figure", type=OUTPUT_FILE, help="Plot an episode in which the last policy saved actions (.png, .svg).")
+@click.option("--figure", type=OUTPUT_FILE, help="Plot an episode that the last policy shortened (.png, .svg).")
 @click.option(
     "--max-steps",
     type=click.IntRange(min=1),
@@ -81,7 +81,7 @@ def simulate(
         options = {"humans": team["humans"], "seed": team["seed"], "travel": made.travel, "goals": goal_knowledge}
         steps: list[Any] = []
         kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": team["memory_limit"]}
-        kept["reasons"] = TraceReasons(made.pool, made.known) if reasons else None
+        kept["reasons"] = TraceReasons(made.pool.policies, made.known) if reasons else None
         for name, policy in policies.items():
             ready = made.prepared(policy)
             with stages() as show:

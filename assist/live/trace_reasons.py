@@ -11,9 +11,10 @@ from planner import CostToGo
 
 from ..people.goals import Goals
 from ..people.human import Population
+from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
-from ..simulation.pool import Pool
 from ..team.hidden_states import HiddenTeamState
+from ..team.settings import Setting
 from ..team.state import TeamState
 from .decision_point import DecisionPoint
 from .live_task import LiveTask, TaskPart
@@ -24,14 +25,14 @@ class TraceReasons:
 
     Parameters
     ----------
-    pool : Pool
-        The people who are simulated.
+    policies : sequence of Policy
+        Those of the pool that is simulated.
     task : CostToGo or Goals, optional
         Their task, which has the domain's words; without it, actions are in PDDL notation.
     """
 
-    def __init__(self, pool: Pool, task: CostToGo | Goals | None = None) -> None:
-        self._pool, self._task = pool, task
+    def __init__(self, policies: Sequence[Policy], task: CostToGo | Goals | None = None) -> None:
+        self._policies, self._task = policies, task
         self._problems: dict[int, LiveTask] = {}
 
     def __call__(
@@ -71,8 +72,8 @@ class TraceReasons:
 
     def _problem(self, model: int) -> LiveTask:
         if model not in self._problems:
-            policy, pool = self._pool.policies[model], self._pool
-            self._problems[model] = LiveTask(self._task or policy, pool.setting, Population(), policy)
+            policy = self._policies[model]
+            self._problems[model] = LiveTask(self._task or policy, Setting(), Population(), policy)
         return self._problems[model]
 
     @staticmethod
