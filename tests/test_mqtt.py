@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -356,12 +357,16 @@ def test_ctrl_c_ends_the_line_and_all_that_it_has_started() -> None:
         while not line.stdout.readline().startswith("person-"):
             assert line.poll() is None
         os.killpg(line.pid, signal.SIGINT)  # as a terminal does
+        time.sleep(0.05)
+        with suppress(ProcessLookupError):
+            os.killpg(line.pid, signal.SIGINT)  # of somebody who does not wait
         said, faults = line.communicate(timeout=60)
     finally:
         line.kill()
     assert line.returncode == 0, faults
-    assert said.rstrip().endswith("ending")
+    assert said.splitlines()[-1] == "ended by Ctrl-C"
     assert "Traceback" not in faults
+    assert "KeyboardInterrupt" not in faults
     with pytest.raises(ProcessLookupError):
         os.killpg(line.pid, 0)
 
@@ -640,6 +645,12 @@ def test_fields_of_payloads() -> None:
         ('[observe]\ntopic = "line"\n[robot]\ntopic = "r"\nfields = ["speed"]', "expected some of arrived"),
         ('[observe]\ntopic = "line"\n[broker]\nport = 0', "expected a port, 1 to 65535"),
         ("observe = []", "is empty; expected a table or more"),
+        (
+            '[observe]\ntopic = "line"\naction = "(place {item}"',
+            ":3: observe.action: (place {item} opens 1 and closes 0",
+        ),
+        ('[observe]\ntopic = "line"\naction = "place {item"', "expected fields as {name}"),
+        ('[observe]\ntopic = "line"\n\nid = "{scan"', ":4: observe.id: '{scan'; expected fields as {name}"),
     ],
 )
 def test_faults_of_the_settings_are_said(text: str, message: str, tmp_path: Path) -> None:

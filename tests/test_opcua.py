@@ -156,6 +156,7 @@ def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tm
         ("A.Pick", "ns=2;s=A.Pick", "observe[1].node: 'A.Pick'; expected a node id"),
         ("A.Light", "ns=2;s=A.Light", "advice[1].node: 'A.Light'; expected a node id"),
         ("'('", "'(?P<verb>TAKE) (?P<code>\\d+)'", "is no regular expression"),
+        ('"(fetch {code}"', '"({verb} {code})"', "observe[2].action: (fetch {code} opens 1 and closes 0"),
     ],
 )
 def test_faults_of_the_settings_are_said(wrong: str, right: str, message: str, tmp_path: Path) -> None:

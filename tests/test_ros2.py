@@ -216,6 +216,10 @@ def test_advice_is_repeated_for_those_who_subscribe_late(tmp_path: Path) -> None
         (("{x = 2.0}", "{y = 2.0}"), "'person-2' has no x"),
         (("[observe]", "[[observe]]\ntopic = '/line/action'\n[[observe]]"), "a topic occurs twice"),
         (('topic = "/line/action"', 'topic = "/line/action"\ntype = "a/msg/B"\npattern = "x"'), "applies to texts"),
+        (
+            ('topic = "/line/action"', 'topic = "/line/action"\naction = "(fetch {box}"'),
+            "opens 1 and closes 0 brackets",
+        ),
     ],
 )
 def test_faults_of_the_settings_are_said(wrong: tuple[str, str], message: str, tmp_path: Path) -> None:

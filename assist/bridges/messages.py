@@ -10,7 +10,12 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+
+from planner.system.typed_toml import fault, regular_expression
+
+from ..people.action_names import wrong_form
 
 Fields = dict[str, str]
 """Fields of a message, as texts."""
@@ -235,6 +240,26 @@ class Source:
             return Report(person, filled(self.action, fields, self.names), identifier, number, seq)
         except MessageError as error:
             return Report(person, "", identifier, number, seq, str(error))
+
+
+def source_of(table: Any, topic: Topic, names: Mapping[str, str], file: Path, place: str) -> Source:
+    """Return the source that a table `observe` of a file describes.
+
+    Raises
+    ------
+    InputFileError
+        A template has braces of no field, or an action's has brackets that do not match; or the pattern is none.
+    """
+    parts: dict[str, Any] = {name: getattr(table, name, None) for name in ("action", "id", "person", "number", "seq")}
+    for name, text in parts.items():
+        rest = FIELD.sub("x", text or "")
+        if "{" in rest or "}" in rest:
+            raise fault(file, f"{place}.{name}", f"{text!r}; expected fields as {{name}}, and no other braces")
+        if name == "action" and (wrong := wrong_form(rest)):
+            raise fault(file, f"{place}.{name}", f"{text} {wrong}")
+    parts["id"] = parts["id"] or "{id}"
+    pattern = regular_expression(table.pattern, file, f"{place}.pattern")
+    return Source(topic, **parts, pattern=pattern, names=names, begins=table.begins)
 
 
 def _whole(template: str | None, fields: Fields, least: int) -> int | None:

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct, field
 
 from planner.system import typed_toml
-from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located, regular_expression
+from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
 
-from .messages import Source, Topic
+from .messages import Source, Topic, source_of
 
 ENVIRONMENT = "KITASSIST_MQTT_"
 """Prefix of the environment variables PASSWORD, CA, CERTIFICATE and KEY."""
@@ -231,5 +231,4 @@ def _source(content: Any, names: Mapping[str, str], file: Path, place: str) -> S
         topic = Topic(table.topic)
     except ValueError as error:
         raise fault(file, f"{place}.topic", str(error)) from None
-    pattern = regular_expression(table.pattern, file, f"{place}.pattern")
-    return Source(topic, table.action, table.id, table.person, table.number, table.seq, pattern, names, table.begins)
+    return source_of(table, topic, names, file, place)

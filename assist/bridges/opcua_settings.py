@@ -10,9 +10,9 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from planner.system import typed_toml
-from planner.system.typed_toml import Text, Truth, convert, fault, located, regular_expression
+from planner.system.typed_toml import Text, Truth, convert, fault, located
 
-from .messages import Source, Topic
+from .messages import Source, Topic, source_of
 
 Names = Annotated[dict[str, str], Meta(description="a table of texts")]
 NODE = re.compile(r"(ns=\d+;)?[isgb]=.+")
@@ -109,11 +109,7 @@ class OpcUaSettings:
             for number, one in enumerate(tables.observe, start=1):
                 place = f"observe[{number}]"
                 nodes = (_node(one.node, file, f"{place}.node"), _node(one.answer, file, f"{place}.answer"))
-                pattern = regular_expression(one.pattern, file, f"{place}.pattern")
-                source = Source(
-                    Topic("node"), one.action, one.id or "{id}", one.person, pattern=pattern,
-                    names=tables.names or {}, begins=one.begins,
-                )  # fmt: skip
+                source = source_of(one, Topic("node"), tables.names or {}, file, place)
                 observed.append(Observed(nodes[0] or "", source, one.id is not None, nodes[1]))
             advice = [
                 (_node(one.node, file, f"advice[{number}].node") or "", one.person)

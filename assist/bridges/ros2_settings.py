@@ -11,9 +11,9 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct
 
 from planner.system import typed_toml
-from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located, regular_expression
+from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
 
-from .messages import FIELD, Fields, MessageError, Source, Topic, fields_of, texts_of
+from .messages import FIELD, Fields, MessageError, Source, Topic, fields_of, source_of, texts_of
 from .mqtt_settings import ADVICE, VIEW
 
 STRING = "std_msgs/msg/String"
@@ -238,13 +238,9 @@ def _checked(topic: str, type: str, file: Path, place: str) -> None:
 def _observed(content: Any, names: Mapping[str, str], file: Path, place: str) -> Observed:
     table = convert(content, ObserveTable, file, place)
     _checked(table.topic, table.type, file, place)
-    pattern = regular_expression(table.pattern, file, f"{place}.pattern")
-    if pattern is not None and table.type != STRING:
+    if table.pattern is not None and table.type != STRING:
         raise fault(file, f"{place}.pattern", f"applies to texts; expected the type {STRING}")
-    source = Source(
-        Topic("topic"), table.action, table.id, table.person, None, table.seq, pattern, names, table.begins
-    )  # fmt: skip
-    return Observed(table.topic, table.type, source)
+    return Observed(table.topic, table.type, source_of(table, Topic("topic"), names, file, place))
 
 
 def _output(

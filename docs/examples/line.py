@@ -88,35 +88,41 @@ async def work(port: int, pace: float) -> None:
         driving.cancel()
 
 
+def end(*_: object) -> None:
+    """End the line at the first Ctrl-C, and ignore others while it ends."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
 def main() -> None:
-    """Start the broker, the assistant, the stations and the robot, and end them all."""
+    """Run the line, and end it with one sentence."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pace", type=float, default=2.0, help="mean seconds between two actions of a person")
     pace = parser.parse_args().pace
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    try:
+        run(pace)
+    except KeyboardInterrupt:
+        print("ended by Ctrl-C", flush=True)
+
+
+def run(pace: float) -> None:
+    """Start the broker, the assistant, the stations and the robot, and end them all."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with tempfile.TemporaryDirectory() as folder, iotcore.Broker(port=port, listen="127.0.0.1"):
         settings = Path(folder, "bridge.toml")
         settings.write_text(BRIDGE.replace("PORT", str(port)), encoding="utf-8")
-        command = [
-            Path(sys.executable).with_name("kitassist"),
-            "serve",
-            "kitting/paper",
-            "--humans",
-            "3",
-            "--port",
-            "0",
-        ]
+        serve = [Path(sys.executable).with_name("kitassist"), "serve", "kitting/paper", "--humans", "3", "--port", "0"]
         options = ["--travel-time", "1", "--c-suggest", "0.01", "--c-move", "0.01", "--bridge", settings]
-        service = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+        service = subprocess.Popen([*serve, *options], stdout=subprocess.PIPE, text=True)
         try:
             assert service.stdout is not None
             links = json.loads(service.stdout.readline())
             print(f"the operator's page: {links['operator']}", flush=True)
             asyncio.run(work(port, pace))
-        except KeyboardInterrupt:
-            print("ending", flush=True)
         finally:
             service.send_signal(signal.SIGTERM)
             service.wait()
