@@ -155,6 +155,25 @@ def test_after_the_time_a_smaller_group_may_start(opened: Open) -> None:
     assert found["groups"] == {"size": 3, "began": 2, "smaller": 2, "unmatched": 0}
 
 
+def test_after_the_time_one_may_go_on_alone_while_the_others_wait(opened: Open) -> None:
+    lonely = EAGER.replace('"start"', '"alone"')
+    session = opened(lonely)
+    ann, bob = waiting(session, "ann", "bob")
+    ann.report("expired")
+    assert (ann.stage, bob.stage) == ("task tiny", "waiting")
+    assert session.person("bob")["study"]["waiting"] == {"here": 1, "of": 3}
+    ann.errs()
+    assert session.cohort.groups["G1"].members == ("ann",)
+    waiting(session, "cyd", "dan")
+    assert session.cohort.groups["G2"].members == ("bob", "cyd", "dan")  # who waits on can still find a group
+    before = {name: session.person(name) for name in ("ann", "bob", "cyd", "dan")}
+    session.close()
+    again = opened(lonely)
+    assert {name: again.person(name) for name in before} == before
+    found = summarise(again.study, tables(again.study, again.folder / JOURNAL))
+    assert found["groups"] == {"size": 3, "began": 2, "smaller": 1, "unmatched": 0}
+
+
 @pytest.mark.parametrize("erased", ["ann", "cyd"])  # the first to come; and the last, whose event began the group
 def test_a_member_is_erased_and_the_others_are_as_before(opened: Open, erased: str) -> None:
     session = opened()
@@ -211,8 +230,8 @@ def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
         ("size = 3", "size = 1", "group.size: 1; expected a whole number from 2 to 20"),
         (
             "wait = 5",
-            'then = "alone"',
-            "group.then: 'alone'; expected 'end', or 'start' with those who are there, even one",
+            'then = "later"',
+            "group.then: 'later'; expected 'end', 'alone', or 'start' with those who are there",
         ),
         ("seed = 3", "seed = 3\nsimulated = 1", "simulated: 1; expected 0 in a study with groups"),
         ("seed = 3", "seed = 3\nparticipants = 4", "participants: 4; expected a multiple of 3"),

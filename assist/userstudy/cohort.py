@@ -374,6 +374,8 @@ class Cohort:
         members = [code for code in self.participants if code in self.waiting() or (comes and code == person.code)]
         if not comes or (len(members) < self.study.group.size and kind != "expired"):
             return {}
+        if kind == "expired" and self.study.group.then == "alone":
+            members = [person.code]
         name = f"G{len(self.groups) + 1}"
         condition = assign(self.counts(), self.study.seed, self.begun)
         team = self._form(name, members, condition).team

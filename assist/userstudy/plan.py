@@ -152,7 +152,8 @@ class Grouping:
     wait : float
         Minutes after which a participant no longer waits for the others.
     then : str
-        What happens then: "start" with those who are waiting, or "end" the study for the participant.
+        What happens then: "start" with those who are waiting, or without them ("alone"), or "end" the participant's
+        study.
     """
 
     size: int
@@ -426,9 +427,8 @@ def _group(file: Path, table: FileTable) -> Grouping | None:
     if table.group is None:
         return None
     size, then = table.group.size, table.group.then
-    if then not in ("start", "end"):
-        expected = "'end', or 'start' with those who are there, even one alone"
-        raise fault(file, "group.then", f"'{then}'; expected {expected}")
+    if then not in ("start", "alone", "end"):
+        raise fault(file, "group.then", f"'{then}'; expected 'end', 'alone', or 'start' with those who are there")
     if table.design != BETWEEN:
         raise fault(file, "design", f"'{table.design}'; expected '{BETWEEN}' in a study with groups")
     if table.simulated:
