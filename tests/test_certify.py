@@ -12,6 +12,7 @@ import pytest
 from conftest import graph_task, kit, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_goal_bounds import ring
 
 from assist.certify import certificate, comparison, computation, prices, team_bound
 from assist.certify.certificate import Certificate, horizon, returns
@@ -315,6 +316,41 @@ def test_a_robot_for_each_person_of_a_kind(pool: Pool) -> None:
     assert found.relaxed(episodes=400) == found.relaxed(episodes=400, seed=0)
     with pytest.raises(ValueError, match=r"^episodes 1: expected a whole number of 2 or more"):
         found.relaxed(episodes=1)
+
+
+def bound_at(pool: Pool, team: tuple[int, ...], price: list[float]) -> TeamBound:
+    """A bound with these prices, whose other figures do not matter."""
+    return TeamBound(pool, team, pool.setting.travel(len(team)), 0.0, 0.0, 0.0, np.array(price), 0.0, 0.0)
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_each_robot_of_the_relaxed_problem_is_paid_the_discounted_prices(pool: Pool, robots: int) -> None:
+    price = np.array([0.3, 0.2, 0.1])
+    several = replace(pool, setting=replace(pool.setting, robots=robots))
+    mean, _ = bound_at(several, (0, 1), [*price]).relaxed(episodes=100, seed=5)
+    kinds = kinds_of(several, (0, 1), SETTING.travel(2), 3)
+    values = [kind.simulated(price, horizon(0.5), 100, 5 + number)[1].mean() for number, kind in enumerate(kinds)]
+    assert mean == pytest.approx(sum(values) + robots * (0.3 + 0.2 * 0.5 + 0.1 * 0.25))
+
+
+def test_the_policy_of_a_bound_has_its_prices(pool: Pool, strangers: Pool) -> None:
+    """Without any, attention is free if each of several people has a robot, and else costs as much as usual."""
+    assert bound_at(pool, (0, 1), [0.3, 0.2]).policy().price.tolist() == [0.3, 0.2, 0.0]
+    for base, robots, team, expected in (
+        (pool, 2, (0, 1), 0.0), (pool, 1, (0, 1), 0.15), (pool, 1, (0,), 0.15), (strangers, 2, (0, 1, 2), 0.15),
+    ):  # fmt: skip
+        several = replace(base, setting=replace(base.setting, robots=robots))
+        assert bound_at(several, team, []).policy().price == pytest.approx([expected])
+
+
+def test_one_person_has_no_conflicts_to_sample(pool: Pool) -> None:
+    found = upper_bound(pool, (1,), window=0, gap=1e-3, paths=4)
+    assert (found.sampled, found.upper) == (None, found.proven)
+
+
+def test_sample_paths_need_a_known_goal() -> None:
+    with pytest.raises(ValueError, match="the bound from sample paths: expected people whose goal is known"):
+        upper_bound(Pool.sample(ring(), 2, seed=1, setting=SETTING), paths=4)
 
 
 def test_policies_are_certified_by_their_names(pool: Pool) -> None:
