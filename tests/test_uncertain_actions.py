@@ -11,10 +11,13 @@ import pytest
 from conftest import kit
 from test_unreliable_observations import by_enumeration, problem
 
+from assist.large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from assist.live import Assistant, InapplicableError, Session
 from assist.live.uncertain_actions import after_answers
+from assist.people.mixture import advice_takers
 from assist.person import QMDP, ObservationModel, qmdp
 from assist.team import Setting
+from planner import OnDemand, Table
 
 FETCH, OTHER = "(fetch box-a)", "(fetch box-b)"
 SURE = Setting(c_suggest=0.05, suggestions="all")
@@ -181,3 +184,19 @@ def test_what_is_no_observation_is_refused_and_changes_nothing() -> None:
     with pytest.raises(ValueError, match="an uncertain action: expected a setting with an observation model"):
         desk(Setting()).observe("ann", missed=0.1)
     assert team.to_json() == before
+
+
+def test_a_task_that_is_too_large_is_refused_before_anybody_joins(
+    tmp_path: Path, tiny: Table, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is one error, and nothing is logged."""
+    large = OnDemand(tiny.task)
+    message = "missed or confused actions: expected a task of at most 20,000 states"
+    with pytest.raises(ValueError, match=message):
+        Session({"small": tiny, "large": large}, tmp_path / "journal.sqlite", setting=NOISY)
+    with pytest.raises(ValueError, match=message):
+        Assistant(large, ["ann"], setting=NOISY)
+    with pytest.raises(ValueError, match="observation: expected an enumerated task"):
+        Assistant(TruncatedPolicy(SharedTask(large, advice_takers()), SURE), ["ann"], setting=NOISY)
+    assert not caplog.records
+    Session({"large": large}, tmp_path / "journal.sqlite").close()

@@ -247,7 +247,6 @@ class Assistant:
         if key not in self._problems:
             self._problems[key] = made = LiveTask(task, self.setting, population)
             if self.setting.observation is not None:
-                made.policy.require_enumerated("observation")
                 self.setting.observation.evidence(made.at(made.initial)[0].choices, 0)  # raises an error if unsuitable
             if isinstance(self.policy, str):  # the team policy is then built again
                 self._made = None

@@ -33,7 +33,7 @@ from ..team.state import TeamPolicy
 from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
 from .events import ERASED, KINDS, NAME, VACANT, AbsentError, Event, InvalidError, advised, require_record
-from .live_task import InapplicableError, UnknownError
+from .live_task import InapplicableError, UnknownError, require_usable
 from .store import Change
 
 NOTHING = Advice(None, None, None, arrived=True)
@@ -97,6 +97,8 @@ class Course:
             raise ValueError("there is no task; expected one or more")
         self.tasks = dict(tasks)
         self.desk = Assistant(policy=policy, setting=setting, population=population, distance=distance)
+        for task in self.tasks.values():
+            require_usable(task, self.desk.setting, self.desk.population)
         self.count, self.paused = 0, False
         self._nothing = (NOTHING,) * self.desk.setting.robots
         self.advices = self._nothing

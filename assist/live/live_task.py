@@ -108,6 +108,8 @@ class LiveTask:
         policy: Policy | None = None,
     ) -> None:
         self.task, self.prior = task, prior
+        if policy is None:
+            require_usable(task, setting, prior)
         self.policy = policy or (task if isinstance(task, Policy) else _policy_for(task, setting, prior))
         self.initial = self.policy.task.initial
         # Local problems exist only while a person is in their state.
@@ -212,20 +214,41 @@ class LiveTask:
         return None if isinstance(task, Choices) else Artist(task.task)
 
 
-def _policy_for(
-    known: CostToGo | Goals, setting: Setting, prior: Population | Mixture, *, most_rows: int = 200_000
-) -> Policy:
-    """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
-    if isinstance(known, Goals):
+def require_usable(
+    task: CostToGo | Goals | Policy, setting: Setting, prior: Population | Mixture, *, most_rows: int = 200_000
+) -> None:
+    """Check that people can work on a task, before anything is solved.
+
+    Raises
+    ------
+    ValueError
+        It is too large for what is asked of it.
+    """
+    if isinstance(task, Policy):
+        if setting.observation is not None:
+            task.require_enumerated("observation")
+    elif isinstance(task, Goals):
         if prior.weights:
             raise ValueError("people who remember what they did: expected one goal")
-        if len(known) > most_rows:
-            raise ValueError(f"{len(known.tables)} goals: expected at most {most_rows:,} states of all goals together")
+        if len(task) > most_rows:
+            raise ValueError(
+                f"{len(task.tables)} goals: expected at most {most_rows:,} states of all goals together, "
+                f"and there are {len(task):,}"
+            )
+    elif not is_whole(task):
+        for what, asked in (
+            ("people who remember what they did", prior.weights), ("missed or confused actions", setting.observation),
+        ):  # fmt: skip
+            if asked:
+                raise ValueError(f"{what}: expected a task of at most {WHOLE:,} states")
+
+
+def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population | Mixture) -> Policy:
+    """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
+    if isinstance(known, Goals):
         return qmdp(setting.problem(known.choices(), None, prior))
     if is_whole(known):
         return qmdp(setting.problem(choices_of(known, tuple(prior.weights)), None, prior))
-    if prior.weights:
-        raise ValueError(f"people who remember what they did: expected a task of at most {WHOLE:,} states")
     return TruncatedPolicy(SharedTask(known, prior), setting)
 
 
