@@ -1,12 +1,15 @@
 """Load test of the live service: many people who act every few seconds, and a service that may be killed repeatedly.
 
-    python bench/live_load.py [--people 200] [--seconds 300] [--every 2] [--kills 0]... [--instance FILE] [--data DIR]
-                              [--record FILE]
+    python bench/live_load.py [--people 200] [--seconds 300] [--every 2] [--kills 0]... [--miss 0] [--confusion 0]
+                              [--instance FILE] [--data DIR] [--record FILE]
 
 Each person has a connection that receives pushed views, posts actions, and measures the time from a post to the
 resulting push. An unanswered post is repeated under the same id until it is answered. At the end, the log must contain
 exactly the acknowledged actions, in order and once each. An uninterrupted run of the same events must give the same
 beliefs to the last bit.
+
+With `--miss` or `--confusion`, a second run has a service that expects such errors, and clients that post no action, or
+another applicable one, with these probabilities.
 """
 
 from __future__ import annotations
@@ -23,7 +26,9 @@ import time
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote, urlsplit
 
 import click
@@ -34,12 +39,14 @@ from websockets.exceptions import WebSocketException
 
 from assist.live.events import Event
 from assist.live.session import Session
+from assist.person.observation_model import ObservationModel
 from assist.team.settings import Setting
 from planner import cost_to_go, load
 
 PAPER = Path(__file__).parent.parent / "domains/kitting/paper.pddl"
 RETRY = 0.1
 C_SUGGEST = 0.2
+PERFECT = ObservationModel(0.0, 0.0)
 
 
 @dataclass
@@ -65,12 +72,14 @@ class Seen:
 class Worker:
     """A simulated client: one connection that listens, and one that posts."""
 
-    def __init__(self, link: str, every: float, seed: int, seen: Seen) -> None:
+    def __init__(
+        self, link: str, every: float, seed: int, seen: Seen, noise: ObservationModel = PERFECT
+    ) -> None:  # fmt: skip
         self.parts = urlsplit(link)
         _, self.name = self.parts.path.strip("/").split("/")
         self.token = self.parts.fragment
         self.every, self.seen, self.rng = every, seen, np.random.default_rng(seed)
-        self.view: dict = {}
+        self.noise, self.view = noise, dict[str, Any]()
         self.changed = asyncio.Condition()
         self.streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
         self.count = 0
@@ -139,6 +148,10 @@ class Worker:
             options = view["applicable"]
             advised = view["suggestion"] if self.rng.random() < 0.7 else None
             action = advised or options[int(self.rng.integers(len(options)))]
+            if self.rng.random() < self.noise.miss:
+                return
+            if self.rng.random() < self.noise.confusion:
+                action = options[int(self.rng.integers(len(options)))]
             answer = await self.post("actions", {"action": action, "id": identity, "seq": view["seq"]})
             self.seen.acknowledged[self.name].append(action)
         self.seen.answers.append(time.perf_counter() - begun)
@@ -197,12 +210,16 @@ class Service:
         return 0.0
 
 
-async def run(instance: Path, people: int, seconds: float, every: float, kills: int, data: Path, seed: int = 0) -> Seen:
+async def run(
+    instance: Path, people: int, seconds: float, every: float, kills: int, data: Path, seed: int = 0,
+    noise: ObservationModel = PERFECT,
+) -> Seen:  # fmt: skip
     """Let people work, and kill the service `kills` times; check the saved data."""
-    seen, service = Seen(), Service(instance, people, data)
+    errors = [] if noise.is_perfect else ["--miss", str(noise.miss), "--confusion", str(noise.confusion)]
+    seen, service = Seen(), Service(instance, people, data, *errors)
     said = await asyncio.to_thread(service.start)
     seen.ready = time.monotonic()
-    workers = [Worker(link, every, seed + number, seen) for number, link in enumerate(said["join"].values())]
+    workers = [Worker(link, every, seed + number, seen, noise) for number, link in enumerate(said["join"].values())]
     until = time.monotonic() + seconds
     listening = [asyncio.create_task(worker.listen()) for worker in workers]
     working = [asyncio.create_task(worker.work(until)) for worker in workers]
@@ -234,14 +251,14 @@ async def run(instance: Path, people: int, seconds: float, every: float, kills: 
     await asyncio.to_thread(service.process.communicate)
     seen.stopped = time.monotonic() - stopping
     assert service.process.returncode == 0
-    check(instance, data, seen)
+    check(instance, data, seen, noise)
     return seen
 
 
-def check(instance: Path, data: Path, seen: Seen) -> None:
+def check(instance: Path, data: Path, seen: Seen, noise: ObservationModel) -> None:
     """Compare the acknowledged actions with the log, and the beliefs with an uninterrupted run."""
     tasks = {instance.stem: cost_to_go(load(instance))}
-    options = {"setting": Setting(c_suggest=C_SUGGEST)}
+    options = {"setting": Setting(c_suggest=C_SUGGEST, observation=noise)}
     kept = Session(tasks, data / "journal.sqlite", **options)
     found: dict[str, list[str]] = {person: [] for person in kept.people}
     for row in kept.log():
@@ -270,6 +287,8 @@ def _milliseconds(times: list[float], share: float) -> float:
 
 COLUMNS: Columns = {
     "people": cell("people"),
+    "missed": cell("miss", ".0%"),
+    "confused": cell("confusion", ".0%"),
     "minutes": cell("minutes", ".1f"),
     "kills": cell("kills"),
     "actions": cell("actions", ","),
@@ -294,19 +313,23 @@ COLUMNS: Columns = {
     multiple=True,
     help="Number of kills. May be repeated, for a run with each.",
 )
+@click.option("--miss", default=0.0, show_default=True, help="Probability that an action is not seen.")
+@click.option("--confusion", default=0.0, show_default=True, help="Probability that another one is seen.")
 @click.option("--data", type=Path)
 @record_option
 def main(
-    instance: Path, people: int, seconds: float, every: float, kills: tuple[int, ...], data: Path | None,
-    record: Path | None,
+    instance: Path, people: int, seconds: float, every: float, kills: tuple[int, ...], miss: float, confusion: float,
+    data: Path | None, record: Path | None,
 ) -> None:  # fmt: skip
     """Run the tests and print the measurements."""
     rows = []
-    for count in kills:
+    every_noise = dict.fromkeys([PERFECT, ObservationModel(miss, confusion)])
+    for noise, count in product(every_noise, kills):
         with tempfile.TemporaryDirectory() as folder:
-            seen = asyncio.run(run(instance, people, seconds, every, count, data or Path(folder) / "data"))
+            where = data or Path(folder) / "data"
+            seen = asyncio.run(run(instance, people, seconds, every, count, where, noise=noise))
         rows.append({
-            "people": people, "minutes": seconds / 60, "kills": count, "actions": len(seen.answers),
+            "people": people, "miss": noise.miss, "confusion": noise.confusion, "minutes": seconds / 60, "kills": count, "actions": len(seen.answers),
             "wrong": f"{seen.lost}, {seen.doubled}",
             "pushed": [*(_milliseconds(seen.latencies, share) for share in (0.5, 0.95, 1.0))],
             "processor": 1e3 * seen.processor / len(seen.answers),
