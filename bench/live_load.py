@@ -329,7 +329,8 @@ def main(
             where = data or Path(folder) / "data"
             seen = asyncio.run(run(instance, people, seconds, every, count, where, noise=noise))
         rows.append({
-            "people": people, "miss": noise.miss, "confusion": noise.confusion, "minutes": seconds / 60, "kills": count, "actions": len(seen.answers),
+            "people": people, "miss": noise.miss, "confusion": noise.confusion, "minutes": seconds / 60,
+            "kills": count, "actions": len(seen.answers),
             "wrong": f"{seen.lost}, {seen.doubled}",
             "pushed": [*(_milliseconds(seen.latencies, share) for share in (0.5, 0.95, 1.0))],
             "processor": 1e3 * seen.processor / len(seen.answers),
