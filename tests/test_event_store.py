@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import random
 import shutil
-import signal
-import subprocess
-import sys
 import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import KITTING
 from hypothesis import given, settings
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, former, happen
 from store_faults import Failing, schedule
@@ -216,42 +217,47 @@ def test_a_fault_after_an_event_was_applied_leaves_nothing_unsaved(
     session.close()
 
 
-CHILD = """
-import sys
-import time
-from pathlib import Path
-from assist.live.live_task import LiveTask
-from assist.live.session import Session
-from planner import cost_to_go, load
+FORK = multiprocessing.get_context("fork")  # a new interpreter would first import everything
 
-session = Session(cost_to_go(load(sys.argv[1])), Path(sys.argv[2]))
-for name in ("ann", "bob"):
-    if name not in session.people:
-        session.join(name)
-print("ready", flush=True)
-number = len(session.log())
-while True:
-    name = ("ann", "bob")[number % 2]
-    steps = session.person(name)["steps"]
-    session.observe(name, "(fetch box-a)" if steps % 2 == 0 else "(return box-a)", id=str(number))
-    print(number, flush=True)
-    number += 1
-"""
+
+def acts(task: Table, file: Path, says: Connection) -> None:
+    """Act in turn for two people, and say the number of each action once it is acknowledged."""
+    session = Session(task, file)
+    for name in ("ann", "bob"):
+        if name not in session.people:
+            session.join(name)
+    number = len(session.log())
+    while True:
+        name = ("ann", "bob")[number % 2]
+        steps = session.person(name)["steps"]
+        session.observe(name, "(fetch box-a)" if steps % 2 == 0 else "(return box-a)", id=str(number))
+        says.send(number)
+        number += 1
+
+
+@contextmanager
+def forked(work: Callable[[Table, Path, Connection], None], task: Table, file: Path) -> Iterator[Any]:
+    """A process of its own that does this work, and what it says; it is killed at the end."""
+    hears, says = FORK.Pipe(duplex=False)
+    process = FORK.Process(target=work, args=(task, file, says), daemon=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which the process does not use
+        process.start()
+    says.close()
+    try:
+        yield hears
+    finally:
+        process.kill()
+        process.join()
 
 
 @pytest.mark.parametrize("kills", [1, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_killed_process_loses_nothing_that_was_acknowledged(tiny: Table, tmp_path: Path, kills: int) -> None:
     file, rng, acknowledged = tmp_path / "journal.sqlite", random.Random(kills), 0
     for _ in range(kills):
-        process = subprocess.Popen(
-            [sys.executable, "-c", CHILD, str(KITTING / "tiny.pddl"), str(file)], stdout=subprocess.PIPE, text=True
-        )
-        with process:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "ready\n"
+        with forked(acts, tiny, file) as hears:
             for _ in range(rng.randint(1, 60)):
-                acknowledged = int(process.stdout.readline()) + 1
-            os.kill(process.pid, signal.SIGKILL)
+                acknowledged = hears.recv() + 1
         records = [record for _, record in stored(file)[1] if record["event"] == "acted"]
         assert [record["id"] for record in records] == [str(number) for number in range(len(records))]
         assert len(records) >= acknowledged
@@ -260,18 +266,11 @@ def test_a_killed_process_loses_nothing_that_was_acknowledged(tiny: Table, tmp_p
     session.close()
 
 
-ERASER = """
-import sys
-import time
-from pathlib import Path
-from assist.live.session import Session
-from planner import cost_to_go, load
-
-session = Session(cost_to_go(load(sys.argv[1])), Path(sys.argv[2]))
-print("ready", flush=True)
-session.erase("Bartholomew", "as asked")
-print("erased", flush=True)
-"""
+def erases(task: Table, file: Path, says: Connection) -> None:
+    session = Session(task, file)
+    says.send("ready")
+    session.erase("Bartholomew", "as asked")
+    says.send("erased")
 
 
 @pytest.mark.slow
@@ -288,13 +287,13 @@ def test_a_process_that_is_killed_while_it_erases_has_erased_everything_or_nothi
         file = tmp_path / str(attempt) / "journal.sqlite"
         file.parent.mkdir()
         shutil.copy(sound, file)
-        command = [sys.executable, "-c", ERASER, str(KITTING / "tiny.pddl"), str(file)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "ready\n"
+        with forked(erases, tiny, file) as hears:
+            assert hears.recv() == "ready"
             time.sleep(0.6 * rng.random() ** 3)  # an erasure takes some hundredths to tenths of a second
-            os.kill(process.pid, signal.SIGKILL)
-            acknowledged = process.stdout.read() == "erased\n"
+        try:
+            acknowledged = hears.recv() == "erased"
+        except EOFError:
+            acknowledged = False
         session = Session(tiny, file)
         assert session.beliefs()["ann"] == belief
         gone = "Bartholomew" not in session.people and len(session.tombstones()) == 1
