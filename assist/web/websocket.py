@@ -28,9 +28,12 @@ async def _converse(socket: WebSocket, send: Coroutine[Any, Any, int], dropped: 
 
     sending, reading = asyncio.create_task(send), asyncio.create_task(read())
     tasks = sending, reading, asyncio.create_task(dropped.wait())
+    gone = False
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         gone = reading.done()
+    except asyncio.CancelledError:
+        pass  # the server ends and waits no longer; it would log a traceback of each connection
     finally:
         for task in tasks:
             task.cancel()

@@ -92,7 +92,12 @@ def end(*_: object) -> None:
     """End the line at the first Ctrl-C, and ignore others while it ends."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    raise KeyboardInterrupt
+    try:
+        loop = asyncio.get_running_loop()
+    except RuntimeError:
+        raise KeyboardInterrupt from None
+    # An exception would be raised wherever the loop is just now, even in its own functions: tasks are cancelled instead.
+    loop.call_soon_threadsafe(lambda: [task.cancel() for task in asyncio.all_tasks(loop)])
 
 
 def main() -> None:
@@ -104,7 +109,7 @@ def main() -> None:
         signal.signal(number, end)
     try:
         run(pace)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, asyncio.CancelledError):
         print("ended by Ctrl-C", flush=True)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import threading
@@ -66,6 +67,15 @@ def interruptible() -> Iterator[None]:
             signal.signal(number, handler)
         for timer in patience:
             timer.cancel()
+        atexit.unregister(_exit_at_signals)
+        atexit.register(_exit_at_signals)
+
+
+def _exit_at_signals() -> None:
+    """Make signals end the process at once while Python exits, where an interrupt would be printed as a traceback."""
+    for number in SIGNALS:
+        if signal.getsignal(number) not in (signal.SIG_IGN, None):
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _importing(frame: FrameType | None) -> bool:
