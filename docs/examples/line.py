@@ -96,7 +96,7 @@ def end(*_: object) -> None:
         loop = asyncio.get_running_loop()
     except RuntimeError:
         raise KeyboardInterrupt from None
-    # An exception would be raised wherever the loop is just now, even in its own functions: tasks are cancelled instead.
+    # An exception would be raised wherever the loop is just now, even in its own functions: tasks are cancelled.
     loop.call_soon_threadsafe(lambda: [task.cancel() for task in asyncio.all_tasks(loop)])
 
 
