@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from sys import intern
-from typing import Any, Protocol
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -32,19 +32,13 @@ from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
-from .events import ERASED, KINDS, NAME, VACANT, AbsentError, Event, InvalidError, advised, require_record
+from .erasing import without
+from .events import KINDS, NAME, AbsentError, Event, InvalidError, advised, require_record
 from .live_task import InapplicableError, UnknownError, require_usable
+from .recent_events import entries
 from .store import Change
 
 NOTHING = Advice(None, None, None, arrived=True)
-
-
-class Explains(Protocol):
-    """The state of a session (`EventSourced`) that can also explain its suggestions."""
-
-    def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
-        """Return a function that explains a person's suggestion, or why there is none."""
-        ...
 
 
 @dataclass
@@ -304,26 +298,12 @@ class Course:
         if person is not None and record["event"] != "arrived":
             note = self._notes[person]
             note.history.append((record["time"], _finite(self.desk.cost_to_go(person))))
-        entry = {"n": self.count, "time": record["time"], "event": record["event"], "person": person}
-        for name in ("action", "followed"):
-            entry[name] = record.get(name)
-        if "likelihoods" in record:
-            entry["action"] = max(record["likelihoods"], key=record["likelihoods"].get)
-        if "answer" in record:
-            entry["answer"] = record["answer"]
-        if record["event"] not in ("elapsed", VACANT, ERASED):
-            self.recent.append({**entry, "suggestion": None})
         for advice in advices:
-            if advice.question is not None and self._notes.get(advice.question.person) is not None:
+            if advice.question is not None:
                 self._notes[advice.question.person].asked = self.count
-                asked = {"event": "asked", "person": advice.question.person, "action": None, "followed": None}
-                self.recent.append(entry | asked | {"goal": advice.question.goal, "suggestion": None})
             if advice.person is not None and advice.suggestion is not None:
                 self._notes[advice.person].suggested, self._notes[advice.person].reason = self.count, advice.reason
-                self.recent.append(
-                    entry | {"event": "suggested", "person": advice.person, "action": None, "followed": None}
-                    | {"suggestion": advice.suggestion}
-                )  # fmt: skip
+        self.recent.extend(entries(record, advices))
 
     # Erasing.
 
@@ -344,37 +324,7 @@ class Course:
 
         The robot's course remains: where it went, and what it suggested to others. The person's place has the label.
         """
-        time, here = 0.0, False
-
-        def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
-            nonlocal time, here
-            advices = [_unnamed(advice, person, label) for advice in advised(record)]
-            advice: dict[str, Any] = {}
-            if advices:
-                advice = {"advices": advices} if "advices" in record else {"advice": advices[0]}
-            record = record | advice
-            if record.get("person") != person:
-                time = record["time"]
-                if answer is not None and "questions" in answer:
-                    answer = answer | {"questions": [one for one in answer["questions"] if one["person"] != person]}
-                if answer is not None and "location" in answer and person in (answer["person"], answer["location"]):
-                    there = label if answer["location"] == person else answer["location"]
-                    answer = answer | {"location": there}
-                    if answer["person"] == person:
-                        answer |= {"person": label, "suggestion": None, "reason": None}
-                return record, answer
-            # The time is that of the event before: the person's own times are theirs.
-            kept: dict[str, Any] = {"n": record["n"], "time": time, "event": record["event"], "step": record["step"]}
-            kept |= advice
-            if not here:
-                here, kept = True, kept | {"event": VACANT, "person": label, "task": record["task"]}
-            elif record["event"] == "arrived":
-                kept |= {"person": label} | ({"robot": record["robot"]} if "robot" in record else {})
-            else:
-                kept["event"] = ERASED
-            return kept, None
-
-        return removed
+        return without(person, label)
 
     # Views.
 
@@ -419,20 +369,13 @@ class Course:
     def _seen(self, known: PersonState) -> dict[str, Any]:
         note = self._notes[known.person]
         return {
-            "person": known.person,
-            "task": note.task,
-            "present": known.present,
-            "paused": self.paused,
-            "applicable": list(known.applicable),
-            "suggestion": known.suggestion,
+            "person": known.person, "task": note.task, "present": known.present, "paused": self.paused,
+            "applicable": list(known.applicable), "suggestion": known.suggestion,
             "reason": _plain(note.reason) if known.suggestion is not None else None,
-            "cost_to_go": _finite(known.cost_to_go),
-            "steps": known.steps,
-            "finished": known.finished,
-            "explained": True,
-            "seq": note.seq,
+            "cost_to_go": _finite(known.cost_to_go), "steps": known.steps, "finished": known.finished,
+            "explained": True, "seq": note.seq,
             **({} if known.question is None else {"question": known.question.as_dict()}),
-        }
+        }  # fmt: skip
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
         """Return a function that explains a person's suggestion, or why there is none, by the present beliefs.
@@ -544,15 +487,6 @@ class Course:
             if task in (None, own) and row["action"] is not None:
                 rows.append({**row, "task": own, "time": time})
         return rows
-
-
-def _unnamed(advice: dict[str, Any], person: str, label: str) -> dict[str, Any]:
-    """Return a recorded advice without what concerns a person; the label stands for them."""
-    if "question" in advice and advice["question"]["person"] == person:
-        advice = {name: value for name, value in advice.items() if name != "question"}
-    if advice["person"] == person:
-        advice = advice | {"person": label, "suggestion": None, "reason": None}
-    return advice
 
 
 def _plain(reason: Reason | None) -> dict[str, Any] | None:

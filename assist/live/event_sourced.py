@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from planner import CostToGo
 
+from ..explain.explanation import Explanation
 from ..people.goals import Goals
 from .advice import Advice
 from .events import Event
@@ -91,6 +92,14 @@ class EventSourced(Protocol):
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Return all actions as `fit` reads them."""
+        ...
+
+
+class Explains(Protocol):
+    """The state of a session (`EventSourced`) that can also explain its suggestions."""
+
+    def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
+        """Return a function that explains a person's suggestion, or why there is none."""
         ...
 
 

@@ -23,8 +23,7 @@ from functools import partial
 from typing import Any, Protocol, cast
 
 from ..explain.explanation import Explanation
-from ..live.course import Explains
-from ..live.event_sourced import Outlook
+from ..live.event_sourced import Explains, Outlook
 from ..live.events import AbsentError, Event
 from ..live.live_task import InapplicableError
 from ..live.session import Outcome, Session
