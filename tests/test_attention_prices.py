@@ -56,6 +56,9 @@ def test_attention_to_people_who_do_what_they_are_told() -> None:
         assert number.tolist() == attended
         paid = 0.02 * gamma[attended.index(1)] + 0.01 * (gamma[3] + gamma[4])
         np.testing.assert_allclose(found, [-(cost @ gamma[:5]) - paid] * 5)
+        shorter = kind.at(np.array([0.25, 0.5]))
+        assert shorter.price.tolist() == [0.25, 0.5]
+        assert shorter.layout.step.max() == 2
         # A price is paid at its step: here the suggestions are worth it, and the way is not the cheaper for it.
         price = np.array([0.0, 0.0, 0.0, 0.25, 0.5, 0.0, 0.0])
         number, dearer = kind.simulated(price, 8, 5, 0)
@@ -104,6 +107,10 @@ def test_prices_on_a_truncated_task(truncated: SubproblemKind) -> None:
     for found, same in ((visits, plain), (kind.at(np.zeros(0)), kind.visits)):
         np.testing.assert_array_equal(found.layout.x, same.layout.x)
         np.testing.assert_array_equal(found.pomdp.robot_costs, same.pomdp.robot_costs)
+    free = kind.at(np.zeros(0)).pomdp.frontier
+    assert free is not None
+    assert kind.visits.pomdp.frontier is not None
+    np.testing.assert_array_equal(free.upper, kind.visits.pomdp.frontier.upper)
     assert visits.pomdp.frontier is not None
     expected = kind.outer.beyond(plain, kind.tail).pomdp.frontier
     assert expected is not None
@@ -207,4 +214,7 @@ def test_steps_with_prices_for_people_who_stray() -> None:
     for at_work in (0.1, 0.2, 0.4, 0.6):
         count = sum(number > 2 * at_work for number in busy)
         assert window_of(pool, (0, 1, 2), 4, at_work=at_work, plans=12) == max(4, count)  # type: ignore[arg-type]
+    short = pool_of([(1, 0, 1)], 1, 2)
+    mixed = Pool(SETTING, (short.people[0], pool.people[0]), (short.policies[0], pool.policies[0]), np.arange(2))
+    assert window_of(mixed, (0, 1), 0) == 4  # the longer of two plans
     assert window_of(Pool.sample(ring(), 1, seed=1, setting=SETTING), (0,), 0) == 4  # the furthest goal: two steps

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -117,20 +119,26 @@ class Attended:
     """A group of people, of whom this share is attended to at each step, at every price."""
 
     def __init__(self, count: int, *share: float) -> None:
-        self.count, self.share, self.asked = count, np.array(share), 0
+        self.count, self.share, self.asked, self.seeds = count, np.array(share), 0, list[int]()
 
-    def simulated(self, *_: object) -> tuple[np.ndarray, None]:
+    def simulated(self, _price: object, _steps: int, _episodes: int, seed: int) -> tuple[np.ndarray, None]:
         self.asked += 1
+        self.seeds.append(seed)
         return self.share, None
 
 
-def looked_for(*kinds: Attended, rounds: float = math.inf) -> np.ndarray:
-    """Return prices of two steps, with a clock that advances by a round whenever the first kind is simulated."""
+def looked_for(*kinds: Attended, rounds: float = math.inf, most: int = 40, told: list[int] | None = None) -> np.ndarray:
+    """Return prices of two steps, with a clock that advances by a round whenever the first kind is simulated.
+
+    Append the rounds that are reported to `told`.
+    """
+    tell = [] if told is None else told
     clock = SimpleNamespace(perf_counter=lambda: kinds[0].asked)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prices, "time", clock)
         return search(
-            list(kinds), 2, rounds=40, episodes=100, seed=0, deadline=rounds - 0.5, tell=lambda *_: None  # type: ignore[arg-type]
+            list(kinds), 2, rounds=most, episodes=100, seed=3, deadline=rounds - 0.5,  # type: ignore[arg-type]
+            tell=lambda _, done, __: tell.append(done),
         )  # fmt: skip
 
 
@@ -151,7 +159,9 @@ def test_what_is_left_of_a_round_says_nothing() -> None:
     one, other = Attended(2, 0.5, 0.0), Attended(1, 1.0, 0.0)
     np.testing.assert_allclose(looked_for(one, other), [PRICE[20:].mean()], rtol=1e-9)
     one, other = Attended(2, 0.5, 0.0), Attended(1, 1.0, 0.0)
-    np.testing.assert_allclose(looked_for(one, other, rounds=30), [PRICE[20:29].mean()], rtol=1e-9)
+    told: list[int] = []
+    np.testing.assert_allclose(looked_for(one, other, rounds=30, told=told), [PRICE[20:29].mean()], rtol=1e-9)
+    assert told == list(range(30))  # and nothing is begun after it
     assert (one.asked, other.asked) == (30, 29)
     assert looked_for(Attended(4, 0.5, 0.5), rounds=0).tolist() == []  # no time at all: no prices
 
@@ -159,6 +169,29 @@ def test_what_is_left_of_a_round_says_nothing() -> None:
 def test_where_one_robot_is_enough_nothing_has_a_price() -> None:
     assert looked_for(Attended(2, 0.5, 0.4)).tolist() == []
     assert len(looked_for(Attended(4, 0.1, 0.5))) == 2  # a step without a price before one with a price
+    # A step in which exactly as many are busy as there are robots.
+    np.testing.assert_allclose(looked_for(Attended(4, 0.25, 0.5)), [0.0, PRICE[20:].mean()], rtol=1e-9)
+
+
+def test_the_first_step_changes_a_price_by_half_a_cost_unit() -> None:
+    np.testing.assert_allclose(looked_for(Attended(4, 0.5, 0.0), most=1), [0.5], rtol=1e-9)
+
+
+def test_steps_are_relative_to_the_number_of_busy_robots_and_to_past_ones() -> None:
+    """Two robots are busy in the first round and four in the second, where one is there: by 1/2 and by 3/4 too many."""
+
+    class Busier(Attended):
+        def simulated(self, *given: Any) -> tuple[np.ndarray, None]:
+            return super().simulated(*given)[0] * self.asked, None
+
+    second = 0.5 + 0.5 * 0.75 / math.sqrt(0.5**2 + 0.75**2)
+    np.testing.assert_allclose(looked_for(Busier(2, 1.0, 0.0), most=2), [second], rtol=1e-9)
+
+
+def test_every_round_has_random_numbers_of_its_own() -> None:
+    one, other = Attended(2, 0.5, 0.0), Attended(2, 0.5, 0.0)
+    looked_for(one, other)
+    assert one.seeds == other.seeds == list(range(3, 43))
 
 
 def test_people_at_the_edges_of_prices(strangers: Pool) -> None:
@@ -314,6 +347,7 @@ def test_a_robot_for_each_person_of_a_kind(pool: Pool) -> None:
     assert mean == pytest.approx(2 * values[0].mean() + values[1].mean() + paid)
     assert error == pytest.approx(math.sqrt((4 * values[0].var(ddof=1) + values[1].var(ddof=1)) / 400))
     assert found.relaxed(episodes=400) == found.relaxed(episodes=400, seed=0)
+    assert found.relaxed(episodes=2)[0] < 0
     with pytest.raises(ValueError, match=r"^episodes 1: expected a whole number of 2 or more"):
         found.relaxed(episodes=1)
 
@@ -343,6 +377,33 @@ def test_the_policy_of_a_bound_has_its_prices(pool: Pool, strangers: Pool) -> No
         assert bound_at(several, team, []).policy().price == pytest.approx([expected])
 
 
+def test_what_a_bounds_policy_and_its_relaxed_problem_need(pool: Pool) -> None:
+    """Prices need a known goal, and the simulation needs the values of all states."""
+    assert bound_at(pool, (1,), [0.3]).policy().price.tolist() == [0.3, 0.0]
+    unknown = Pool.sample(ring(), 1, seed=1, setting=SETTING)
+    with pytest.raises(ValueError, match="the policy at a bound's prices: expected people whose goal is known"):
+        bound_at(unknown, (0,), [0.3]).policy()
+    large = Pool.sample(kit("tiny"), 1, seed=1, states=1, region=6, setting=replace(SETTING, knowledge="exact"))
+    with pytest.raises(ValueError, match="relaxed: expected an enumerated task"):
+        bound_at(large, (0,), []).relaxed(episodes=2)
+
+
+def test_no_more_time_is_reported_than_has_passed(pool: Pool) -> None:
+    begun = time.perf_counter()
+    found = upper_bound(pool, (0,), window=0, gap=0.1)
+    assert 0 < found.seconds <= time.perf_counter() - begun
+
+
+def test_a_bound_from_sample_paths_counts_if_there_are_enough(strangers: Pool) -> None:
+    """Of 30 paths it does, and it is the lower one here; fewer are only reported."""
+    for paths in (4, 30):
+        found = upper_bound(strangers, window=0, gap=1e-2, paths=paths, jobs=1)
+        assert found.sampled is not None
+        assert found.sampled.paths == paths
+        assert found.sampled.upper < found.proven
+        assert found.upper == (found.proven if paths < 30 else found.sampled.upper)
+
+
 def test_one_person_has_no_conflicts_to_sample(pool: Pool) -> None:
     found = upper_bound(pool, (1,), window=0, gap=1e-3, paths=4)
     assert (found.sampled, found.upper) == (None, found.proven)
@@ -370,6 +431,7 @@ def test_policies_are_certified_by_their_names(pool: Pool) -> None:
     assert certificates[1].slack_percent == pytest.approx(100 * found.slack / abs(certificates[1].value))
     assert told[-2:] == [("simulating policies", 0, 2), ("simulating policies", 1, 2)]
     assert found.certify("none", episodes=30) == found.certify("none", episodes=30, seed=0)
+    assert found.certify("none", episodes=1025, time_limit=1e-9).episodes == 1024
     names = [found.certify(policy, episodes=2).policy for policy in ("none", quiet, partial(quiet))]
     assert names == ["none", "quiet", "policy"]
     assert certify(pool, {"none": "none"}, episodes=30, seed=3, window=0, time_limit=1e9)[1][0] == replace(

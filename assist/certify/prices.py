@@ -145,8 +145,8 @@ def kinds_of(
     members: dict[tuple[int, float, int], list[int]] = {}
     for k, person in enumerate(team):
         members.setdefault((int(pool.model[person]), entries[k], steps[k]), []).append(k)
-    problems: list[TruncatedProblem] = []
-    owners: list[tuple[float, tuple[int, float, int]]] = []  # probability of the goal, and key of `members`
+    # Of each kind: the probability of its goal, its problem, and its key of `members`.
+    parts: list[tuple[float, TruncatedProblem, tuple[int, float, int]]] = []
     for done, key in enumerate(members):
         model, entry, _ = key
         tell("setting up people's problems", done, len(members))
@@ -158,16 +158,14 @@ def kinds_of(
             entry, with_outer=with_outer, until=share, memory_limit_mb=room if with_outer else memory_limit_mb,
             kept_mb=room,
         )  # fmt: skip
-        found = (
-            [(1.0, beyond)]
-            if beyond
-            else [(chance, TruncatedProblem(problem)) for chance, problem in pool.policies[model].pomdp.of_goals()]
-        )
-        problems += [problem for _, problem in found]
-        owners += [(chance, key) for chance, _ in found]
-    require_room(problems, [steps for _, (_, _, steps) in owners], window, memory_limit_mb)
+        if beyond:
+            parts.append((1.0, beyond, key))
+        else:
+            goals = pool.policies[model].pomdp.of_goals()
+            parts += [(chance, TruncatedProblem(problem), key) for chance, problem in goals]
+    require_room([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)
     kinds = []
-    for one, (chance, key) in zip(problems, owners, strict=True):
+    for chance, one, key in parts:
         _, entry, entry_steps = key
         free = AttentionSubproblem.of(one.problem, entry, entry_steps)
         tail = initial_upper_bounds(free.pomdp)
@@ -230,7 +228,7 @@ def search(
     float array, shape (W,)
         Mean of the last half of the rounds, in cost units, up to the last price of at least 0.01.
     """
-    price, mean, past, counted = np.zeros(window), np.zeros(window), np.zeros(window), 0
+    price, past, later = np.zeros(window), np.zeros(window), list[Floats]()
     for round_ in range(rounds):
         tell("optimising prices", round_, rounds)
         # Every round has other random numbers, so that the prices do not overfit one sample.
@@ -249,10 +247,8 @@ def search(
             past += slope**2
             price = np.maximum(0.0, price + 0.5 * slope / np.sqrt(past + 1e-12))
             if round_ >= rounds // 2:
-                mean += price / (rounds - rounds // 2)
-                counted += 1
+                later.append(price)
             continue
         break  # the rest of an incomplete round is not used
-    if counted < rounds - rounds // 2:
-        mean = mean * (rounds - rounds // 2) / counted if counted else price
+    mean = sum((one / len(later) for one in later), np.zeros(window)) if later else price
     return mean[: int(np.flatnonzero(mean > 0.01).max(initial=-1)) + 1]
