@@ -143,6 +143,26 @@ def test_each_state_is_as_defined(
             np.testing.assert_array_equal(at, [found.layout.number(step, position, x) for x in range(len(alone.final))])
 
 
+def test_other_prices_change_the_bounds_where_the_task_ends() -> None:
+    """The same as if the subproblem had been built with them; rows keep nothing of a memory of actions."""
+    alone = problem([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 2), (1, 2, 1)])
+    own = alone.model.choices
+    memory = {"state": np.arange(len(own)), "terms": ("near",), "features": np.ones((*own.costs.shape, 1))}
+    alone = replace(
+        alone,
+        model=replace(alone.model, choices=replace(own, **memory)),
+        frontier=LeafBounds(np.array([2]), np.full((1, 3), -7.0), np.array([-2.0]), floor=-9.0),
+    )
+    one, other = (AttentionSubproblem.of(alone, 0.4, 1, price) for price in ([0.5, 0.25], [2.0, 1.0]))
+    is_as_defined(one, [0.5, 0.25])
+    moved = one.priced(np.array([2.0, 1.0]))
+    assert one.pomdp.frontier is not None
+    assert moved.pomdp.frontier is not None
+    assert other.pomdp.frontier is not None
+    np.testing.assert_array_equal(moved.pomdp.frontier.lower, other.pomdp.frontier.lower)
+    assert (moved.pomdp.frontier.lower < one.pomdp.frontier.lower).any()
+
+
 def test_a_robot_does_not_see_who_has_reached_one_of_several_goals() -> None:
     alone = AssistPOMDP.of(HumanModel.exact(ring().choices()), grid=GRID)
     is_as_defined(AttentionSubproblem.of(alone, 0.4), [])
