@@ -20,7 +20,8 @@ import numpy as np
 from tables import Columns, cell, record_option, write_record
 
 from assist.reports.userstudy_summary import _adjusted, _measure, measures
-from assist.userstudy.plan import UserStudy, read
+from assist.userstudy.plan import UserStudy
+from assist.userstudy.plan_file import read
 from assist.userstudy.tables import COLUMNS, Tables
 
 STUDY = """title = "Simulated"

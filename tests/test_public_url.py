@@ -23,7 +23,7 @@ from userstudies import PLAN, written
 from assist.live.events import Event
 from assist.live.session import Session
 from assist.team.settings import Setting
-from assist.userstudy.plan import read
+from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
 from assist.web.app import make_app
 from assist.web.client import Client, RefusedError

@@ -12,7 +12,7 @@ from test_userstudy_pages import Web
 from userstudies import PLAN, written
 
 from assist.texts import catalogue, languages
-from assist.userstudy.plan import read
+from assist.userstudy.plan_file import read
 from assist.web.tokens import VISITOR
 from planner import Table
 from planner.system.errors import InputFileError

@@ -28,9 +28,10 @@ from assist.live.store import stored
 from assist.reports.userstudy_summary import summarise
 from assist.userstudy import cohort
 from assist.userstudy.assignment import balanced_orders
-from assist.userstudy.cohort import Cohort, FullError, StudyEvent
-from assist.userstudy.plan import FileTable, read
+from assist.userstudy.cohort import Cohort
+from assist.userstudy.plan_file import FileTable, read
 from assist.userstudy.session import JOURNAL, StudySession
+from assist.userstudy.study_events import FullError, StudyEvent
 from assist.userstudy.tables import tables
 from planner import Instance, Table
 from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError
@@ -424,7 +425,7 @@ def test_who_leaves_before_the_task_gives_the_place_free_and_may_come_back(opene
     assert ann.report("returned")["study"]["kind"] == "practice"
     ann.to("task tiny")
     ann.report("left")
-    assert session.cohort.taken == 1  # whose task has begun keeps it
+    assert session.cohort.places.taken == 1  # whose task has begun keeps it
     with pytest.raises(FullError):
         Part(session, "cleo").come()
     ann.finish()  # finishing a task readmits her

@@ -34,7 +34,8 @@ from assist.reports.preregistration import REGISTERED
 from assist.reports.repeated_measures import adjusted_for_period, mixed_model
 from assist.reports.userstudy_report import of_folder, write_report
 from assist.reports.userstudy_summary import _adjusted, _measure, measures, summarise
-from assist.userstudy.plan import OUTCOMES, read
+from assist.userstudy.plan import OUTCOMES
+from assist.userstudy.plan_file import read
 from assist.userstudy.tables import COLUMNS, Tables
 from assist.userstudy.tables import written as written_rows
 from planner.system.errors import InputFileError

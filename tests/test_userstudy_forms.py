@@ -20,7 +20,8 @@ from userstudies import PLAN, Part, written
 
 from assist.reports.userstudy_summary import summarise
 from assist.userstudy.export import files
-from assist.userstudy.plan import UserStudy, read
+from assist.userstudy.plan import UserStudy
+from assist.userstudy.plan_file import read
 from assist.userstudy.questionnaire_file import ItemTable, QuestionnaireTable
 from assist.userstudy.questionnaires import Item
 from assist.userstudy.session import JOURNAL, StudySession

@@ -17,7 +17,7 @@ from assist.live.live_task import InapplicableError
 from assist.reports.userstudy_report import _sections
 from assist.reports.userstudy_summary import measures, summarise
 from assist.texts import Catalogue, catalogue, languages
-from assist.userstudy.plan import read
+from assist.userstudy.plan_file import read
 from assist.userstudy.session import JOURNAL, StudySession
 from assist.userstudy.tables import tables
 from planner import Table
@@ -77,7 +77,7 @@ def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> Non
     assert changed == {"ann", "bob", "cyd"}
     who = session.cohort.participants
     assert len({who[name].condition for name in who}) == 1
-    assert session.cohort.counts()[who["ann"].condition or ""] == 1  # a group, not three people
+    assert session.cohort.places.by_condition()[who["ann"].condition or ""] == 1  # a group, not three people
     told = set()
     for _ in range(3):
         for part in (ann, bob, cyd):

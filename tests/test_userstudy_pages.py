@@ -24,7 +24,7 @@ from test_live_pages import CHROMIUM, chromium, violations
 from userstudies import PLAN, SCORES, written
 
 from assist.texts import catalogue, languages
-from assist.userstudy.plan import read
+from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
 from assist.web.app import make_app
 from assist.web.request_limits import Allowance

@@ -21,7 +21,7 @@ from urllib.parse import urljoin
 import pytest
 from userstudies import PLAN, written
 
-from assist.userstudy.plan import read
+from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
 from assist.web.app import make_app
 from assist.web.request_limits import Allowance, networks

@@ -7,8 +7,8 @@ from typing import Any
 
 from conftest import KITTING
 
-from assist.userstudy.cohort import StudyEvent
 from assist.userstudy.session import StudySession
+from assist.userstudy.study_events import StudyEvent
 
 PLAN = f"""title = "A small study"
 tasks = ["{KITTING}/tiny.pddl"]

@@ -32,7 +32,7 @@ def study_prepare(file: Path, data: Path, links: Path | None, public_url: str | 
     from planner.system.errors import InputFileError, ResultsExistError
 
     from ..reports.preregistration import register
-    from ..userstudy.plan import read
+    from ..userstudy.plan_file import read
 
     try:
         study = read(file)

@@ -116,7 +116,7 @@ def conduct(
         from planner.system.errors import InputFileError
 
         from ..team.state import PolicyError
-        from ..userstudy.plan import read
+        from ..userstudy.plan_file import read
         from ..web.user_study import server as serving
     except ImportError as error:
         raise MissingExtraError("user studies need", str(error.name), "study") from None

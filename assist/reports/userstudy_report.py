@@ -14,7 +14,8 @@ from planner.system.files import atomic
 
 from ..plots import style
 from ..plots import userstudy as draw
-from ..userstudy.plan import UserStudy, read
+from ..userstudy.plan import UserStudy
+from ..userstudy.plan_file import read
 from ..userstudy.questionnaires import TLX
 from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Row, Tables, tables

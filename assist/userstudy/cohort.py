@@ -1,8 +1,6 @@
 """The participants of a user study: their stages and conditions, and the events that are possible.
 
-A place is taken by participants who are taking part or have completed the study. It is also taken by those whose task
-has begun, unless the study replaces dropouts. The place of a participant who leaves before is free again. The condition
-is assigned when the first task begins, not before (`assignment`).
+The condition is assigned when the first task begins, not before (`assignment`).
 
 In a study with groups, participants wait for each other before the first task. The last one to arrive starts the group,
 which has one condition, one team and one robot.
@@ -15,7 +13,6 @@ from __future__ import annotations
 import secrets
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
@@ -31,120 +28,16 @@ from ..live.live_task import InapplicableError, UnknownError
 from ..live.simulated_person import SimulatedPerson
 from ..live.store import Change
 from .assignment import assign
+from .erasing import without
 from .participant_team import ParticipantTeam
-from .plan import Stage, UserStudy
+from .participants import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Group, Participant
+from .places import Places
+from .plan import WAITING, Stage, UserStudy
 from .questionnaires import Item
-
-HERE, GONE, DECLINED, WITHDREW, FULL, DONE = "here", "gone", "declined", "withdrew", "full", "done"
-UNMATCHED = "unmatched"
-"""Status of participants for whom no group was found in time."""
-
-WAITING = "waiting"
-"""Kind of the stage at which participants wait for their group."""
-
-KINDS = {"visited", "onward", "acted", "elapsed", "expired", "withdrew", "left", "returned", "excluded"}
-"""Kinds of events."""
+from .study_events import KINDS, FullError, StudyEvent
 
 LETTERS = "23456789BCDFGHJKLMNPQRSTVWXYZ"
 """Characters of completion codes: no vowels, and none that resembles another."""
-
-
-class FullError(InapplicableError):
-    """The study is full."""
-
-
-@dataclass(frozen=True)
-class StudyEvent(Event):
-    """An event of a participant.
-
-    Attributes
-    ----------
-    stage : str or None
-        The stage that the participant completes.
-    answers : mapping of str, or None
-        Answers, if the stage is a questionnaire.
-    simulated : bool
-        Whether a new participant is simulated.
-    reason : str or None
-        Why the researchers exclude the participant from the analysis; None includes the participant again.
-    late : bool
-        Whether the researchers withdraw the data, which they may do after the study's last day for withdrawals.
-    """
-
-    stage: str | None = None
-    answers: Mapping[str, Any] | None = None
-    simulated: bool = False
-    reason: str | None = None
-    late: bool = False
-
-
-@dataclass
-class Participant:
-    """A participant, also one who has left.
-
-    Attributes
-    ----------
-    code : str
-        The participant's pseudonym, the only identifier.
-    simulated : bool
-    status : str
-    at : int
-        Number of the present stage.
-    seq : int
-        Number of the last event that changed the participant's view.
-    entered : float
-        Time at which the present stage began, in seconds since the study began.
-    acted : float
-        Time of the last event in the participant's task.
-    expired : bool
-        Whether the task's time limit was reached.
-    condition : str or None
-        The assigned condition; in a within-participants design, the name of the order (`UserStudy.orders`).
-    completion : str or None
-        Completion code.
-    excluded : str or None
-        Why the researchers exclude the participant from the analysis.
-    erased : bool
-        Whether the records were erased; `code` is then a label.
-    group : str or None
-        Name of the participant's group, once it has begun.
-    groups : dict of ParticipantTeam
-        Teams, keyed by kind of stage and period: one for practice, and one for the tasks of each condition.
-    """
-
-    code: str
-    simulated: bool = False
-    status: str = HERE
-    at: int = 0
-    seq: int = 0
-    entered: float = 0.0
-    acted: float = 0.0
-    expired: bool = False
-    condition: str | None = None
-    completion: str | None = None
-    excluded: str | None = None
-    erased: bool = False
-    group: str | None = None
-    groups: dict[tuple[str, int], ParticipantTeam] = field(default_factory=dict)
-
-    def at_tasks(self) -> list[ParticipantTeam]:
-        """Return the teams of the tasks that have begun, in the order of conditions."""
-        return [group for (kind, _), group in self.groups.items() if kind == "task"]
-
-
-@dataclass(frozen=True)
-class Group:
-    """Participants who share a robot.
-
-    Attributes
-    ----------
-    members : tuple of str
-        Codes of the participants, in order of arrival.
-    team : ParticipantTeam
-    """
-
-    members: tuple[str, ...]
-    team: ParticipantTeam
 
 
 class Cohort:
@@ -172,6 +65,7 @@ class Cohort:
         self.count, self.paused, self.begun = 0, False, 0
         self.recent: deque[dict[str, Any]] = deque(maxlen=1)
         self.participants: dict[str, Participant] = {}
+        self.places = Places(study, self.participants)
         self.fault: str | None = None
         self.groups: dict[str, Group] = {}
         self._touched: set[str] = set()
@@ -237,7 +131,7 @@ class Cohort:
     def _visits(self, event: Event) -> dict[str, Any]:
         if event.person is None or event.person in self.participants:
             raise InapplicableError("this code is taken; try again")
-        if not self._room():
+        if not self.places.is_free_for():
             raise FullError("the study is full at the moment; places may become free later")
         simulated = isinstance(event, StudyEvent) and event.simulated
         return {"at": _now(), **({"simulated": True} if simulated else {})}
@@ -249,7 +143,7 @@ class Cohort:
         """
         stage, kind = self.stages[person.at], event.kind
         if kind == "returned" and person.status in (GONE, FULL):
-            here = self._room(person)
+            here = self.places.is_free_for(person)
             team = self._rejoins(person, n, time) if here else []
             return {"status": HERE if here else FULL, **({"team": team} if team else {})}
         if kind == "elapsed":
@@ -267,7 +161,7 @@ class Cohort:
             return {"status": DECLINED if stage.kind == "consent" else WITHDREW} | self._parts(person, n, time)
         facts: dict[str, Any] = {}
         if person.status == GONE and kind in ("acted", "onward"):
-            if not self._room(person):
+            if not self.places.is_free_for(person):
                 raise FullError("the study is full at the moment; places may become free later")
             facts["returned"] = True
         elif person.status != HERE:
@@ -325,7 +219,7 @@ class Cohort:
         to = self.stages[self.study.next_stage(person.at, person.condition)]
         condition = None
         if to.kind == "task" and person.condition is None:
-            condition = facts["condition"] = assign(self.counts(), self.study.seed, self.begun)
+            condition = facts["condition"] = assign(self.places.by_condition(), self.study.seed, self.begun)
         if to.kind in ("practice", "task"):
             new = (to.kind, to.period) not in person.groups
             try:
@@ -377,7 +271,7 @@ class Cohort:
         if kind == "expired" and self.study.group.then == "alone":
             members = [person.code]
         name = f"G{len(self.groups) + 1}"
-        condition = assign(self.counts(), self.study.seed, self.begun)
+        condition = assign(self.places.by_condition(), self.study.seed, self.begun)
         team = self._form(name, members, condition).team
         task = self.stages[self.study.next_stage(to, condition)].what
         try:
@@ -484,30 +378,9 @@ class Cohort:
 
         The order of arrival and the assigned condition remain, on which the conditions of others depend.
         """
-        who, time, here = self.known(person), 0.0, False
+        who = self.known(person)
         of_team = None if who.group is None else self.groups[who.group].team.course.without(person, label)
-
-        def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
-            nonlocal time, here
-            shared: dict[str, Any] = {}
-            if of_team is not None and record.get("group") == who.group:
-                shared = {"group": who.group, "team": [of_team(sub, None)[0] for sub in record["team"]]}
-                if "members" in record:
-                    members = [label if code == person else code for code in record["members"]]
-                    shared |= {"members": members, "condition": record["condition"]}
-                record = record | shared
-            if record.get("person") != person:
-                time = record["time"]
-                return record, answer
-            kept: dict[str, Any] = {"n": record["n"], "time": time, "event": ERASED}
-            if not here:
-                here, kept = True, kept | {"event": VACANT, "person": label, "status": who.status}
-                kept |= {"simulated": True} if who.simulated else {}
-            elif "condition" in record and not shared:
-                kept |= {"person": label, "condition": record["condition"]}
-            return kept | shared, None
-
-        return removed
+        return without(who, label, of_team)
 
     # State.
 
@@ -521,31 +394,6 @@ class Cohort:
         if person not in self.participants or self.participants[person].erased:
             raise AbsentError(f"{(person or '')[:80]!r} is not in the study")
         return self.participants[person]
-
-    def counts(self) -> dict[str, int]:
-        """Return, for each condition or order, the number of its participants, or groups, that take a place."""
-        counts, groups = dict.fromkeys(self.study.orders, 0), set[str]()
-        for person in self.participants.values():
-            if person.condition is not None and person.group not in groups and self._counts(person):
-                counts[person.condition] += 1
-                groups |= set() if person.group is None else {person.group}
-        return counts
-
-    def _counts(self, person: Participant) -> bool:
-        """Whether a participant takes one of the study's places, as the module describes."""
-        if person.status in (HERE, DONE):
-            return True
-        return person.condition is not None and not self.study.replace
-
-    @property
-    def taken(self) -> int:
-        """Number of places taken."""
-        return sum(map(self._counts, self.participants.values()))
-
-    def _room(self, person: Participant | None = None) -> bool:
-        """Whether there is a free place, or the returning participant still has one."""
-        most = self.study.participants
-        return most is None or (person is not None and self._counts(person)) or self.taken < most
 
     def _at_task(self, person: Participant) -> ParticipantTeam:
         stage = self.stages[person.at]

@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from .plan import read
+from .plan_file import read
 from .session import JOURNAL, PLAN
 from .tables import COLUMNS, tables, written
 

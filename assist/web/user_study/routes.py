@@ -13,10 +13,10 @@ from pydantic import BaseModel, Field, WithJsonSchema
 
 from ...live.events import LONGEST_REASON
 from ...texts.catalogue import catalogue
-from ...userstudy.cohort import StudyEvent
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
 from ...userstudy.questionnaires import Item
+from ...userstudy.study_events import StudyEvent
 from ..authorization import READ, WRITE, Operator, Own, refusals
 from ..page_routes import page, page_of, piece
 from ..routes import plain

@@ -11,8 +11,11 @@ from urllib.parse import urlencode
 
 from ...live.events import AbsentError, Event
 from ...live.live_task import InapplicableError
-from ...userstudy.cohort import HERE, LETTERS, WAITING, Cohort, FullError, StudyEvent
+from ...userstudy.cohort import LETTERS, Cohort
+from ...userstudy.participants import HERE
+from ...userstudy.plan import WAITING
 from ...userstudy.session import StudySession
+from ...userstudy.study_events import FullError, StudyEvent
 from ..service import Service, Watcher
 from ..tokens import VISITOR, AccessTokens, secret_in
 
@@ -244,9 +247,9 @@ class StudyService(Service):
                 "steps": tasks[-1].seen(code)["steps"] if tasks else None, "simulated": person.simulated,
                 "erased": person.erased, "excluded": person.excluded, "group": person.group,
             })  # fmt: skip
-        counts, policies = cohort.counts(), {one.name: one.policy for one in study.conditions}
+        counts, policies = cohort.places.by_condition(), {one.name: one.policy for one in study.conditions}
         return {
-            "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.taken,
+            "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.places.taken,
             "stages": [stage.name for stage in cohort.stages], "participants": people, "events": cohort.count,
             "fault": cohort.fault, "design": study.design,
             "conditions": [

@@ -1,0 +1,48 @@
+"""Removal of what is recorded of a participant from the records of a study."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..live.events import ERASED, VACANT
+from ..live.store import Change
+from .participants import Participant
+
+
+def without(who: Participant, label: str, of_team: Change | None) -> Change:
+    """Return a function that removes what is recorded of a participant from a record and its answer.
+
+    It is called for all records in order. The order of arrival and the assigned condition remain, on which the
+    conditions of others depend.
+
+    Parameters
+    ----------
+    who : Participant
+    label : str
+        Stands for the participant in the records.
+    of_team : callable or None
+        Does the same for the records of the group's team; None if there is no group.
+    """
+    time, here = 0.0, False
+
+    def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
+        nonlocal time, here
+        shared: dict[str, Any] = {}
+        if of_team is not None and record.get("group") == who.group:
+            shared = {"group": who.group, "team": [of_team(sub, None)[0] for sub in record["team"]]}
+            if "members" in record:
+                members = [label if code == who.code else code for code in record["members"]]
+                shared |= {"members": members, "condition": record["condition"]}
+            record = record | shared
+        if record.get("person") != who.code:
+            time = record["time"]
+            return record, answer
+        kept: dict[str, Any] = {"n": record["n"], "time": time, "event": ERASED}
+        if not here:
+            here, kept = True, kept | {"event": VACANT, "person": label, "status": who.status}
+            kept |= {"simulated": True} if who.simulated else {}
+        elif "condition" in record and not shared:
+            kept |= {"person": label, "condition": record["condition"]}
+        return kept | shared, None
+
+    return removed

@@ -1,0 +1,276 @@
+"""The file of a user study, from which its plan is read.
+
+`docs/userstudy.md` describes the format. Every error names the line and the place in the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from datetime import date
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+
+from planner import Instance, InstanceError, find_instances
+from planner.pddl import bundled
+from planner.system.errors import InputFileError
+from planner.system.errors import expected as meant
+from planner.system.typed_toml import (
+    AnyTable,
+    Number,
+    Pair,
+    Seed,
+    Text,
+    Texts,
+    Truth,
+    Whole,
+    convert,
+    fault,
+    given,
+    load,
+    located,
+    partial_of,
+)
+
+from ..people.human import Population
+from ..people.mixture import Mixture, advice_takers
+from ..people.user_code import parse
+from ..team.policies import POLICIES
+from ..team.settings import Setting
+from ..texts.catalogue import FIRST, Catalogue, catalogue
+from .plan import BETWEEN, OUTCOMES, WITHIN, Condition, Grouping, UserStudy
+from .questionnaire_file import QuestionnaireTable, questionnaires_of
+from .questionnaires import BEFORE, END, Questionnaire
+
+Minutes = Annotated[float, Meta(gt=0, le=10_000, description="a number of minutes above 0")]
+# More simulated people would keep the robot away from the participant.
+Mates = Annotated[int, Meta(ge=0, le=20, description="a whole number from 0 to 20")]
+Members = Annotated[int, Meta(ge=2, le=20, description="a whole number from 2 to 20")]
+Day = Annotated[date, Meta(description="a date such as 2027-03-31")]
+
+
+class ConditionTable(Struct, forbid_unknown_fields=True):
+    """A table of `conditions`."""
+
+    name: Text
+    policy: Text
+    setting: AnyTable = {}
+    reasons: Truth | None = None
+
+
+class GroupTable(Struct, forbid_unknown_fields=True, frozen=True):
+    """The table `group`."""
+
+    size: Members
+    wait: Minutes = 5.0
+    then: Text = "end"
+
+
+class PopulationTable(Struct, forbid_unknown_fields=True, frozen=True):
+    """The table `population`."""
+
+    beta: Pair | None = None
+    theta: Pair | None = None
+    sigma: Pair | None = None
+
+
+class FileTable(Struct, forbid_unknown_fields=True):
+    """The whole file."""
+
+    tasks: Texts
+    conditions: list[ConditionTable]
+    consent: Text
+    instructions: Text
+    language: Text = FIRST
+    title: Text | None = None
+    thanks: Text | None = None
+    practice: Text | None = None
+    design: Text = BETWEEN
+    reference: Text | None = None
+    participants: Whole | None = None
+    simulated: Mates | None = None
+    again: Truth = True
+    reasons: Truth = False
+    replace: Truth = False
+    away: Minutes = 10.0
+    minutes: Minutes | None = None
+    tick: Number = 2.0
+    code: Text | None = None
+    withdraw_until: Day | None = None
+    exclude_failed_checks: Whole | None = None
+    confirmatory: Texts | None = None
+    seed: Seed = 0
+    setting: AnyTable = {}
+    population: PopulationTable = PopulationTable()
+    group: GroupTable | None = None
+    questionnaires: list[QuestionnaireTable] = []
+
+
+SettingTable = partial_of(
+    Setting, trust=str | AnyTable, believed_trust=str | AnyTable, observation=AnyTable, c_ask=float
+)
+
+
+def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
+    """Read the file of a user study. Paths in the file are relative to its folder.
+
+    Parameters
+    ----------
+    file : path
+    carried_out : bool
+        Whether this is the copy in a study's folder. The files that it names may then be missing.
+
+    Raises
+    ------
+    InputFileError
+        The file is invalid; the message names the line, the place and the expected value.
+    """
+    file = Path(file)
+    with located(file):
+        return _study(file, convert(load(file), FileTable, file), carried_out)
+
+
+def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
+    names = _conditions(file, table.conditions, carried_out)
+    found = partial(_instance, file, carried_out=carried_out)
+    if table.design not in (BETWEEN, WITHIN):
+        raise fault(file, "design", f"'{table.design}'; {meant(table.design, (BETWEEN, WITHIN))}")
+    if table.design == WITHIN and len(names) < 2:
+        raise fault(file, "design", f"'{WITHIN}' with one condition; expected two or more")
+    reference = table.reference or names[0]
+    if reference not in names:
+        raise fault(file, "reference", f"'{reference}'; {meant(reference, names)}")
+    tasks = [found(f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
+    stems = [task.problem.stem for task in tasks]
+    if len(set(stems)) < len(stems):
+        raise fault(file, "tasks", "two tasks have the same file name; expected different names")
+    words = _words(file, table.language, carried_out)
+    questionnaires = questionnaires_of(file, table.questionnaires, names, words, within=table.design == WITHIN)
+    setting = _setting(file, table.setting)
+    conditions = tuple(
+        Condition(
+            own.name, own.policy,
+            _setting(file, table.setting | own.setting, f"conditions[{number}].setting") if own.setting else setting,
+            table.reasons if own.reasons is None else own.reasons,
+        )
+        for number, own in enumerate(table.conditions, start=1)
+    )  # fmt: skip
+    group = _group(file, table)
+    simulated = table.simulated if table.simulated is not None else 2 if group is None else 0
+    if not 0 < table.tick <= 86_400:
+        raise fault(file, "tick", f"{table.tick:g}; expected a number of seconds above 0")
+    return UserStudy(
+        file, hashlib.sha256(file.read_bytes()).hexdigest()[:32], table.title or file.stem, table.seed,
+        tuple(zip(stems, tasks, strict=True)),
+        None if table.practice is None else found("practice", table.practice),
+        conditions, table.design, reference, table.participants,
+        simulated, table.again, table.replace, table.away, table.minutes, table.tick, table.code,
+        table.withdraw_until, table.exclude_failed_checks, _confirmatory(file, table, questionnaires),
+        setting, _population(file, table.population),
+        {"consent": table.consent, "instructions": table.instructions,
+         "thanks": table.thanks or words("study.thanks_text")},
+        questionnaires, words, group,
+    )  # fmt: skip
+
+
+def _group(file: Path, table: FileTable) -> Grouping | None:
+    """Return how participants form groups; None if each has a team of their own."""
+    if table.group is None:
+        return None
+    size, then = table.group.size, table.group.then
+    if then not in ("start", "alone", "end"):
+        raise fault(file, "group.then", f"'{then}'; expected 'end', 'alone', or 'start' with those who are there")
+    if table.design != BETWEEN:
+        raise fault(file, "design", f"'{table.design}'; expected '{BETWEEN}' in a study with groups")
+    if table.simulated:
+        raise fault(file, "simulated", f"{table.simulated}; expected 0 in a study with groups")
+    if table.participants is not None and table.participants % size:
+        raise fault(file, "participants", f"{table.participants}; expected a multiple of {size}, the size of a group")
+    return Grouping(size, table.group.wait, then)
+
+
+def _words(file: Path, language: str, carried_out: bool) -> Catalogue:
+    own = language.endswith(".toml")
+    path = str(file.parent / language) if own else language
+    if own and carried_out and not Path(path).exists():
+        return catalogue()
+    try:
+        return catalogue(path)
+    except ValueError as error:
+        raise fault(file, "language", str(error).removeprefix("language ")) from None
+
+
+def _confirmatory(file: Path, table: FileTable, questionnaires: tuple[Questionnaire, ...]) -> tuple[str, ...]:
+    scales = [one.name for one in questionnaires if one.scale and one.when not in (BEFORE, END)]
+    known, names = (*OUTCOMES, *scales), table.confirmatory or ()
+    for number, name in enumerate(names, start=1):
+        if name not in known or names.index(name) < number - 1:
+            right = meant(name, known) if name not in known else "expected different names"
+            raise fault(file, f"confirmatory[{number}]", f"'{name}'; {right}")
+    return tuple(names)
+
+
+def _conditions(file: Path, tables: list[ConditionTable], carried_out: bool) -> list[str]:
+    if not tables:
+        raise fault(file, "conditions", "[]; expected one table or more")
+    names: list[str] = []
+    for number, own in enumerate(tables, start=1):
+        place = f"conditions[{number}]"
+        if own.name in names:
+            raise fault(file, f"{place}.name", f"there are two conditions '{own.name}'; expected different names")
+        names.append(own.name)
+        found = parse(own.policy, file.parent)
+        if found is None and own.policy not in POLICIES:
+            raise fault(
+                file, f"{place}.policy", f"'{own.policy}'; {meant(own.policy, POLICIES, ', or FILE.py:FUNCTION')}"
+            )
+        if found is not None and not carried_out and not found[0].is_file():
+            raise fault(file, f"{place}.policy", f"{found[0]}: no such file")
+    return names
+
+
+def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instance:
+    problem = file.parent / name
+    if carried_out:
+        return Instance(problem, problem.with_name("domain.pddl"))
+    known = [] if problem.exists() else bundled.files(name)
+    try:
+        found = find_instances(known or [problem])
+    except InstanceError as error:
+        raise fault(file, place, str(error)) from None
+    if len(found) != 1 or (not known and found[0].problem.name != problem.name):
+        raise fault(file, place, f"'{name}' matches {len(found)} problems; expected the file of one")
+    return found[0]
+
+
+def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Setting:
+    try:
+        setting = replace(Setting(), **given(convert(content, SettingTable, file, place))).for_real_people()
+    except ValueError as error:
+        if isinstance(error, InputFileError):
+            raise
+        raise fault(file, place, str(error)) from None
+    if setting.travel_time:
+        message = f"{setting.travel_time:g}; expected 0, since the robot of a user study does not move"
+        raise fault(file, f"{place}.travel_time", message)
+    if setting.observation is not None:
+        raise fault(file, f"{place}.observation", "given; expected none, as participants' actions are all seen")
+    if setting.c_ask is not None:
+        raise fault(file, f"{place}.c_ask", "given; expected none, as participants' pages show no questions")
+    if setting.execute:
+        raise fault(file, f"{place}.execute", "true; expected a robot that suggests")
+    if setting.robots > 1:
+        raise fault(file, "setting.robots", f"{setting.robots}; expected 1")
+    return setting
+
+
+def _population(file: Path, table: PopulationTable) -> Population | Mixture:
+    ranges = {name: getattr(table, name) for name in ("beta", "theta", "sigma")}
+    try:
+        given = {name: value for name, value in ranges.items() if value is not None}
+        return Population(**given) if "theta" in given else advice_takers(**given)
+    except ValueError as error:
+        raise fault(file, "population", str(error)) from None
