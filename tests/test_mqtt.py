@@ -30,7 +30,7 @@ from test_docs import BLOCK
 
 from assist.bridges.messages import MessageError, Report, Source, Topic, fields_of, filled
 from assist.bridges.mqtt_settings import MqttSettings
-from assist.bridges.opcua_settings import OpcUaSettings
+from assist.bridges.opcua_settings import OpcUaSettings, OwnServerSettings
 from assist.bridges.ordering import Acknowledgements, InOrder
 from assist.bridges.ros2_settings import Ros2Settings
 from assist.cli import main
@@ -159,7 +159,7 @@ class Here:
             self.bridge = bridge_of(file, len(self.session.outlook().robots))(link, **options)
             bridge = asyncio.create_task(self.bridge.run())
             try:
-                await asyncio.wait_for(work(), 60)
+                await asyncio.wait_for(work(), 120)
                 assert not bridge.done()
             except Exception as error:  # noqa: BLE001  raised when the service has ended
                 failed.append(error)
@@ -662,13 +662,15 @@ def test_faults_of_the_settings_are_said(text: str, message: str, tmp_path: Path
     assert message in result.stderr
 
 
-def test_the_settings_in_the_documentation(tmp_path: Path) -> None:
+def test_the_settings_in_the_documentation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = [text for kind, text in BLOCK.findall((ROOT / "docs" / "line.md").read_text()) if kind == "toml"]
-    files = [tmp_path / "mqtt.toml", tmp_path / "opcua.toml", tmp_path / "ros2.toml"]
+    files = [tmp_path / f"{name}.toml" for name in ("mqtt", "opcua", "own_server", "ros2")]
     for file, text in zip(files, shown, strict=True):
         file.write_text(text)
     assert OpcUaSettings.read(files[1]).advice == (("ns=2;s=A.Light", "ann"),)
-    go_to = Ros2Settings.read(files[2]).go_to
+    monkeypatch.setenv("KITASSIST_OPCUA_PASSWORD", "secret")
+    assert OwnServerSettings.read(files[2]).url == "opc.tcp://0.0.0.0:4840"
+    go_to = Ros2Settings.read(files[3]).go_to
     assert go_to is not None
     assert go_to.goal_for("ann") == {"x": 1.0, "y": 2.5}
     settings = MqttSettings.read(files[0])

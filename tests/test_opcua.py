@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,8 @@ from starlette.testclient import TestClient
 from test_mqtt import Here, done_of, free_port, plans
 
 from assist.cli import main
+from assist.live import Event
+from assist.team.settings import Setting
 
 asyncua = pytest.importorskip("asyncua")
 ua = asyncua.ua
@@ -147,6 +151,183 @@ def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tm
     for one in (here, there):
         assert done_of(one.session._course.log(), expected) == expected
     assert here.session._course.beliefs() == there.session._course.beliefs()
+
+
+OWN = """
+[own_server]
+url = "opc.tcp://127.0.0.1:PORT/"
+action = "{action}"
+id = "{id}"
+"""
+
+
+class Poller:
+    """A system that only polls: it reads and writes nodes of the assistant's server."""
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+
+    def node(self, path: str) -> Any:
+        return self.client.get_node(f"ns=2;s={path}")
+
+    async def read(self, path: str) -> Any:
+        return await self.node(path).read_value()
+
+    async def until(self, path: str, wanted: Callable[[Any], bool]) -> Any:
+        """Poll a node until it has the wanted value; one that is not there yet has none."""
+        while True:
+            with suppress(ua.UaError):
+                if wanted(value := await self.read(path)):
+                    return value
+            await asyncio.sleep(0.02)
+
+    async def report(self, person: str, action: str, identifier: str) -> dict[str, Any]:
+        """Write a report twice, as a system does that writes in each cycle, and poll for its answer."""
+        text = json.dumps({"action": action, "id": identifier})
+        for _ in range(2):
+            await self.node(f"People/{person}/Action").write_value(text)
+        return await self.answer(person, identifier)
+
+    async def answer(self, person: str, identifier: str) -> dict[str, Any]:
+        found = await self.until(
+            f"People/{person}/Answer", lambda text: json.loads(text or "{}").get("id") == identifier
+        )
+        return dict(json.loads(found))
+
+
+async def connected(port: int, **options: Any) -> Any:
+    """Return a client, as soon as the server listens."""
+    while True:
+        client = asyncua.Client(f"opc.tcp://127.0.0.1:{port}/", timeout=30)
+        for name, value in options.items():
+            getattr(client, f"set_{name}")(value)
+        with suppress(OSError):
+            await client.connect()
+            return client
+        await asyncio.sleep(0.05)
+
+
+def test_systems_that_poll_have_a_server(tmp_path: Path) -> None:
+    """They report by values and calls; the beliefs equal those of the same events over HTTP, bit for bit."""
+    (walk,) = plans(kit("tiny"), 1, 6, seed=1).values()
+    here, there = (
+        Here(tmp_path / name, ["ann", "bob"], Setting(c_suggest=0.01, c_move=0.01)) for name in ("opcua", "http")
+    )
+    port = free_port()
+    (file := tmp_path / "bridge.toml").write_text(OWN.replace("PORT", str(port)))
+    suggested = list[str]()
+
+    async def work() -> None:
+        client = await connected(port)
+        poll = Poller(client)
+        try:
+            for number, action in enumerate(walk):
+                await poll.until("People/ann/Suggestion", lambda _: True)
+                answer = await poll.report("ann", action, f"pick-{number}")
+                assert (answer["status"], answer["seq"]) == ("recorded", await poll.read("People/ann/Seq"))
+                suggested.append(await poll.read("People/ann/Suggestion"))
+                assert suggested[-1] == (json.loads(here.service.views["ann"])["suggestion"] or "")
+            again = json.dumps({"action": walk[0], "id": "pick-0"})  # much later
+            await poll.node("People/ann/Action").write_value(again)
+            assert (await poll.answer("ann", "pick-0"))["status"] == "recorded"
+            assert await poll.read("People/ann/Seq") == answer["seq"]
+
+            bob, method = poll.node("People/bob"), poll.node("People/bob/Report").nodeid
+            call = partial(bob.call_method, method)
+            unseen = ua.Variant(0, ua.VariantType.Int64)
+            status, detail, _ = await call('{"action": "(fetch box-z)"}', "", unseen)
+            assert (status, "box-z" in detail) == ("refused", True)
+            status, _, seq = await call('{"action": "(fetch box-b)"}', "call-1", unseen)
+            assert (status, seq) == ("recorded", await poll.read("People/bob/Seq"))
+            assert (await call('{"action": "(fetch box-b)"}', "call-1", unseen))[2] == seq
+            await poll.node("People/bob/Begin").write_value("next-1")
+            assert (await poll.answer("bob", "next-1"))["status"] == "recorded"
+
+            await poll.node("Robots/1/Arrived").write_value("bob")
+            while (errand := here.session.outlook().robots[0])["location"] != "bob":
+                await asyncio.sleep(0.02)
+            await poll.until("Robots/1/Person", lambda person: person == (errand["person"] or ""))
+            for path in ("People/ann/Suggestion", "People/ann/Answer", "Robots/1/Person"):
+                with pytest.raises(ua.UaError, match="BadUserAccessDenied"):
+                    await poll.node(path).write_value("mine")
+            with pytest.raises(ua.UaError):
+                await client.nodes.objects.add_object(2, "mine")
+            await here.service.report(Event("left", "bob"))
+            while True:
+                try:
+                    await poll.read("People/bob/Suggestion")
+                except ua.UaError:
+                    break
+                await asyncio.sleep(0.02)
+        finally:
+            await client.disconnect()
+
+    here.run(file, work)
+    assert any(suggested)
+    with TestClient(there.app, headers=there.headers) as client:
+        for action in walk:
+            assert client.post("/api/people/ann/actions", json={"action": action}).status_code == 200
+        body = {"action": "(fetch box-b)", "seq": 0}
+        assert client.post("/api/people/bob/actions", json=body).status_code == 200
+        assert client.post("/api/people/bob/begin").status_code == 200
+        assert client.post("/api/robot/arrived", json={"person": "bob"}).status_code == 200
+        assert client.delete("/api/team/people/bob").status_code == 200
+    expected = {"ann": walk, "bob": ["(fetch box-b)"]}
+    for one in (here, there):
+        assert done_of(one.session._course.log(), expected) == expected
+    assert here.session._course.beliefs() == there.session._course.beliefs()
+    assert here.bridge.counts == {"values": 9, "calls": 3, "recorded": 10, "refused": 1}
+
+
+def test_a_server_with_a_password_at_an_address_that_is_taken_for_some_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("KITASSIST_OPCUA_PASSWORD", "secret")
+    here, port = Here(tmp_path / "opcua", ["ann"]), free_port()
+    text = (
+        OWN.replace("PORT", str(port))
+        .replace("{action}", "(fetch {box})")
+        .replace('"{id}"', "'{id}'\nusername = 'plc'")
+    )
+    (file := tmp_path / "bridge.toml").write_text(text)
+
+    async def work() -> None:
+        with socket.create_server(("127.0.0.1", port)):
+            while f"no server at opc.tcp://127.0.0.1:{port}" not in caplog.text:
+                await asyncio.sleep(0.05)
+            assert not here.bridge.connected
+        for options in ({}, {"user": "plc", "password": "secrets"}):
+            while True:
+                try:
+                    await connected(port, **options)
+                except ua.UaError:
+                    break
+                raise AssertionError(options)
+        client = await connected(port, user="plc", password="secret")
+        await Poller(client).until("People/ann/Suggestion", lambda _: True)
+        await Poller(client).node("People/ann/Action").write_value('{"box": "box-a", "id": "1"}')
+        assert (await Poller(client).answer("ann", "1"))["status"] == "recorded"
+        await client.disconnect()
+
+    here.run(file, work)
+    assert "Traceback" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("url = 'http://a'", "own_server.url: 'http://a'; expected opc.tcp://host:port/path"),
+        ("url = 'opc.tcp://a'\nusername = 'plc'", "has no password; expected it in KITASSIST_OPCUA_PASSWORD"),
+        ("url = 'opc.tcp://a'\nperson = 'ann'", "own_server.person: unknown"),
+        ("url = 'opc.tcp://a'\naction = '(fetch {'", "expected fields as {name}"),
+        ("url = 'opc.tcp://a'\n[server]\nurl = 'opc.tcp://b'", "server: unknown"),
+    ],
+)
+def test_faults_of_the_settings_of_an_own_server_are_said(table: str, message: str, tmp_path: Path) -> None:
+    (file := tmp_path / "bridge.toml").write_text(f"[own_server]\n{table}")
+    result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--bridge", str(file)])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert message in result.stderr.replace("\n", " ")
 
 
 @pytest.mark.parametrize(

@@ -151,6 +151,19 @@ def fields_of(payload: bytes, pattern: re.Pattern[str] | None = None) -> Fields:
     return texts_of(content)
 
 
+def fields_of_value(text: str, pattern: re.Pattern[str] | None = None) -> Fields:
+    """Return the fields of a value: those of a JSON object or of a pattern, or `value` for any other text.
+
+    Raises
+    ------
+    MessageError
+        The text begins as an object and is none, or does not match the pattern.
+    """
+    if pattern is not None or text.lstrip().startswith("{"):
+        return fields_of(text.encode(errors="replace"), pattern)
+    return {"value": text}
+
+
 @dataclass(frozen=True)
 class Report:
     """An action of a person, as a message reports it.
@@ -257,9 +270,9 @@ def source_of(table: Any, topic: Topic, names: Mapping[str, str], file: Path, pl
             raise fault(file, f"{place}.{name}", f"{text!r}; expected fields as {{name}}, and no other braces")
         if name == "action" and (wrong := wrong_form(rest)):
             raise fault(file, f"{place}.{name}", f"{text} {wrong}")
-    parts["id"] = parts["id"] or "{id}"
+    parts["id"], parts["person"] = parts["id"] or "{id}", parts["person"] or "{person}"
     pattern = regular_expression(table.pattern, file, f"{place}.pattern")
-    return Source(topic, **parts, pattern=pattern, names=names, begins=table.begins)
+    return Source(topic, **parts, pattern=pattern, names=names, begins=getattr(table, "begins", False))
 
 
 def _whole(template: str | None, fields: Fields, least: int) -> int | None:

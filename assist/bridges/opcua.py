@@ -24,7 +24,7 @@ from typing import Any
 from planner.system.errors import MissingExtraError
 
 from ..web.client import RefusedError
-from .messages import MessageError, fields_of
+from .messages import MessageError, fields_of_value
 from .opcua_settings import Observed, OpcUaSettings
 from .session_client import SessionClient
 
@@ -198,10 +198,7 @@ class OpcUaBridge:
             return
         self.counts["values"] += 1
         try:
-            if observed.source.pattern is not None or text.lstrip().startswith("{"):
-                fields = fields_of(text.encode(), observed.source.pattern)
-            else:
-                fields = {"value": text}
+            fields = fields_of_value(text, observed.source.pattern)
         except MessageError as error:
             self._answer(observed, None, "refused", detail=str(error))
             return

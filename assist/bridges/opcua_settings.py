@@ -1,8 +1,10 @@
-"""The settings of the OPC UA bridge, from one TOML file."""
+"""The settings of the OPC UA bridges, from one TOML file. Passwords come from the environment."""
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +17,7 @@ from planner.system.typed_toml import Text, Truth, convert, fault, located
 from .messages import Source, Topic, source_of
 
 Names = Annotated[dict[str, str], Meta(description="a table of texts")]
+PASSWORD = "KITASSIST_OPCUA_PASSWORD"
 NODE = re.compile(r"(ns=\d+;)?[isgb]=.+")
 
 
@@ -43,8 +46,26 @@ class AdviceTable(Struct, forbid_unknown_fields=True):
     person: Text
 
 
+class OwnServerTable(Struct, forbid_unknown_fields=True):
+    """The table `own_server`."""
+
+    url: Text
+    action: Text = "{value}"
+    id: Text | None = None
+    seq: Text | None = None
+    pattern: Text | None = None
+    username: Text | None = None
+
+
+class OwnServerFileTables(Struct, forbid_unknown_fields=True):
+    """The whole file, for a server of the assistant's own."""
+
+    own_server: OwnServerTable
+    names: Names | None = None
+
+
 class FileTables(Struct, forbid_unknown_fields=True):
-    """The whole file."""
+    """The whole file, for another program's server."""
 
     server: ServerTable
     observe: Annotated[list[ObserveTable], Meta(min_length=1, description="one table or more")]
@@ -103,8 +124,7 @@ class OpcUaSettings:
         file = Path(file)
         with located(file):
             tables = convert(typed_toml.load(file), FileTables, file)
-            if not re.fullmatch(r"opc\.tcp://[^\s/:]+(:\d+)?(/\S*)?", tables.server.url):
-                raise fault(file, "server.url", f"{tables.server.url!r}; expected opc.tcp://host:port/path")
+            _require_url(tables.server.url, file, "server.url")
             observed = []
             for number, one in enumerate(tables.observe, start=1):
                 place = f"observe[{number}]"
@@ -116,6 +136,61 @@ class OpcUaSettings:
                 for number, one in enumerate(tables.advice, start=1)
             ]
             return cls(tables.server.url, tuple(observed), tuple(advice))
+
+
+@dataclass(frozen=True)
+class OwnServerSettings:
+    """Settings of an OPC UA server of the assistant's own.
+
+    Attributes
+    ----------
+    url : str
+        Address at which it listens, `opc.tcp://host:port/path`.
+    source : Source
+        Templates of what a value reports. Fields are those of a JSON object, or `value`, and `person`.
+    has_id : bool
+        Whether values have an id of their own.
+    username : str or None
+        Name of the only user; without one, all who reach the address may read and report.
+    robots : int
+        Number of robots.
+    """
+
+    url: str
+    source: Source
+    has_id: bool = False
+    username: str | None = None
+    robots: int = 1
+
+    @classmethod
+    def read(cls, file: str | Path, robots: int = 1) -> OwnServerSettings:
+        """Read the settings for so many robots from a TOML file.
+
+        Raises
+        ------
+        InputFileError
+            A field is missing, unknown or of the wrong type; the message has its place. Or there is a user name, and no
+            password in the environment.
+        """
+        file = Path(file)
+        with located(file):
+            tables = convert(typed_toml.load(file), OwnServerFileTables, file)
+            table = tables.own_server
+            _require_url(table.url, file, "own_server.url")
+            source = source_of(table, Topic("node"), tables.names or {}, file, "own_server")
+            settings = cls(table.url, source, table.id is not None, table.username, robots)
+            if table.username is not None and not settings.password():
+                raise fault(file, "own_server.username", f"has no password; expected it in {PASSWORD}")
+            return settings
+
+    def password(self, environment: Mapping[str, str] = os.environ) -> str | None:
+        """Return the password, from the environment."""
+        return environment.get(PASSWORD)
+
+
+def _require_url(url: str, file: Path, place: str) -> None:
+    if not re.fullmatch(r"opc\.tcp://[^\s/:]+(:\d+)?(/\S*)?", url):
+        raise fault(file, place, f"{url!r}; expected opc.tcp://host:port/path")
 
 
 def _node(node: str | None, file: Path, place: str) -> str | None:

@@ -204,8 +204,8 @@ def _require_known(chosen: Mapping[str, str], people: Collection[str], tasks: Co
 def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
     """Read the settings of a bridge of so many robots; return a function that makes it, given the operator's link.
 
-    The settings of an OPC UA bridge have a table `server`, those of a ROS 2 bridge a table `rosbridge`. Others are of
-    an MQTT bridge.
+    The settings of an OPC UA bridge have a table `server` or `own_server`, those of a ROS 2 bridge a table `rosbridge`.
+    Others are of an MQTT bridge.
 
     Raises
     ------
@@ -217,9 +217,9 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
     try:
         from planner.system import typed_toml
 
-        from ...bridges import mqtt, opcua
+        from ...bridges import mqtt, opcua, opcua_server
         from ...bridges.mqtt_settings import MqttSettings
-        from ...bridges.opcua_settings import OpcUaSettings
+        from ...bridges.opcua_settings import OpcUaSettings, OwnServerSettings
         from ...bridges.ros2 import Ros2Bridge
         from ...bridges.ros2_settings import Ros2Settings
     except ImportError as error:  # of the library for typed tables
@@ -228,6 +228,9 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
         tables = typed_toml.load(file)
         if "rosbridge" in tables:
             return partial(Ros2Bridge, Ros2Settings.read(file, robots))
+        if "own_server" in tables:
+            opcua.library()
+            return partial(opcua_server.OpcUaServer, OwnServerSettings.read(file, robots))
         if "server" in tables:
             opcua.library()
             return partial(opcua.OpcUaBridge, OpcUaSettings.read(file))
