@@ -34,8 +34,8 @@ def pool_of(ways: list[tuple[int, int, int]], start: int, size: int = 2, **peopl
 
 
 def only_kind(pool: Pool, window: int, time: float = 0.0, **options: Any) -> SubproblemKind:
-    team = tuple(range(len(pool.people)))
-    (kind,) = kinds_of(pool, team, replace(pool.setting, travel_time=time).travel(len(team)), window, **options)
+    team, pool = tuple(range(len(pool.people))), replace(pool, setting=replace(pool.setting, travel_time=time))
+    (kind,) = kinds_of(pool, team, pool.setting.travel(len(team)), window, **options)
     return kind
 
 
@@ -138,6 +138,8 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemKi
         ])  # fmt: skip
         best = q[np.arange(len(x)), robot]
         np.testing.assert_allclose(best, q.max(axis=1), atol=1e-9)
+        found = policy(step, x).q_values(x, belief)
+        np.testing.assert_allclose(found[np.isfinite(q)], q[np.isfinite(q)], atol=1e-9)
     number, _ = kind.simulated(np.array([9.0, 9.0, 0.0]), 8, 50, 0)
     assert number[:2].tolist() == [0, 0]
     assert 0 < number[2] <= 1
