@@ -14,6 +14,7 @@ from assist.large_tasks.truncated_task import TruncatedTask
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
 from assist.people.human import HumanModel, Population
+from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome
 from assist.person.pomdp import AssistPOMDP
 from assist.person.solver import solve
 from planner import Instance, OnDemand, Table, sweep
@@ -246,12 +247,40 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
         assert found("ladder", rows_at_a_time=block) == (6, 2, 1.0)
         assert found("corridor", rows_at_a_time=block) == (24, 1, 0.0)
         assert found("dead ends", rows_at_a_time=block) == (6, 3, np.inf)
+    monkeypatch.setattr(truncated_task, "SURVEYED", 7)
+    assert found("ladder") == (6, 2, 1.0)  # the ladder has as many states
     monkeypatch.setattr(truncated_task, "SURVEYED", 6)
     assert found("ladder") == (6, 12, 6.0)
     assert found("dead ends") == (6, 15, np.inf)
     asked = OnDemand(tables["corridor"].task)
     part = truncated_task._Survey.of(asked, TruncatedTask.of(tables["corridor"], start=4, states=2).choices)
     assert (part.highest, part.actions, part.rise) == (12, 8, np.inf)
+
+
+def test_the_only_way_up_of_a_task_is_found_in_every_state() -> None:
+    corridor = [(node, node - 1, 1) for node in range(1, 5)]
+    for node in range(1, 4):
+        table = sweep(graph_task([*corridor, (node, node + 1, 1)], start=4))
+        assert truncated_task._Survey.of(table, Choices.of(table)).rise == 1
+        assert truncated_task._Survey.of(table, Choices.of(table), rows_at_a_time=1).rise == 1
+    table = sweep(graph_task([*corridor, (4, 4, 1), (4, 5, 1), (5, 4, 1)], start=4))
+    assert truncated_task._Survey.of(table, Choices.of(table)).rise == 1
+
+
+def test_the_lower_bound_follows_rules_of_trust_whose_steps_are_known() -> None:
+    """Constant trust is equation 7 with an eta of 0; for other rules the worst case is assumed."""
+    ladder = [(node, to, 1) for node in range(1, 7) for to in (node - 1, min(node + 1, 6))]
+    part = TruncatedTask.of(sweep(graph_task(ladder, start=3)), states=2)
+
+    def lower(eta: float, trust: TrustRule | None) -> Floats:
+        frontier = part.problem(gamma=0.9, eta=eta, trust=trust).frontier
+        assert frontier is not None
+        return frontier.lower
+
+    np.testing.assert_array_equal(lower(0.2, constant()), lower(0.0, None))
+    np.testing.assert_array_equal(lower(0.2, EquationSeven(0.2)), lower(0.2, None))
+    assert (lower(0.2, None) > lower(0.0, None)).any()
+    np.testing.assert_allclose(lower(0.2, outcome()), -2 / 0.1, rtol=1e-12)
 
 
 def test_who_follows_for_nothing_pays_nothing() -> None:

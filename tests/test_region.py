@@ -161,9 +161,9 @@ def test_a_part_begins_where_it_is_told_and_ends_with_the_time(monkeypatch: pyte
     everything = TruncatedTask.of(table, progress=told.append)
     assert (len(everything.states), len(everything.frontier)) == (len(table), 0)
     assert sum(told) == 8 + len(table) - table.space.goal.sum()
-    now = iter([0.0, 1.0, 5.0, 7.0])
+    now = iter([10.0, 11.0, 15.0, 17.0])
     monkeypatch.setattr(region, "time", SimpleNamespace(monotonic=lambda: next(now)))
-    short = TruncatedTask.of(table, time_limit=6.0)
+    short = TruncatedTask.of(table, time_limit=7.0)  # it has passed when no time is left
     assert len(short.states) - len(short.frontier) - short.choices.goal.sum() == 1 + 3
 
 

@@ -31,6 +31,7 @@ from ..people.belief import Grid
 from ..people.choices import Choices
 from ..people.decision import Floats, choice
 from ..people.human import Human, HumanModel, Population
+from ..people.misconception import Misconception
 from ..people.mixture import Mixture
 from ..people.state_keys import keys_of
 from ..people.trust_rules import EquationSeven, TrustRule, constant, counts_of
@@ -203,7 +204,7 @@ def never_erring(h: Floats, costs: ArrayLike, gamma: float) -> Floats:
         Costs of the task's actions.
     gamma : float
     """
-    prices = np.append(np.asarray(costs, dtype=np.float64), 1.0)  # a wait costs 1
+    prices = np.append(costs, 1.0)  # a wait costs 1
     return np.asarray(prices.min() * np.expm1(h / prices.max() * np.log(gamma)) / (1 - gamma))
 
 
@@ -243,8 +244,8 @@ class _Survey:
             targets = rows.targets[rows.offsets[begin] : rows.offsets[min(begin + rows_at_a_time, len(known))]]
             with np.errstate(invalid="ignore"):  # a difference between two dead ends is no increase
                 change = h[targets] - np.repeat(h[block], counts[block])
-            rise = max(rise, float(np.nan_to_num(change, nan=0.0, posinf=np.inf).max(initial=0.0)))
-        return cls(highest, max(1, int(counts.max(initial=1))), rise)
+            rise = max(rise, float(np.nan_to_num(change, posinf=np.inf).max(initial=0.0)))
+        return cls(highest, int(counts.max(initial=1)), rise)
 
 
 def _advised(
@@ -284,10 +285,10 @@ def _advised(
     p = 1 / survey.actions
     total = grid.theta * p + (1 - grid.theta) * (1 - p)
     follows = (1 - model.lapse) * np.divide(grid.theta * p, total, out=np.full_like(total, p), where=total > 0)
-    low, weight = grid.shares(np.minimum(grid.theta + model.eta * costs[:, None] / model.utility_scale, 1.0))
+    low, weight = grid.shares(grid.theta + model.eta * costs[:, None] / model.utility_scale)
     for _ in range(200):
         before = value.copy()
-        for h in range(1 if costs[0] > 0 else 0, highest + 1):
+        for h in range(highest + 1):
             worst = np.full(len(grid.theta), floor)
             if np.isfinite(survey.rise):
                 worst = value[: min(h + int(survey.rise), highest) + 1].min(axis=0)
@@ -309,12 +310,9 @@ def perceived_of_states(human: Human, known: CostToGo, states: NDArray[np.int64]
 
     It is the exact one for misconceptions about actions, which do not define a perceived cost-to-go of a state.
     """
-    ends = np.zeros((len(states), 1), dtype=np.int64)
-    without_choices = Choices(
-        h, known.is_goal(states), ends > 0, ends, ends, np.zeros(ends.shape), ends > 0, (), key=keys_of(known, states)
-    )
-    perceived = human.expects(without_choices)
-    return perceived if perceived.ndim == 1 else h
+    if not isinstance(human.h, Misconception) or human.h.noise == "action":
+        return h
+    return human.h.of_states(h, known.is_goal(states), keys_of(known, states))
 
 
 class _Growth:
@@ -322,7 +320,7 @@ class _Growth:
 
     def __init__(self, known: CostToGo, betas: Floats, start: int, human: Human | None) -> None:
         self.known, self.betas, self.human = known, betas, human
-        self.cost = np.array(known.task.costs, dtype=float)
+        self.cost = np.array(known.task.costs)
         self.number: dict[int, int] = {}
         self.states: list[int] = []
         self.h: list[float] = []
@@ -365,7 +363,7 @@ class _Growth:
         source = np.repeat(np.arange(len(batch)), counts)
         slot = np.arange(len(targets)) - offsets[source]
         after = self.known.lookup(targets)
-        q = np.full((len(batch), max(1, int(counts.max(initial=0)))), np.inf)
+        q = np.full((len(batch), int(counts.max(initial=1))), np.inf)
         applicable = np.zeros(q.shape, dtype=bool)
         q[source, slot] = self.cost[actions] + after
         applicable[source, slot] = True

@@ -103,7 +103,7 @@ class Grid:
         values = self.values
         low = np.clip(np.searchsorted(values, theta, side="right") - 1, 0, len(values) - 2)
         weight = (theta - values[low]) / (values[low + 1] - values[low])
-        low = low + np.asarray(count, dtype=np.int64) * len(values)
+        low = low + np.asarray(count) * len(values)
         return low.astype(np.int64), np.clip(weight, 0.0, 1.0)
 
     def prior(self, population: Population | Mixture) -> Floats:
@@ -122,7 +122,7 @@ class Grid:
             inside = np.arange(len(self.beta)) == np.abs(self.beta - (low + high) / 2).argmin()
         beta = inside / inside.sum()
         (low, high), values = population.theta, self.values
-        knots = np.unique(np.concatenate([[low, high], values[(values > low) & (values < high)]]))
+        knots = np.unique(np.clip(values, low, high))
         theta = np.zeros(len(self.theta))
         if high > low:  # between knots the shares are linear, so that the midpoint represents the interval
             nodes, mass = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / (high - low)

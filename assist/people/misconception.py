@@ -80,7 +80,13 @@ class Misconception:
             after = choices.h[choices.targets]
             eps = standard_normal(self.seed, mix(keys)[:, None] ^ (choices.actions + 1).astype(np.uint64))
             return np.where(choices.goal[choices.targets], 0.0, after + self.sigma * eps)
-        return np.where(choices.goal, 0.0, choices.h + self.sigma * standard_normal(self.seed, keys))
+        return self.of_states(choices.h, choices.goal, keys)
+
+    def of_states(
+        self, h: NDArray[np.float64], goal: NDArray[np.bool_], keys: NDArray[np.uint64]
+    ) -> NDArray[np.float64]:
+        """Return the perceived cost-to-go of states with these keys, shape (n,), for a misconception about states."""
+        return np.where(goal, 0.0, h + self.sigma * standard_normal(self.seed, keys))
 
 
 def perceived_cost_to_go(
