@@ -1,107 +1,134 @@
 """What it saves to carry beliefs in people from task to task, against beginning each task with the prior.
 
-    python bench/carried.py [--people 200] [--tasks 5] [--instance FILE] [--record FILE]
+    python bench/carried.py [--people 20000] [--tasks 5] [--instance FILE] [--record FILE]
 
-Simulated people do several tasks one after the other, each with a robot of their own: once with a belief that is taken
-from a `PeopleStore` and saved there, and once without. The people and all their random numbers are the same.
+Simulated people do several tasks one after the other, each with a robot of their own: once with the belief of the last
+task, as `PeopleStore` keeps it, and once with the prior. The people and the random numbers of each task are the same.
+Influence theta goes on from task to task in both.
 """
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 from live_load import PAPER
 from tables import Columns, cell, record_option, write_record
 
-from assist.live import Assistant, PeopleStore
-from assist.live.live_task import LiveTask
-from assist.live.people_store import model_of
-from assist.live.simulated_person import SimulatedPerson
+from assist.people.decision import Floats
 from assist.people.mixture import advice_takers
-from assist.person.policy import Policy
 from assist.reports.statistics import IntervalEstimate, mean
+from assist.simulation.pool import Pool
+from assist.simulation.run import Run, StepTaken
+from assist.simulation.schedule import Schedule
+from assist.simulation.task_parts import TaskParts
 from assist.team.settings import Setting
 from planner import CostToGo, cost_to_go, load
 
-
-def cost(
-    team: Assistant, task: CostToGo, person: SimulatedPerson, c_suggest: float, most: int = 500
-) -> tuple[float, float]:
-    """Return the costs of a person's actions and of the suggestions, and the number of suggestions not followed."""
-    total, declined = 0.0, 0.0
-    for _ in range(most):
-        seen = team.person("ann")
-        if seen.finished:
-            break
-        suggestion = team.recommend().suggestion
-        action = person.act(task, seen.state, seen.applicable, suggestion)
-        number = {name: n for n, name in enumerate(task.task.actions)}[action]
-        total += float(task.task.costs[number]) + c_suggest * (suggestion is not None)
-        declined += suggestion not in (None, action)
-        team.observe("ann", action)
-    return total, declined
+MEASURES = "cost", "return", "actions", "suggestions", "declined"
 
 
-def costs(
-    task: CostToGo, solved: Policy, setting: Setting, seed: int, tasks: int, store: PeopleStore | None
-) -> list[tuple[float, float]]:
-    """Return the costs of one person's tasks, in their order, and the suggestions not followed."""
-    population, found = advice_takers(), list[tuple[float, float]]()
-    person = SimulatedPerson(population, trust=setting.for_real_people().trust_rule(), seed=seed)
-    model = model_of(population.as_dict(), setting.as_dict())
+class Task(Run):
+    """A task that everybody in a pool does alone.
+
+    Attributes
+    ----------
+    declined : int array, shape (N, 1)
+        Numbers of suggestions that were not followed.
+    """
+
+    def __init__(self, pool: Pool, parts: TaskParts, seed: int, before: Task | None, *, carries: bool) -> None:
+        people = np.arange(len(pool.people))
+        super().__init__(
+            pool, pool.policy("attention"), teams=people[:, None], numbers=people, seed=seed, name="attention",
+            travel=pool.setting.travel(1), presence=Schedule.of(1), world="people", progress=lambda _: None,
+            parts=parts, goals="inferred",
+        )  # fmt: skip
+        self.declined = np.zeros(self.x.shape, dtype=np.int64)
+        if before is not None:
+            self.theta, self.seen = before.theta.copy(), before.seen.copy()
+        if before is not None and before.belief is not None and carries:
+            self.belief = before.belief.copy()
+
+    def watch(self, taken: StepTaken) -> None:
+        """Count the suggestions that are not followed."""
+        (group,) = (
+            taken.view.groups.values()
+        )  # one for all, since the robot does not know what people are mistaken about
+        rows = taken.flat[taken.robot.reshape(-1)[taken.flat] > 0]
+        suggested = group.arrays.suggested[taken.before.reshape(-1)[rows], taken.robot.reshape(-1)[rows]]
+        self.declined.reshape(-1)[rows] += taken.slot[rows] != suggested
+
+    def measures(self) -> Floats:
+        """Return the measures of each person, shape (N, len(MEASURES))."""
+        done = self.run()
+        cost = self.costs[:, 0] + self.pool.setting.c_suggest * done.interventions
+        return np.column_stack(
+            (cost, self.discounted, self.actions[:, 0], done.interventions, self.declined[:, 0])
+        ).astype(float)
+
+
+def measured(table: CostToGo, setting: Setting, people: int, tasks: int, seed: int, *, carries: bool) -> Floats:
+    """Return the measures of each person in each task, shape (people, tasks, len(MEASURES))."""
+    pool = Pool.sample(table, people, population=advice_takers(), setting=setting, seed=seed)
+    parts, before, found = TaskParts(pool, "people"), None, list[Floats]()
     for number in range(tasks):
-        person.rng = np.random.default_rng([seed, number])  # the same in both ways, whatever happened before
-        team = Assistant(solved, setting=setting)
-        team.join("ann", belief=None if store is None else store.belief("ann", model))
-        found.append(cost(team, task, person, setting.c_suggest))
-        if store is not None:
-            store.save("ann", model, team.person("ann").belief)
-    return found
+        before = Task(pool, parts, tasks * seed + number, before, carries=carries)
+        found.append(before.measures())
+    return np.stack(found, axis=1)
 
 
 def interval(one: IntervalEstimate) -> str:
     """Return a mean with its 95 % interval."""
-    return f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]"
+    return f"{one.value:.3f} [{one.low:.3f}, {one.high:.3f}]"
 
 
-COLUMNS: Columns = {
-    "people": cell("people"),
-    "task": cell("task"),
-    "cost anew": cell("anew", ".2f"),
-    "saved by carrying": lambda row: interval(row["saved"]),
-    "suggestions not followed, anew": cell("declined", ".2f"),
-    "fewer by carrying": lambda row: interval(row["fewer"]),
+def row_of(task: str, anew: Floats, carried: Floats) -> dict[str, Any]:
+    """Return a row of the table for measures of shape (people, tasks, len(MEASURES))."""
+    row: dict[str, Any] = {"people": len(anew), "task": task}
+    for number, name in enumerate(MEASURES):
+        first, second = (measures[:, :, number].sum(axis=1) for measures in (anew, carried))
+        row[name] = first.mean()
+        row[f"{name} saved"] = mean(second - first if name == "return" else first - second)
+    return row
+
+
+TITLES = {
+    "cost": "cost saved", "return": "return gained", "actions": "fewer actions", "suggestions": "fewer suggestions",
+    "declined": "fewer not followed",
+}  # fmt: skip
+COLUMNS: Columns = {"people": cell("people", ","), "task": cell("task")} | {
+    title: show
+    for name in MEASURES
+    for title, show in (
+        (f"{'not followed' if name == 'declined' else name}, anew", cell(name, ".2f")),
+        (TITLES[name], lambda row, name=name: interval(row[f"{name} saved"])),
+    )
 }
 
 
 @click.command()
-@click.option("--people", default=200, show_default=True)
+@click.option("--people", default=20_000, show_default=True)
 @click.option("--tasks", default=5, show_default=True)
 @click.option("--instance", type=Path, default=PAPER)
+@click.option("--together", default=1000, show_default=True, help="People who are simulated at a time.")
 @record_option
-def main(people: int, tasks: int, instance: Path, record: Path | None) -> None:
+def main(people: int, tasks: int, instance: Path, together: int, record: Path | None) -> None:
     """Let people do their tasks both ways."""
-    task, setting = cost_to_go(load(instance)), Setting(c_suggest=0.2, c_move=0.0)
-    solved = LiveTask(task, setting.for_real_people(), advice_takers()).policy
-    anew, carried = np.empty((people, tasks, 2)), np.empty((people, tasks, 2))
-    for seed in range(people):
-        anew[seed] = costs(task, solved, setting, seed, tasks, None)
-        with tempfile.TemporaryDirectory() as folder:
-            store = PeopleStore(Path(folder) / "people.sqlite")
-            carried[seed] = costs(task, solved, setting, seed, tasks, store)
-    rows = []
-    for number in range(tasks + 1):
-        chosen = slice(None) if number == tasks else slice(number, number + 1)
-        saved, fewer = (mean((anew - carried)[:, chosen, one].sum(axis=1)) for one in (0, 1))
-        name = f"all {tasks}" if number == tasks else str(number + 1)
-        cost, declined = anew[:, chosen].sum(axis=1).mean(axis=0)
-        rows.append(
-            {"people": people, "task": name, "anew": cost, "saved": saved, "declined": declined, "fewer": fewer}
-        )  # fmt: skip
-        print("; ".join(show(rows[-1]) for show in COLUMNS.values()), flush=True)
+    table, setting = cost_to_go(load(instance)), Setting(c_suggest=0.2, c_move=0.0, knowledge="exact").for_real_people()
+    sizes = [min(together, people - start) for start in range(0, people, together)]
+    anew, carried = (
+        np.concatenate(
+            [measured(table, setting, size, tasks, seed, carries=carries) for seed, size in enumerate(sizes)]
+        )
+        for carries in (False, True)
+    )
+    chosen = {str(number + 1): slice(number, number + 1) for number in range(tasks)} | {f"all {tasks}": slice(None)}
+    rows = [row_of(name, anew[:, where], carried[:, where]) for name, where in chosen.items()]
+    for row in rows:
+        print("; ".join(show(row) for show in COLUMNS.values()), flush=True)
     write_record(record, COLUMNS, rows)
 
 
