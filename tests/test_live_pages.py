@@ -192,14 +192,25 @@ class Typing(Seat):
         self.page.keyboard.press("Enter")
 
 
-def violations(page: Any, *, dark: bool = True) -> list[Any]:
-    """Return the violations found by axe-core: all rules in light mode, and colour contrast in dark mode."""
+def violations(page: Any, *, dark: bool = True, within: list[str] | None = None) -> list[Any]:
+    """Return the violations found by axe-core: all rules in light mode, and colour contrast in dark mode.
+
+    With `within`, only these parts of the page are looked at.
+    """
     from axe_playwright_python.sync_playwright import Axe
 
-    found = Axe().run(page).response["violations"]
+    def run(options: dict[str, Any]) -> list[Any]:
+        options["resultTypes"] = ["violations"]
+        asked = [{"include": within or ["html"]}, options]
+        found: list[Any] = page.evaluate("asked => axe.run(...asked).then(found => found.violations)", asked)
+        return found
+
+    if page.evaluate("() => window.axe === undefined"):  # once a page, as reading the script takes as long as the rules
+        page.evaluate(Axe().axe_script)
+    found = run({})
     if dark:
         page.emulate_media(color_scheme="dark")
-        found += Axe().run(page, options={"runOnly": ["color-contrast"]}).response["violations"]
+        found += run({"runOnly": ["color-contrast"]})
         page.emulate_media(color_scheme=None)
     return [(one["id"], [node["html"] for node in one["nodes"]]) for one in found]
 
@@ -311,7 +322,7 @@ def sees_everybody_pauses_corrects_and_exports(chromium: Any, desk: Any, clicked
     assert clicked.seen()["paused"] is True
     clicked.page.wait_for_selector("#paused:not([hidden])")
     assert violations(clicked.page) == []
-    assert violations(page) == []
+    assert violations(page, within=["header", ".robot", ".tools"]) == []  # of people it shows the same as above
     page.click("#pause")
     page.wait_for_selector("#pause[aria-pressed=false]")
 
