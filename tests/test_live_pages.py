@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -499,32 +500,41 @@ def test_people_and_the_operator_see_and_answer_questions_about_probable_goals(c
         assert violations(seat) == []
 
 
+EVERYTHING_SHOWN = """() => {
+  window.shown = new Set();
+  const look = () => document.body.innerText.split("\\n").forEach((line) => shown.add(line.trim()));
+  new MutationObserver(look).observe(document.body, { subtree: true, childList: true, characterData: true });
+}"""
+"""Collects all lines that a page shows, however briefly."""
+
+
 @pytest.mark.slow
 def test_two_robots_serve_six_people_and_the_page_shows_both(chromium: Any, tmp_path: Path) -> None:
     from serving import served
 
     people = ("--humans", 6, "--simulate", 6, "--pace", 0.2, "--beta", 0.1, 0.3, "--c-suggest", 0.05, "--c-move", 0.01)
     script = [sys.executable, ROOT / "docs" / "examples" / "robot.py"]
-    with served(*people, "--robots", 2, "--travel-time", 1, "--data", tmp_path) as running:
-        robots = [
-            subprocess.Popen([*script, running.operator, str(number)], stdout=subprocess.PIPE, text=True)
-            for number in (1, 2)
-        ]
+    with served(*people, "--robots", 2, "--travel-time", 1, "--data", tmp_path) as running, ExitStack() as held:
         page = chromium.new_page()
         page.set_default_timeout(PATIENCE)
         page.goto(running.operator)
-        section = page.get_by_role("region", name="The robots")
-        headings = section.get_by_role("heading", level=3)
+        headings = page.get_by_role("region", name="The robots").get_by_role("heading", level=3)
         headings.nth(1).wait_for()
         assert headings.all_inner_texts() == ["Robot 1", "Robot 2"]
+        page.evaluate(EVERYTHING_SHOWN)
+        robots = []
         for number in (1, 2):
-            page.get_by_text(f"robot {number} here", exact=True).first.wait_for()
-        section.get_by_text("On the way to").or_(section.get_by_text("Goes to")).first.wait_for()
-        section.get_by_text("Serves").first.wait_for()
+            command = [*script, running.operator, str(number)]
+            robots.append(held.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True)))
+            held.callback(robots[-1].kill)
+        page.wait_for_function("() => [...shown].some((line) => line.startsWith('Serves'))")
         assert violations(page) == []
         said = [robot.communicate(timeout=120)[0].splitlines() for robot in robots]
+        shown = page.evaluate("() => [...shown]")
         seen = running.ask("GET", "/api/team").json()
         page.close()
+    assert {"robot 1 here", "robot 2 here"} <= set(shown)
+    assert any(line.startswith(("On the way to", "Goes to")) for line in shown)
     for lines in said:
         assert any(line.startswith("going to simulated-") for line in lines)
     assert any(line.startswith("to simulated-") for lines in said for line in lines)
