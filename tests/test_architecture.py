@@ -67,8 +67,8 @@ ROOMS = {
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",
     "assist.study": "study protocol tasks cells runner",
-    "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file study_events participant_team
-        participants places erasing cohort session tables export""",
+    "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file study_events codes
+        participant_team participants places groups erasing cohort session tables export""",
     "assist.reports": """statistics effects hypothesis_tests repeated_measures wording study_summary study_claims
         study_figures study_report userstudy_summary preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures service schemas authorization request_limits task_drawings routes

@@ -29,6 +29,7 @@ GROUPS = (
     .replace("[setting]", "[group]\nsize = 3\nwait = 5\n\n[setting]")
     .replace('name = "none"\npolicy = "none"', 'name = "none"\npolicy = "attention"')
 )
+WITHIN = GROUPS.replace("seed = 3", 'seed = 3\ndesign = "within"')
 EAGER = GROUPS.replace("wait = 5", 'wait = 5\nthen = "start"')
 Open = Callable[..., StudySession]
 
@@ -85,8 +86,8 @@ def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> Non
             asked = [name for name in who if session.person(name)["suggestion"] is not None]
             told |= set(asked)
     assert told == {"ann", "bob", "cyd"}  # the robot attends to one after the other
-    (group,) = session.cohort.groups.values()
-    assert {advice.person for advice in group.team.course.advices} <= {"ann", "bob", "cyd", None}
+    (group,) = session.cohort.groups.begun.values()
+    assert {advice.person for advice in group.teams[1].course.advices} <= {"ann", "bob", "cyd", None}
     assert all(session.person(name)["steps"] == 3 for name in who)
 
 
@@ -99,7 +100,7 @@ def test_a_member_who_leaves_does_not_stop_the_others(opened: Open, goes: str) -
     for part in (ann, cyd):
         for _ in range(2):
             part.errs()
-            assert session.cohort.groups["G1"].team.course.advices[0].person in (ann.name, cyd.name, None)
+            assert session.cohort.groups.begun["G1"].teams[1].course.advices[0].person in (ann.name, cyd.name, None)
         part.finish()
     views = {part.name: session.person(part.name) for part in (ann, bob, cyd)}
     session.close()
@@ -146,7 +147,7 @@ def test_after_the_time_a_smaller_group_may_start(opened: Open) -> None:
     cyd.report("expired")
     assert cyd.stage == "task tiny"  # alone
     cyd.errs()
-    assert session.cohort.groups["G2"].team.course.advices[0].person in ("cyd", None)
+    assert session.cohort.groups.begun["G2"].teams[1].course.advices[0].person in ("cyd", None)
     before = {name: session.person(name) for name in ("ann", "bob", "cyd")}
     session.close()
     again = opened(EAGER)
@@ -163,9 +164,9 @@ def test_after_the_time_one_may_go_on_alone_while_the_others_wait(opened: Open) 
     assert (ann.stage, bob.stage) == ("task tiny", "waiting")
     assert session.person("bob")["study"]["waiting"] == {"here": 1, "of": 3}
     ann.errs()
-    assert session.cohort.groups["G1"].members == ("ann",)
+    assert session.cohort.groups.begun["G1"].members == ("ann",)
     waiting(session, "cyd", "dan")
-    assert session.cohort.groups["G2"].members == ("bob", "cyd", "dan")  # who waits on can still find a group
+    assert session.cohort.groups.begun["G2"].members == ("bob", "cyd", "dan")  # who waits on can still find a group
     before = {name: session.person(name) for name in ("ann", "bob", "cyd", "dan")}
     session.close()
     again = opened(lonely)
@@ -224,6 +225,78 @@ def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
     assert "Groups: none 3, attention 3." in text
 
 
+def test_within_participants_a_group_waits_again_and_has_another_robot(opened: Open) -> None:
+    session = opened(WITHIN)
+    parts = ann, bob, cyd = waiting(session, "ann", "bob", "cyd")
+    who = session.cohort.participants
+    assert {part.stage for part in parts} == {"task tiny 1"}
+    order = session.study.orders[who["ann"].condition or ""]
+    assert session.cohort.places.by_condition()[" > ".join(order)] == 1
+    for part in parts:
+        part.errs()
+    ann.to("waiting 2")
+    assert session.person("ann")["study"]["waiting"] == {"here": 1, "of": 3}
+    bob.to("waiting 2")
+    assert not session.cohort.groups.is_complete(who["ann"])
+    cyd.report("left")
+    assert session.person("ann")["study"]["waiting"] == {"here": 2, "of": 2}
+    assert session.cohort.groups.is_complete(who["ann"])
+    ann.report("expired")  # which ends nobody's study here
+    assert (ann.stage, bob.stage, cyd.stage) == ("task tiny 2", "task tiny 2", "task tiny 1")
+    ann.errs()
+    views = [session.person(part.name) for part in parts]
+    session.close()
+    session = opened(WITHIN)
+    assert [session.person(part.name) for part in parts] == views
+    parts = ann, bob, cyd = [Part(session, name) for name in ("ann", "bob", "cyd")]
+    cyd.report("returned")
+    assert session.person("cyd")["steps"] == 1
+    cyd.to("task tiny 2")  # the others have begun, so that there is nobody to wait for
+    (group,) = session.cohort.groups.begun.values()
+    assert set(group.teams[2].course.people) == {"ann", "bob", "cyd"}
+    assert group.teams[1].course is not group.teams[2].course
+    for part in parts:
+        part.to("thanks")
+    found = tables(session.study, session.folder / JOURNAL)
+    rows = {(row["participant"], row["period"], row["condition"], row["finished"]) for row in found.tasks}
+    assert rows == {(part.name, period, order[period - 1], True) for part in parts for period in (1, 2)}
+    assert {row["group"] for row in found.participants} == {"G1"}
+    bob.report("withdrew")
+    views, beliefs = [session.person(part.name) for part in (ann, cyd)], session.cohort.beliefs()
+    session.erase("bob", "asked for it")
+    for _ in range(2):
+        assert [session.person(part.name) for part in (ann, cyd)] == views
+        assert all(session.cohort.beliefs()[name] == beliefs[name] for name in ("ann", "cyd"))
+        session.close()
+        session = opened(WITHIN)
+    assert not any(b"bob" in file.read_bytes() for file in session.folder.glob("journal*"))
+    rows = {(row["participant"], row["period"]) for row in tables(session.study, session.folder / JOURNAL).tasks}
+    assert rows == {(name, period) for name in ("ann", "cyd") for period in (1, 2)}
+
+
+def test_within_participants_the_differences_are_those_of_groups(opened: Open) -> None:
+    session = opened(WITHIN.replace("size = 3", "size = 2"))
+    for number in range(4):
+        pair = waiting(session, f"a{number}", f"b{number}")
+        for _ in range(1 + number % 3):
+            pair[number % 2].errs()
+        for part, stage in zip(pair, ("waiting 2", "task tiny 2"), strict=True):
+            part.to(stage)
+        for part in pair:
+            part.to("thanks")
+    study, found = session.study, tables(session.study, session.folder / JOURNAL)
+    actions: dict[tuple[str, str], list[int]] = {}
+    groups = {row["participant"]: row["group"] for row in found.participants}
+    for row in found.tasks:
+        actions.setdefault((groups[row["participant"]], row["condition"]), []).append(row["actions"])
+    means = [[sum(actions[f"G{n}", name]) / 2 for n in range(1, 5)] for name in ("attention", "none")]
+    (row,) = (one for one in summarise(study, found)["measures"] if one["measure"] == "actions")
+    (difference,) = row["differences"]
+    assert difference["mean"] == pytest.approx(sum(means[0]) / 4 - sum(means[1]) / 4)
+    assert difference["p"] == pytest.approx(stats.ttest_rel(*means).pvalue)
+    assert difference["by_period"]["mean"] == pytest.approx(difference["mean"])  # each order is equally frequent
+
+
 @pytest.mark.parametrize(
     ("right", "wrong", "message"),
     [
@@ -235,7 +308,6 @@ def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
         ),
         ("seed = 3", "seed = 3\nsimulated = 1", "simulated: 1; expected 0 in a study with groups"),
         ("seed = 3", "seed = 3\nparticipants = 4", "participants: 4; expected a multiple of 3"),
-        ("seed = 3", 'seed = 3\ndesign = "within"', "design: 'within'; expected 'between' in a study with groups"),
     ],
 )
 def test_a_group_that_cannot_be_is_refused(tmp_path: Path, right: str, wrong: str, message: str) -> None:

@@ -228,7 +228,7 @@ def _measure(study: UserStudy, measure: Measure, tables: Tables) -> dict[str, An
     reference, differences = measure.values[study.reference], []
     adjusted: dict[str, dict[str, IntervalEstimate]] = {}
     if study.is_within and measure.name != "completion":
-        orders = {row["participant"]: row["condition"] for row in tables.participants}
+        orders = {row["group"] or row["participant"]: row["condition"] for row in tables.participants}
         periods = {
             (who, name): study.orders[orders[who]].index(name) + 1
             for name, own in measure.values.items() for who in own

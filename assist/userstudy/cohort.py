@@ -2,17 +2,16 @@
 
 The condition is assigned when the first task begins, not before (`assignment`).
 
-In a study with groups, participants wait for each other before the first task. The last one to arrive starts the group,
-which has one condition, one team and one robot.
+In a study with groups, participants wait for each other (`groups`). The last one to arrive starts the group, which has
+one condition, or order of conditions, and in each condition one team and one robot.
 
 Every event is recorded such that it can be replayed, including random draws and decisions.
 """
 
 from __future__ import annotations
 
-import secrets
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -28,16 +27,15 @@ from ..live.live_task import InapplicableError, UnknownError
 from ..live.simulated_person import SimulatedPerson
 from ..live.store import Change
 from .assignment import assign
+from .codes import drawn
 from .erasing import without
+from .groups import Group, Groups, period_field
 from .participant_team import ParticipantTeam
-from .participants import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Group, Participant
+from .participants import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
 from .places import Places
 from .plan import WAITING, Stage, UserStudy
 from .questionnaires import Item
 from .study_events import KINDS, FullError, StudyEvent
-
-LETTERS = "23456789BCDFGHJKLMNPQRSTVWXYZ"
-"""Characters of completion codes: no vowels, and none that resembles another."""
 
 
 class Cohort:
@@ -55,8 +53,8 @@ class Cohort:
     ----------
     fault : str or None
         The latest error message of a condition's policy.
-    groups : dict of Group
-        Groups by name, in the order in which they began.
+    places : Places
+    groups : Groups
     """
 
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], course: Callable[[str | None], Course]) -> None:
@@ -67,7 +65,7 @@ class Cohort:
         self.participants: dict[str, Participant] = {}
         self.places = Places(study, self.participants)
         self.fault: str | None = None
-        self.groups: dict[str, Group] = {}
+        self.groups = Groups(study, self.participants)
         self._touched: set[str] = set()
 
     # Events.
@@ -95,7 +93,7 @@ class Cohort:
                 return None
             record |= facts
             if person.group is not None and "team" in facts:
-                record["group"] = person.group
+                record |= {"group": person.group, **period_field(person.period)}
             record |= self._starts(person, record, n, time)
             for group in person.groups.values():
                 self.fault = group.course.fault or self.fault
@@ -123,9 +121,9 @@ class Cohort:
                 stage = self.stages[at]
                 self._group(person, stage, record.get("condition")).again(record["team"])
         if "members" in record:
-            self._form(record["group"], record["members"], record["condition"])
+            self._form(record)
         if "group" in record:
-            self.groups[record["group"]].team.again(record["team"])
+            self.groups.begun[record["group"]].teams[record.get("period", 1)].again(record["team"])
         self._note(record)
 
     def _visits(self, event: Event) -> dict[str, Any]:
@@ -171,7 +169,7 @@ class Cohort:
         if kind == "expired" and stage.kind == "task" and not self.is_over(person):
             return facts | {"expired": True} | self._parts(person, n, time)
         if kind == "expired" and self.study.group is not None and stage.kind == WAITING:
-            ends = self.study.group.then == "end"
+            ends = self.study.group.then == "end" and person.group is None
             return facts | ({"status": UNMATCHED, "completion": self._completion()} if ends else {})
         if kind == "acted":
             if self.is_over(person):
@@ -233,80 +231,77 @@ class Cohort:
         return facts
 
     def _completion(self) -> str:
-        return self.study.code or "".join(secrets.choice(LETTERS) for _ in range(8))
+        return self.study.code or drawn(8)
 
     # Groups.
 
     def _rejoins(self, person: Participant, n: int, time: float) -> list[dict[str, Any]]:
         """Let a participant return to their group's team; return the records, none outside of a task."""
-        group = None if person.group is None else self.groups[person.group]
-        at_work = self.stages[person.at].kind == "task" and not person.expired
-        return group.team.rejoin(person.code, n, time) if group is not None and at_work else []
+        at_work = person.group is not None and self.stages[person.at].kind == "task" and not person.expired
+        return person.at_tasks()[-1].rejoin(person.code, n, time) if at_work else []
 
     def _parts(self, person: Participant, n: int, time: float) -> dict[str, Any]:
         """Remove a participant from their group's team, so that the robot attends to the others only."""
-        team = [] if person.group is None else self.groups[person.group].team.leave(person.code, n, time)
+        team = [] if person.group is None else person.at_tasks()[-1].leave(person.code, n, time)
         return {"team": team} if team else {}
 
-    def waiting(self) -> list[str]:
-        """Return the codes of the participants who wait for a group, in order of arrival."""
-        return [
-            code for code, person in self.participants.items()
-            if person.status == HERE and self.stages[person.at].kind == WAITING
-        ]  # fmt: skip
-
     def _starts(self, person: Participant, record: Mapping[str, Any], n: int, time: float) -> dict[str, Any]:
-        """Start a group if this event completes it; return the fields of the record, none otherwise."""
-        if self.study.group is None:
+        """Begin the task of those who wait, if this event lets them; return the record's fields, none otherwise."""
+        kind = record["event"]
+        at = self.study.next_stage(person.at, person.condition) if kind == "onward" else person.at
+        waits = kind in ("onward", "returned", "expired") and record.get("status", HERE) == HERE
+        if not waits or self.stages[at].kind != WAITING:
             return {}
-        kind, to = record["event"], person.at
-        if kind == "onward":
-            to = self.study.next_stage(person.at, person.condition)
-        if self.stages[to].kind != WAITING or kind not in ("onward", "returned", "expired"):
+        period = self.stages[at].period
+        members = self.groups.ready(person, period, late=kind == "expired")
+        if not members:
             return {}
-        comes = record.get("status", HERE) == HERE
-        members = [code for code in self.participants if code in self.waiting() or (comes and code == person.code)]
-        if not comes or (len(members) < self.study.group.size and kind != "expired"):
-            return {}
-        if kind == "expired" and self.study.group.then == "alone":
-            members = [person.code]
-        name = f"G{len(self.groups) + 1}"
-        condition = assign(self.places.by_condition(), self.study.seed, self.begun)
-        team = self._form(name, members, condition).team
-        task = self.stages[self.study.next_stage(to, condition)].what
+        facts: dict[str, Any] = {"group": person.group, "members": members, **period_field(period)}
+        if person.group is None:
+            facts["group"] = f"G{len(self.groups.begun) + 1}"
+            facts["condition"] = assign(self.places.by_condition(), self.study.seed, self.begun)
+        known = self.groups.begun.get(facts["group"])
+        new, team = known is None or period not in known.teams, self._form(facts)
+        task = self.study.tasks[0][0]
         try:
-            subs = [sub for member in members for sub in team.begin(member, task, n, time)]
+            return facts | {"team": [sub for member in members for sub in team.begin(member, task, n, time)]}
         except Exception:
-            del self.groups[name]
+            if new:
+                self.groups.drop(facts["group"], period)
             raise
-        return {"group": name, "members": members, "condition": condition, "team": subs}
 
-    def _form(self, name: str, members: Sequence[str], condition: str) -> Group:
-        team = ParticipantTeam(name, self._tasks, lambda: self._course(condition), list, again=False)
-        self.groups[name] = Group(tuple(members), team)
-        return self.groups[name]
+    def _form(self, record: Mapping[str, Any]) -> ParticipantTeam:
+        """Return the team of a group in a period, which is new unless other members have begun."""
+        name, period, begun = record["group"], record.get("period", 1), self.groups.begun
+        if name not in begun:
+            begun[name] = Group(tuple(record["members"]), record["condition"])
+        own = self.study.orders[begun[name].condition][period - 1]
+        if period not in begun[name].teams:
+            begun[name].teams[period] = ParticipantTeam(name, self._tasks, lambda: self._course(own), list, again=False)
+        return begun[name].teams[period]
 
     def _begin(self, record: Mapping[str, Any]) -> None:
-        """Update the members of a group that begins."""
+        """Update the members of a group who begin a condition."""
+        group, period = self.groups.begun[record["group"]], record.get("period", 1)
         for code in record["members"]:
             person = self.participants[code]
-            person.at = self.study.next_stage(person.at, record["condition"])
-            stage = self.stages[person.at]
-            person.entered, person.condition, person.group = record["time"], record["condition"], record["group"]
-            person.groups[stage.kind, stage.period] = self.groups[record["group"]].team
+            person.at, person.entered = self.study.begins_at(period), record["time"]
+            person.condition, person.group = group.condition, record["group"]
+            person.groups["task", period] = group.teams[period]
 
     def _note(self, record: Mapping[str, Any]) -> None:
         """Update the participants after an event, from its record."""
-        self.count, waited = record["n"], set(self.waiting()) if self.study.group is not None else set[str]()
+        self.count, waited = record["n"], set(self.groups.waiting())
         self._note_person(record)
         if "members" in record:
             self._begin(record)
-            self.begun += 1
-        if self.study.group is not None and waited != (waits := set(self.waiting())):
+            self.begun += "condition" in record
+        if waited != (waits := set(self.groups.waiting())):
             self._touched |= waited | waits
         if "group" in record:
-            self._touched |= set(self.groups[record["group"]].members)
-            for code in self.groups[record["group"]].members:
+            members = self.groups.begun[record["group"]].members
+            self._touched |= set(members)
+            for code in members:
                 self.participants[code].acted = record["time"]
         for code in self._touched:
             self.participants[code].seq = self.count
@@ -379,8 +374,8 @@ class Cohort:
         The order of arrival and the assigned condition remain, on which the conditions of others depend.
         """
         who = self.known(person)
-        of_team = None if who.group is None else self.groups[who.group].team.course.without(person, label)
-        return without(who, label, of_team)
+        teams = {} if who.group is None else self.groups.begun[who.group].teams
+        return without(who, label, {period: team.course.without(person, label) for period, team in teams.items()})
 
     # State.
 
@@ -450,7 +445,8 @@ class Cohort:
             "over": over, "completion": who.completion, "items": [item.name for item in self._items(who)],
         }  # fmt: skip
         if kind == WAITING and self.study.group is not None:
-            study["waiting"] = {"here": len(self.waiting()), "of": self.study.group.size}
+            waiting, expected = self.groups.company(who)
+            study["waiting"] = {"here": len(waiting), "of": expected}
         return seen | {"seq": who.seq, "study": study}
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
@@ -482,14 +478,8 @@ class Cohort:
 
     def robot(self, number: int = 1) -> dict[str, Any]:  # noqa: ARG002 all say the same
         """Return an instruction without a destination, since each participant's team has a robot of its own."""
-        return {
-            "person": None,
-            "suggestion": None,
-            "reason": None,
-            "arrived": True,
-            "location": None,
-            "seq": self.count,
-        }
+        nobody = {"person": None, "suggestion": None, "reason": None, "arrived": True, "location": None}
+        return {**nobody, "seq": self.count}
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Return all actions in tasks, in the format of `fit`; with `task`, only those in this task."""

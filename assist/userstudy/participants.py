@@ -1,4 +1,4 @@
-"""Participants of a user study, and groups of participants who share a robot."""
+"""The participants of a user study."""
 
 from __future__ import annotations
 
@@ -64,17 +64,7 @@ class Participant:
         """Return the teams of the tasks that have begun, in the order of conditions."""
         return [group for (kind, _), group in self.groups.items() if kind == "task"]
 
-
-@dataclass(frozen=True)
-class Group:
-    """Participants who share a robot.
-
-    Attributes
-    ----------
-    members : tuple of str
-        Codes of the participants, in order of arrival.
-    team : ParticipantTeam
-    """
-
-    members: tuple[str, ...]
-    team: ParticipantTeam
+    @property
+    def period(self) -> int:
+        """The period of the latest task; 0 before the first."""
+        return max((period for kind, period in self.groups if kind == "task"), default=0)

@@ -81,7 +81,7 @@ class Stage:
     what : str
         The task or questionnaire; empty for other stages.
     period : int
-        For tasks and questionnaires, 1 in the participant's first condition; 0 for other stages.
+        For tasks, questionnaires, and waiting for the group, 1 in the participant's first condition; 0 for others.
     """
 
     name: str
@@ -177,7 +177,8 @@ class UserStudy:
         practice = [] if self.practice is None else [Stage("practice", "practice", "practice")]
         # Between participants, the end of the study is the end of the only condition.
         once = [BEFORE, END] if self.is_within else [BEFORE]
-        parts = [("task", name) for name, _ in self.tasks]
+        parts = [] if self.group is None else [(WAITING, "")]
+        parts += [("task", name) for name, _ in self.tasks]
         parts += [("questionnaire", one.name) for one in self.questionnaires if one.when not in (BEFORE, END)]
         parts += [("questionnaire", one.name) for one in self.questionnaires if one.when == END and END not in once]
 
@@ -187,9 +188,8 @@ class UserStudy:
 
         return (
             Stage("consent", "consent"), Stage("instructions", "instructions"), *singles(BEFORE), *practice,
-            *([] if self.group is None else [Stage(WAITING, WAITING)]),
             *(
-                Stage(f"{kind} {what}" + f" {period}" * self.is_within, kind, what, period)
+                Stage(" ".join(filter(None, [kind, what, str(period) * self.is_within])), kind, what, period)
                 for period in range(1, self.periods + 1)
                 for kind, what in parts
             ),
@@ -235,6 +235,10 @@ class UserStudy:
         while number < len(self.stages) and not self.is_shown(number, assigned):
             number += 1
         return number
+
+    def begins_at(self, period: int) -> int:
+        """Return the number of the first task's stage in a participant's condition, which is 1 for the first."""
+        return self.stages.index(next(one for one in self.stages if (one.kind, one.period) == ("task", period)))
 
     def condition(self, name: str) -> Condition:
         """Return the condition of this name."""

@@ -183,8 +183,6 @@ def _group(file: Path, table: FileTable) -> Grouping | None:
     size, then = table.group.size, table.group.then
     if then not in ("start", "alone", "end"):
         raise fault(file, "group.then", f"'{then}'; expected 'end', 'alone', or 'start' with those who are there")
-    if table.design != BETWEEN:
-        raise fault(file, "design", f"'{table.design}'; expected '{BETWEEN}' in a study with groups")
     if table.simulated:
         raise fault(file, "simulated", f"{table.simulated}; expected 0 in a study with groups")
     if table.participants is not None and table.participants % size:

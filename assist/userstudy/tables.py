@@ -197,8 +197,8 @@ def tables(study: UserStudy, journal: Path) -> Tables:
 
     def begins(record: Mapping[str, Any], utc: str | None) -> None:
         for code in record["members"]:
-            people[code] |= {"condition": record["condition"], "group": record["group"]}
-            at[code] = study.next_stage(at[code], record["condition"])
+            people[code] |= {name: record[name] for name in ("condition", "group") if name in record}
+            at[code] = study.begins_at(record.get("period", 1))
             enters(code, stages[at[code]], record["time"])
             found.events.append({
                 "participant": code, "time": record["time"], "utc": utc, "event": "onward",

@@ -11,7 +11,8 @@ from urllib.parse import urlencode
 
 from ...live.events import AbsentError, Event
 from ...live.live_task import InapplicableError
-from ...userstudy.cohort import LETTERS, Cohort
+from ...userstudy.codes import spelled
+from ...userstudy.cohort import Cohort
 from ...userstudy.participants import HERE
 from ...userstudy.plan import WAITING
 from ...userstudy.session import StudySession
@@ -24,7 +25,7 @@ PARTICIPANT = "participant "
 
 
 CODES_KEY = "codes.key"
-"""File of the key that leads from ids of browsers and of other systems to codes. Without it nobody can connect them."""
+"""File of the key that leads from ids of browsers and of other systems to codes. Without it they cannot be connected."""
 
 
 class ForgedError(ValueError):
@@ -101,11 +102,8 @@ class StudyService(Service):
 
     def withdrawal_code(self, code: str) -> str:
         """Return the code by which a participant's data can be withdrawn, also without the participant's page."""
-        number, signs = int.from_bytes(_digest(self.access.operator.encode(), f"withdrawal {code}"), "big"), ""
-        for _ in range(8):
-            number, place = divmod(number, len(LETTERS))
-            signs += LETTERS[place]
-        return f"{code}-{signs}"
+        digest = _digest(self.access.operator.encode(), f"withdrawal {code}")
+        return f"{code}-{spelled(int.from_bytes(digest, 'big'), 8)}"
 
     async def withdraw(self, withdrawal: str) -> None:
         """Withdraw the data of the participant whose withdrawal code this is. A repeated request has no effect.
@@ -126,11 +124,7 @@ class StudyService(Service):
 
     def code(self, visit: str) -> str:
         """Return the participant code for a browser's id. The code is always the same and does not reveal the id."""
-        number, signs = int.from_bytes(_digest(self._codes_key, visit)[:8], "big"), ""
-        for _ in range(6):
-            number, place = divmod(number, len(LETTERS))
-            signs += LETTERS[place]
-        return f"P-{signs}"
+        return f"P-{spelled(int.from_bytes(_digest(self._codes_key, visit)[:8], 'big'), 6)}"
 
     def participant_url(self, participant: str) -> str:
         """Return the join link of a participant whom another system identifies, signed, for any device."""
@@ -144,7 +138,7 @@ class StudyService(Service):
         Parameters
         ----------
         visit : str
-            An id that the browser has drawn, which nobody else knows; or `PARTICIPANT` and the id of another system,
+            An id that the browser has drawn, which is secret; or `PARTICIPANT` and the id of another system,
             which others may know.
         key : str, optional
             A key that the browser has drawn. It is required for the id of another system without a signature; the
@@ -204,7 +198,7 @@ class StudyService(Service):
     def _due(self, cohort: Cohort) -> list[Event]:
         now, session_now, study = self._loop.time(), self.session.now(), self.study
         found: list[Event] = []
-        idle: set[str | None] = set()  # groups whose robot decides again, once for all members
+        idle: set[tuple[str | None, int]] = set()  # groups whose robot decides again, once for all members
         for code, person in list(cohort.participants.items()):
             if person.status != HERE:
                 continue
@@ -214,7 +208,8 @@ class StudyService(Service):
             if away > 60 * (min(study.away, 0.5) if stage.kind == WAITING else study.away):
                 found.append(Event("left", code))
             elif study.group is not None and stage.kind == WAITING:
-                if session_now - person.entered > 60 * study.group.wait:
+                late = session_now - person.entered > 60 * study.group.wait
+                if late or (person.group is not None and cohort.groups.is_complete(person)):  # the others have left
                     found.append(Event("expired", code))
             elif stage.kind == "task":
                 late = study.minutes is not None and session_now - person.entered > 60 * study.minutes
@@ -222,9 +217,9 @@ class StudyService(Service):
                     found.append(Event("expired", code))
                 elif (
                     self.ticks and session_now - person.acted > study.tick and self.connected(code)
-                    and (person.group is None or not (person.group in idle or cohort.is_over(person)))
+                    and (person.group is None or not ((person.group, stage.period) in idle or cohort.is_over(person)))
                 ):  # fmt: skip
-                    idle.add(person.group)
+                    idle.add((person.group, stage.period))
                     found.append(Event("elapsed", code))
         return found
 
