@@ -25,7 +25,7 @@ PARTICIPANT = "participant "
 
 
 CODES_KEY = "codes.key"
-"""File of the key that leads from ids of browsers and of other systems to codes. Without it they cannot be connected."""
+"""File of the key that leads from ids of browsers and of other systems to codes, which nothing else connects."""
 
 
 class ForgedError(ValueError):
