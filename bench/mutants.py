@@ -368,7 +368,7 @@ def main(
 ) -> None:
     """Run the mutants of modules, and print those that survive."""
     os.chdir(ROOT)
-    settings.register_profile("mutants", phases=[Phase.explicit, Phase.generate], database=None)
+    settings.register_profile("mutants", phases=[Phase.explicit, Phase.generate], database=None, deadline=None)
     settings.load_profile("mutants")
     rows = []
     for module in modules or TESTS:

@@ -404,6 +404,17 @@ def test_a_bound_from_sample_paths_counts_if_there_are_enough(strangers: Pool) -
         assert found.upper == (found.proven if paths < 30 else found.sampled.upper)
 
 
+def test_a_bound_on_a_truncated_task_holds_for_the_whole_and_has_the_rounds_that_are_asked_for(strangers: Pool) -> None:
+    told: list[tuple[str, int, int]] = []
+    given = {"setting": strangers.setting, "population": Population(beta=(0.1, 0.5)), "seed": 1}
+    whole, large = (Pool.sample(kit("tiny"), 3, **more, **given) for more in ({}, {"states": 1, "region": 6}))  # type: ignore[arg-type]
+    bound = partial(team_bound.upper_bound, window=2, gap=0.05, jobs=1, options=BoundOptions(2, 50))
+    one, other = bound(whole), bound(large, paths=4, progress=lambda *what: told.append(what))
+    assert other.proven >= one.upper - one.slack
+    assert other.sampled is not None
+    assert [what for what in told if what[0] == "optimising prices"] == [("optimising prices", n, 2) for n in (0, 1)]
+
+
 def test_one_person_has_no_conflicts_to_sample(pool: Pool) -> None:
     found = upper_bound(pool, (1,), window=0, gap=1e-3, paths=4)
     assert (found.sampled, found.upper) == (None, found.proven)
