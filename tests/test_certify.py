@@ -85,6 +85,13 @@ def test_what_an_episode_that_is_cut_off_could_still_cost(pool: Pool, monkeypatc
         found = returns(pool, NoAssistance(), (0, 1), travel, episodes=2000, seed=0)
         later = 2 * (4 + 0.1 + 0.2 * furthest) * 0.25 / 0.5
         assert {round(-value - later, 9) for value in found} == paid
+    # With two tasks it is the larger cost that could still be paid.
+    line = [(node, node - 1, 9) for node in range(1, 5)]
+    far = Pool.sample(Choices.of(sweep(graph_task(line, start=4))), 1, seed=1, setting=SETTING)
+    both = Pool(SETTING, (pool.people[0], far.people[0]), (pool.policies[0], far.policies[0]), np.arange(2))
+    found = returns(both, NoAssistance(), (0, 1), SETTING.travel(2), episodes=50, seed=0)
+    later = 2 * (9 + 0.1 + 0.2) * 0.25 / 0.5
+    assert {round(-value - later, 9) for value in found} <= {13.5 + 1.5, 13.5 + 3.0}
     travel = SETTING.travel(2)
     done = Pool.sample(Choices.of(sweep(graph_task([(1, 0, 1)]))), 2, seed=1, setting=SETTING)
     np.testing.assert_allclose(returns(done, "none", (0, 1), travel, episodes=3, seed=0), -2.0)

@@ -263,8 +263,9 @@ def test_the_only_way_up_of_a_task_is_found_in_every_state() -> None:
         table = sweep(graph_task([*corridor, (node, node + 1, 1)], start=4))
         assert truncated_task._Survey.of(table, Choices.of(table)).rise == 1
         assert truncated_task._Survey.of(table, Choices.of(table), rows_at_a_time=1).rise == 1
-    table = sweep(graph_task([*corridor, (4, 4, 1), (4, 5, 1), (5, 4, 1)], start=4))
-    assert truncated_task._Survey.of(table, Choices.of(table)).rise == 1
+    done = sweep(graph_task([(1, 0, 1)], start=0))  # a task without anything to do
+    survey = truncated_task._Survey.of(done, Choices.of(done))
+    assert (survey.highest, survey.actions, survey.rise) == (0, 1, 0)
 
 
 def test_the_lower_bound_follows_rules_of_trust_whose_steps_are_known() -> None:
@@ -272,14 +273,15 @@ def test_the_lower_bound_follows_rules_of_trust_whose_steps_are_known() -> None:
     ladder = [(node, to, 1) for node in range(1, 7) for to in (node - 1, min(node + 1, 6))]
     part = TruncatedTask.of(sweep(graph_task(ladder, start=3)), states=2)
 
-    def lower(eta: float, trust: TrustRule | None) -> Floats:
-        frontier = part.problem(gamma=0.9, eta=eta, trust=trust).frontier
+    def lower(eta: float, trust: TrustRule | None, utility_scale: float = 1.0) -> Floats:
+        frontier = part.problem(gamma=0.9, eta=eta, trust=trust, utility_scale=utility_scale).frontier
         assert frontier is not None
         return frontier.lower
 
     np.testing.assert_array_equal(lower(0.2, constant()), lower(0.0, None))
     np.testing.assert_array_equal(lower(0.2, EquationSeven(0.2)), lower(0.2, None))
     assert (lower(0.2, None) > lower(0.0, None)).any()
+    np.testing.assert_allclose(lower(0.4, None, utility_scale=2.0), lower(0.2, None), rtol=1e-12)
     np.testing.assert_allclose(lower(0.2, outcome()), -2 / 0.1, rtol=1e-12)
 
 

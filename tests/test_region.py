@@ -85,6 +85,7 @@ def test_a_part_has_the_choices_of_the_task() -> None:
         assert ours.applicable[x].sum() == count
         assert sorted(part.states[ours.targets[x, :count]]) == sorted(full.targets[theirs, :count])
         assert set(ours.actions[x][ours.optimal[x]]) == set(full.actions[theirs][full.optimal[theirs]])
+    assert not part.choices.applicable[part.frontier].any()
     np.testing.assert_array_equal(part.choices.h, full.h[part.states])
     np.testing.assert_array_equal(part.local(part.states), np.arange(len(part.states)))
     outside = np.setdiff1d(np.arange(len(table)), part.states)
@@ -141,6 +142,16 @@ def test_a_part_is_where_somebodys_mistakes_lead() -> None:
         other = Human(1.0, 0.5, 2.0, Misconception(2.0, 0, "action"))
         assert looked_at(table, other) == looked_at(table)
     assert looked_at(table) == [1, 2, 6, 5, 4, 3]
+
+
+@pytest.mark.usefixtures("one_by_one")
+def test_in_a_dead_end_without_actions_people_wait() -> None:
+    table = sweep(graph_task([(1, 2, 1), (1, 3, 1), (3, 0, 9)]))
+    part = TruncatedTask.of(table, states=3)
+    (end,) = np.flatnonzero(np.isinf(part.choices.h))
+    assert end not in part.frontier
+    assert part.choices.name(int(end), 0) == "(wait)"
+    assert (part.choices.costs[end, 0], part.choices.targets[end, 0]) == (1, end)
 
 
 def test_people_are_the_same_in_a_part_as_in_the_whole() -> None:

@@ -325,7 +325,7 @@ class _Growth:
         self.states: list[int] = []
         self.h: list[float] = []
         self.goal: list[bool] = []
-        self.rows: list[tuple[NDArray[np.int64], NDArray[np.int64]] | None] = []
+        self.rows: list[tuple[NDArray[np.integer], NDArray[np.integer]] | None] = []
         self.queue: list[tuple[float, int]] = []
         self.expanded = 0
         self._add(np.array([start]), np.array([1.0]))
@@ -357,8 +357,7 @@ class _Growth:
             return 0
         rows = self.known.choices(np.array([self.states[at] for at in batch]))
         targets = np.asarray(rows.targets, dtype=np.int64)
-        actions = np.asarray(rows.actions, dtype=np.int64)
-        offsets = np.asarray(rows.offsets, dtype=np.int64)
+        actions, offsets = rows.actions, rows.offsets
         counts = np.diff(offsets)
         source = np.repeat(np.arange(len(batch)), counts)
         slot = np.arange(len(targets)) - offsets[source]
