@@ -5,7 +5,7 @@
 Each action of a walk is reported as the changes of facts that it causes, at first all of them, then with 10 % of them
 lost at random. After each action with a report left, the actions since the last known state are recovered. Where the
 answer is not the truth, the state is corrected, as an operator would do. Actions that change no fact are never
-reported.
+reported. With losses, actions without any report are at first assumed to be rare, and then allowed for (`unseen`).
 """
 
 from __future__ import annotations
@@ -77,12 +77,20 @@ def row_of(recovery: ActionRecovery, name: str, walks: int, length: int, lost: f
     kinds = ("recovered", "ambiguous", "impossible", "wrong", "unseen")
     actions = sum(count[kind] for kind in kinds)
     shares = {kind: 100 * count[kind] / actions for kind in kinds}
-    return {"task": name, "lost": lost, "actions": actions, "ms": 1000 * took / count["calls"], **shares}
+    return {
+        "task": name,
+        "lost": lost,
+        "unseen": recovery.unseen,
+        "actions": actions,
+        "ms": 1000 * took / count["calls"],
+        **shares,
+    }
 
 
 COLUMNS: Columns = {
     "task": cell("task"),
     "reports lost": cell("lost", ".0%"),
+    "unseen": cell("unseen"),
     "actions": cell("actions", ","),
     "recovered, %": cell("recovered", ".2f"),
     "ambiguous, %": cell("ambiguous", ".2f"),
@@ -105,8 +113,9 @@ def main(instances: tuple[str, ...], walks: int, length: int, unreported: int, s
     rows = []
     for name in instances or DEFAULT:
         known = sweep(load(instance(DOMAINS / f"{name}.pddl")))
-        for lost, slack in ((0.0, 0), (0.1, unreported)):
-            rows.append(row_of(ActionRecovery(known, unreported=slack), name, walks, length, lost, seed))
+        for lost, slack, unseen in ((0.0, 0, 0), (0.1, unreported, 0), (0.1, unreported, 1)):
+            recovery = ActionRecovery(known, unreported=slack, unseen=unseen)
+            rows.append(row_of(recovery, name, walks, length, lost, seed))
             print("; ".join(show(rows[-1]) for show in COLUMNS.values()), flush=True)
     write_record(record, COLUMNS, rows)
 

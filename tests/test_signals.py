@@ -64,6 +64,21 @@ def test_one_action_with_lost_reports_is_never_recovered_wrongly(
         assert found.state == after
 
 
+def test_an_action_of_which_nothing_was_reported_is_allowed_for_on_request() -> None:
+    """Shutting an empty locker changes one fact only; whether it happened before a push cannot be known."""
+    usual, careful = (recovery_of("lockers", "two-parcels", unreported=2, unseen=unseen) for unseen in (0, 1))
+    space = careful.known.space
+    options = space.options(space.initial)
+    push = next(action for action in options if action.startswith("(push"))
+    shut = next(action for action in options if action.startswith("(shut-door"))
+    before, after = (set(space.facts(state)) for state in (space.initial, options[push]))
+    changes = [FactChange(f, False) for f in before - after] + [FactChange(f, True) for f in after - before]
+    assert usual.recover(space.initial, changes).actions == (push,)
+    found = careful.recover(space.initial, changes)
+    assert found.kind == "ambiguous"
+    assert set(found.explanations) == {(push,), (shut, push)}
+
+
 def test_the_explanations_are_all_that_there_are() -> None:
     """Beside a search through all sequences that knows nothing of the algorithm."""
     known = kit("paper-fixed")
@@ -125,7 +140,7 @@ def test_sensors_may_see_some_predicates_only() -> None:
 
 @pytest.mark.parametrize(("longest", "unreported"), [(0, 0), (1, -1)])
 def test_limits_are_checked(longest: int, unreported: int) -> None:
-    with pytest.raises(ValueError, match="expected at least 1 and 0"):
+    with pytest.raises(ValueError, match="expected at least 1, 0 and 0"):
         ActionRecovery(kit("tiny"), longest=longest, unreported=unreported)
 
 

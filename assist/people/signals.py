@@ -120,17 +120,24 @@ class ActionRecovery:
     unreported : int
         Largest number of visible changes that may have been lost. An action without any visible change counts as one.
         With a larger number, sensors may lose more reports, but more changes are ambiguous.
+    unseen : int
+        Largest number of further actions in an explanation of which nothing was reported, before the last one, if all
+        that they change is one visible fact or none. With 0, they are assumed to be rarer than other explanations; with
+        1, fewer recoveries are wrong where reports are lost, and more changes are ambiguous.
     stored : int
         Number of states whose transitions are kept; the default takes some hundred megabytes.
     """
 
     def __init__(
         self, known: CostToGo, *, predicates: Iterable[str] | None = None, longest: int = 3, unreported: int = 0,
-        stored: int = 65_536,
+        unseen: int = 0, stored: int = 65_536,
     ) -> None:  # fmt: skip
-        if longest < 1 or unreported < 0:
-            raise ValueError(f"longest {longest}, unreported {unreported}; expected at least 1 and 0")
+        if longest < 1 or unreported < 0 or unseen < 0:
+            raise ValueError(
+                f"longest {longest}, unreported {unreported}, unseen {unseen}; expected at least 1, 0 and 0"
+            )
         self.known, self.longest, self.unreported, self.stored = known, longest, unreported, stored
+        self.unseen = unseen
         seen = None if predicates is None else {name.lower() for name in predicates}
         self._facts = [[_visible(fact, seen) for fact in variable.facts] for variable in known.task.variables]
         self.facts = frozenset(fact for facts in self._facts for fact in facts if fact is not None)
@@ -157,18 +164,18 @@ class ActionRecovery:
         reported = Counter(map(self._named, changes))
         if not reported:
             return Recovery("recovered", ((),), state)
-        found: list[tuple[tuple[int, ...], int]] = []
+        found: dict[tuple[int, ...], int] = {}
         slack = self.unreported
         for length in range(1, self.longest + 1):
             least = slack
-            for actions, after, missing in self._explained(state, reported, length, slack):
-                found.append((actions, after))
+            for actions, after, missing in self._explained(state, reported, length, slack, self.unseen):
+                found[actions] = after
                 least = min(least, missing)
             slack = least
         names = self.known.task.actions
-        explanations = tuple(tuple(names[action] for action in actions) for actions, _ in found)
+        explanations = tuple(tuple(names[action] for action in actions) for actions in found)
         if len(found) == 1:
-            return Recovery("recovered", explanations, found[0][1])
+            return Recovery("recovered", explanations, next(iter(found.values())))
         return Recovery("ambiguous" if found else "impossible", explanations, None)
 
     def _named(self, change: FactChange | str) -> tuple[str, bool]:
@@ -185,11 +192,14 @@ class ActionRecovery:
         return named, bool(holds)
 
     def _explained(
-        self, state: int, reported: Counter[tuple[str, bool]], length: int, slack: int
+        self, state: int, reported: Counter[tuple[str, bool]], length: int, slack: int, unseen: int
     ) -> Iterable[tuple[tuple[int, ...], int, int]]:
         """Yield the explanations of a length: actions, the state after them, and the number of unreported changes."""
         for step in self._options(state):
             extra = sum(change not in reported for change in step.changes) + (not step.changes)
+            if unseen and length > 1 and extra == max(1, len(step.changes)) == 1:
+                for actions, after, missing in self._explained(step.after, reported, length - 1, slack, unseen - 1):
+                    yield (step.action, *actions), after, missing
             if extra > slack:
                 continue
             rest = reported - Counter(step.changes)
@@ -197,7 +207,7 @@ class ActionRecovery:
                 if not rest:
                     yield (step.action,), step.after, extra
                 continue
-            for actions, after, missing in self._explained(step.after, rest, length - 1, slack - extra):
+            for actions, after, missing in self._explained(step.after, rest, length - 1, slack - extra, unseen):
                 yield (step.action, *actions), after, extra + missing
 
     def _options(self, state: int) -> list[_Step]:
