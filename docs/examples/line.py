@@ -1,6 +1,6 @@
 """A line without hardware: an MQTT broker, three stations that scan, a robot that drives, and the live assistant.
 
-    python docs/examples/line.py [--pace 2.0]
+    python docs/examples/line.py [kitting/paper] [--pace 2.0]
 
 `make line` installs what it needs and runs it. It ends when all people have finished, or with Ctrl-C.
 """
@@ -104,23 +104,24 @@ def main() -> None:
     """Run the line, and end it with one sentence."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pace", type=float, default=2.0, help="mean seconds between two actions of a person")
-    pace = parser.parse_args().pace
+    parser.add_argument("instance", nargs="?", default="kitting/paper", help="the task of all three")
+    given = parser.parse_args()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, end)
     try:
-        run(pace)
+        run(given.instance, given.pace)
     except (KeyboardInterrupt, asyncio.CancelledError):
         print("ended by Ctrl-C", flush=True)
 
 
-def run(pace: float) -> None:
+def run(instance: str, pace: float) -> None:
     """Start the broker, the assistant, the stations and the robot, and end them all."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with tempfile.TemporaryDirectory() as folder, iotcore.Broker(port=port, listen="127.0.0.1"):
         settings = Path(folder, "bridge.toml")
         settings.write_text(BRIDGE.replace("PORT", str(port)), encoding="utf-8")
-        serve = [Path(sys.executable).with_name("kitassist"), "serve", "kitting/paper", "--humans", "3", "--port", "0"]
+        serve = [Path(sys.executable).with_name("kitassist"), "serve", instance, "--humans", "3", "--port", "0"]
         options = ["--travel-time", "1", "--c-suggest", "0.01", "--c-move", "0.01", "--bridge", settings]
         service = subprocess.Popen([*serve, *options], stdout=subprocess.PIPE, text=True)
         try:
