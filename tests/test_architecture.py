@@ -45,7 +45,7 @@ ROOMS = {
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
         fit joint_states goals goal_fit comparison rule_families trust_log posterior_sample influence_population
         rule_search trust_fit trust_comparison""",
-    "assist.team": """by_policy travel state hidden_states action_check settings assignment attention questions
+    "assist.team": """by_policy robots travel state hidden_states action_check settings assignment attention questions
         time_expansion
         memory_needed subproblem_frontier attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation

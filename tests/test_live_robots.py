@@ -21,6 +21,7 @@ from assist.people.human import Population
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
+from assist.team.robots import Robot
 from assist.team.settings import Setting
 from assist.web.app import make_app
 from assist.web.service import Service
@@ -32,16 +33,19 @@ WRONG = "(place hammer slot-2 box-a)"
 
 @pytest.mark.parametrize(
     ("policy", "more"),
-    [("reactive", {}), ("attention", {}), ("priority", {}), ("priority", {"travel_time": 2, "c_move": 0.1})],
-)
+    [
+        ("reactive", {}), ("attention", {}), ("priority", {}), ("priority", {"travel_time": 2, "c_move": 0.1}),
+        ("priority", {"robots": (Robot(c_suggest=0.3, c_move=0.2), Robot(travel_time=2, c_move=0.1))}),
+    ],
+)  # fmt: skip
 def test_step_by_step_they_do_what_is_simulated(tiny: Table, policy: str, more: dict[str, Any]) -> None:
-    setting = Setting(c_suggest=0.1, robots=2, **more)
+    setting = Setting(**{"c_suggest": 0.1, "robots": 2} | more)
     pool = Pool.sample(tiny, 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.6)))
     trace, team = Trace(), [2, 0, 3]
     simulate(pool, policy, humans=team, episodes=1, seed=3, trace=trace)
     people = {str(place): pool.policies[pool.model[number]] for place, number in enumerate(team)}
     desk = Assistant(people=people, policy=policy, setting=setting)
-    steps = setting.travel(3).steps
+    travel = setting.travel(3)
     arrivals, spoken = [0, 0], 0
     for step in range(trace[-1]["step"] + 1):
         for number, where in enumerate(desk.robots):
@@ -51,7 +55,9 @@ def test_step_by_step_they_do_what_is_simulated(tiny: Table, policy: str, more: 
         advice = desk.recommend_all()
         for number, (here, there) in enumerate(zip(before, desk.robots, strict=True)):
             if here != there:
-                arrivals[number] = step + steps[3 if here is None else int(here), int(there or 0)]
+                arrivals[number] = (
+                    step + travel.of_robot(number).steps[3 if here is None else int(here), int(there or 0)]
+                )
         for row in (row for row in trace if row["step"] == step):
             name = str(row["place"])
             assert desk.person(name).suggestion == row["suggestion"]
@@ -63,6 +69,33 @@ def test_step_by_step_they_do_what_is_simulated(tiny: Table, policy: str, more: 
             desk.observe(name, row["action"])
     assert desk.finished
     assert spoken
+
+
+def test_each_of_different_robots_counts_its_own_costs(tiny: Table) -> None:
+    """The second robot's suggestions cost less, so that it goes although its way costs more."""
+    robots = (Robot(c_suggest=0.4, c_move=0.01), Robot(c_suggest=0.1, c_move=0.03))
+    desk = Assistant(tiny, ["ann"], setting=Setting(trust="paper"), population=Population(), robots=robots)
+    desk.observe("ann", "(fetch box-a)")
+    desk.observe("ann", WRONG)
+    first, second = desk.recommend_all()
+    assert first.person is None
+    assert second.person == "ann"
+    assert second.reason is not None
+    assert second.reason.moving == 0.03
+    person = second.explanation.now
+    assert person is not None
+    assert person.prospect.cost == pytest.approx(0.1)
+    assert person.prospect.score == pytest.approx(second.reason.score)
+    again = Assistant.from_json(desk.to_json(), tiny)
+    assert again.setting == desk.setting
+    assert again.recommend_all() == desk.recommend_all()
+    dear = Assistant(tiny, ["ann"], setting=Setting(trust="paper"), population=Population(), robots=robots[::-1])
+    for action in ("(fetch box-a)", WRONG):
+        dear.observe("ann", action)
+    assert [one.person for one in dear.recommend_all()] == ["ann", None]
+    assert dear.recommend(1).reason == second.reason
+    with pytest.raises(ValueError, match="execute: expected a robot that suggests"):
+        Assistant(tiny, ["ann"], robots=(Robot(execute=True), Robot()))
 
 
 def two(tiny: Table) -> Assistant:

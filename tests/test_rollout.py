@@ -30,7 +30,7 @@ def of(table: Table | Choices | Goals, **setting: Any) -> Pool:
 
 def start(pool: Pool) -> TeamState:
     """Return the first state of the pool's people, with the axis of robots if there are several."""
-    one, robots = state(pool, [pool.choices(k).initial for k in TEAM]), pool.setting.robots
+    one, robots = state(pool, [pool.choices(k).initial for k in TEAM]), pool.setting.robot_count
     return one if robots == 1 else replace(one, location=one.location[:, None].repeat(robots, axis=1))
 
 

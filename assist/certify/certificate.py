@@ -105,9 +105,12 @@ def returns(
     """
     gamma, end = pool.setting.gamma, horizon(pool.setting.gamma)
     pool = replace(pool, setting=replace(pool.setting, max_steps=end))
-    largest_cost = max(
-        float(p.pomdp.model.choices.costs.max() + p.pomdp.robot_costs.max()) for p in pool.policies
-    ) + travel.c_move * float(travel.distance.max())
+    most = max(one.c_move for one in travel.robots or (travel,)) * float(travel.distance.max())
+    if (extra := pool.setting.extra_costs) is not None:
+        most += float(max(extra.suggesting.max(), extra.executing[np.isfinite(extra.executing)].max(initial=0)))
+    largest_cost = (
+        max(float(p.pomdp.model.choices.costs.max() + p.pomdp.robot_costs.max()) for p in pool.policies) + most
+    )
     deadline = None if time_limit is None else time.perf_counter() + time_limit
     parts: list[Floats] = []
     # The records of 65,536 episodes take about 10 MB per person. A time limit is checked after 1,024 episodes.

@@ -45,7 +45,7 @@ class Relaxation:
     def paid(self) -> float:
         """The discounted sum of the prices that all robots pay, in cost units."""
         gamma = self.kinds[0].pool.setting.gamma
-        return self.kinds[0].pool.setting.robots * float(self.price @ gamma ** np.arange(len(self.price)))
+        return self.kinds[0].pool.setting.robot_count * float(self.price @ gamma ** np.arange(len(self.price)))
 
     @property
     def upper(self) -> float:
@@ -126,7 +126,7 @@ class Computation:
 
     def needs_prices(self, steps: int) -> bool:
         """Return whether prices of some steps can lower the bound; otherwise robots never have to choose."""
-        return len(self.team) > self.pool.setting.robots and steps > 0
+        return len(self.team) > self.pool.setting.robot_count and steps > 0
 
     def optimised(self, kinds: list[SubproblemKind], steps: int, share: float) -> Floats:
         """Return prices that are optimised until a share of the time for people's problems has passed."""
@@ -134,7 +134,7 @@ class Computation:
             return np.zeros(0)
         return search(
             kinds, steps, rounds=self.options.price_rounds, episodes=self.options.price_episodes, seed=self.seed,
-            deadline=self.start + share * self.for_people, tell=self.tell, robots=self.pool.setting.robots,
+            deadline=self.start + share * self.for_people, tell=self.tell, robots=self.pool.setting.robot_count,
         )  # fmt: skip
 
     def relaxed(

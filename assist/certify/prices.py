@@ -114,7 +114,7 @@ class SubproblemKind:
 
         human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
         # Travel is part of the subproblem, so that the simulation has none. A person's problem has one robot.
-        setting = replace(self.pool.setting, c_move=0.0, travel_time=0.0, max_steps=steps, robots=1)
+        setting = replace(self.pool.setting.best, c_move=0.0, travel_time=0.0, max_steps=steps, robots=1)
         pool = Pool(setting, (human,), (policy(0, np.arange(1)),), np.zeros(1, dtype=np.int64))
         run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
         return number / episodes, run.discounted_return
@@ -190,7 +190,7 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5,
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
     steps = np.arange(math.ceil(plans * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)
-    return max(math.ceil(2 * shortest), int((working > at_work * pool.setting.robots).sum()))
+    return max(math.ceil(2 * shortest), int((working > at_work * pool.setting.robot_count).sum()))
 
 
 def search(

@@ -40,6 +40,12 @@ confidence level. It uses the subproblems at the prices, or those without prices
 without prices need no step in their states, so that the solver gets further in the same time, and the sample paths
 account for the conflicts.
 
+Robots that differ. The bound is that of M robots that can each do what any of them can, at the lowest cost and in the
+shortest time of any (`Setting.best`).
+
+Proof. Any policy of the team is one of those robots, too: where a robot of the team is still on its way, the faster one
+has arrived and waits, which no other robot can disturb. Its actions are possible, and cost no more.
+
 The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated
 in the same model.
 """
@@ -127,7 +133,7 @@ class TeamBound:
             policy.require_enumerated("relaxed")
         episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
         gamma = self.pool.setting.gamma
-        paid = self.pool.setting.robots * float(self.price @ gamma ** np.arange(len(self.price)))
+        paid = self.pool.setting.robot_count * float(self.price @ gamma ** np.arange(len(self.price)))
         total, variance = paid, 0.0
         kinds = kinds_of(self.pool, self.team, self.travel, len(self.price))
         for number, kind in enumerate(kinds):  # independent random numbers, so that variances add up
@@ -149,7 +155,7 @@ class TeamBound:
         """
         if len(self.price):
             self.pool.choices(self.team[0]).require_one_goal("the policy at a bound's prices")
-        without = 0.0 if 1 < len(self.team) <= self.pool.setting.robots else None
+        without = 0.0 if 1 < len(self.team) <= self.pool.setting.robot_count else None
         return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else without)
 
     def certify(
@@ -255,7 +261,7 @@ def upper_bound(
     together, kinds, price = truncated_prices(run, window) if run.needs_outer else run.prices(window)
     recorder = sample_paths.recorder(run, kinds, price, together) if run.paths and not run.needs_outer else None
     relaxed, sampled = run.relaxed(kinds, price, start + run.for_people, recorder), None
-    if run.paths and len(members) > pool.setting.robots:  # otherwise no robot ever has to choose
+    if run.paths and len(members) > pool.setting.robot_count:  # otherwise no robot ever has to choose
         relaxed = sample_paths.without_prices(run, relaxed, recorder)
         sampled = sample_paths.sampled(run, relaxed, together)
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper

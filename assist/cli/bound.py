@@ -82,5 +82,5 @@ def bound(
         f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; solving each person's "
         f"problem exactly would lower the gap by at most {best.slack_percent:.2f} percentage points"
     )
-    if samples and len(found.team) > team["robots"]:
+    if samples and len(found.team) > made.pool.setting.robot_count:
         show_samples(found)

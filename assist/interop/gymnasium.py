@@ -58,7 +58,7 @@ class _Desk:
     def spaces(self) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Space[Any]]:
         """Return the observation space and the action space of one team."""
         spaces, sight, humans = gymnasium.spaces, self.sight, self.teams.x.shape[1]
-        robots = self.teams.pool.setting.robots
+        robots = self.teams.pool.setting.robot_count
         seen: dict[str, gymnasium.spaces.Space[Any]] = {
             "action_mask": spaces.MultiBinary(self.actions if robots == 1 else [robots, self.actions]),
             "active": spaces.MultiBinary(humans),
@@ -270,7 +270,7 @@ class TeamEnv(gymnasium.Env):
         if self._draws is None:
             raise gymnasium.error.ResetNeeded("step: expected reset before it")
         teams = self._desk.teams
-        robots = teams.pool.setting.robots
+        robots = teams.pool.setting.robot_count
         number = np.array([int(action)]) if robots == 1 else np.asarray(action, dtype=np.int64)[None]
         if number.shape != teams.location.shape or not ((number >= 0) & (number < self._desk.actions)).all():
             each = "" if robots == 1 else f", for each of {robots} robots"

@@ -212,7 +212,7 @@ class RobotsEnv(pettingzoo.ParallelEnv):
     def __init__(self, instance: str | Path | Pool, humans: int = 2, **options: Any) -> None:
         self._env = TeamEnv(instance, humans, **options)
         self.render_mode = self._env.render_mode
-        self._robots, self._robot_actions = self.pool.setting.robots, self._env.actions
+        self._robots, self._robot_actions = self.pool.setting.robot_count, self._env.actions
         self.possible_agents = [f"robot_{number}" for number in range(self._robots)]
         self.agents: list[str] = []
         self.observation_spaces = {agent: self._space() for agent in self.possible_agents}
@@ -322,5 +322,5 @@ def parallel_env(instance: str | Path | Pool, humans: int = 2, **options: Any) -
         Further arguments of the environment.
     """
     setting = instance.setting if isinstance(instance, Pool) else options.get("setting")
-    several = setting is not None and setting.robots > 1
+    several = setting is not None and setting.robot_count > 1
     return RobotsEnv(instance, humans, **options) if several else StationsEnv(instance, humans, **options)

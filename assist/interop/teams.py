@@ -73,6 +73,7 @@ class Teams:
         filters: bool = True,
     ) -> None:
         pool.setting.require_all_seen("an environment")
+        pool.setting.require_alike("an environment")
         for policy in pool.policies:
             policy.require_enumerated("pool")
             policy.pomdp.model.choices.require_one_goal("an environment")
@@ -90,7 +91,7 @@ class Teams:
         self.beta, self.theta, self.seen = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=np.int64)
         self.finished, self.erred = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
         self.belief = np.zeros((*shape, *self._prior.shape[1:])) if filters else None
-        robots, self.clock = pool.setting.robots, np.zeros(teams, dtype=np.int64)
+        robots, self.clock = pool.setting.robot_count, np.zeros(teams, dtype=np.int64)
         self.location, self.busy_until = np.zeros((2, teams, *([robots] if robots > 1 else [])), dtype=np.int64)
 
     def begin(self, rows: NDArray[np.int64], people: NDArray[np.int64], draw: Callable[[], Floats]) -> None:

@@ -376,7 +376,7 @@ class _Person:
         """
         known, setting, human, until = self.known, self.setting, self.human, self.until
         by_cost = self.chooses is boltzmann and (human is None or mistaken_about_states(human))
-        if not (by_cost and isinstance(known, Table)) or setting.execute:
+        if not (by_cost and isinstance(known, Table)) or setting.best.execute:
             return None
         left = until - time.perf_counter()
         share = 0.6  # of the time left; the rest is for the values with observed theta
@@ -387,7 +387,7 @@ class _Person:
         most = int(min(SIZES.complying, self.memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
         found = compliance_bounds(
             known, human, Grid.regular(self.prior).beta, breadth_first(known, region.states, most), gamma=setting.gamma,
-            c_suggest=setting.c_suggest, lapse=setting.lapse, optimal=setting.suggestions == "optimal",
+            c_suggest=setting.best.c_suggest, lapse=setting.lapse, optimal=setting.suggestions == "optimal",
             deadline=until if until == math.inf else until - (1 - share) * left,
         )  # fmt: skip
         return found.at(region.states)

@@ -39,6 +39,7 @@ from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..team.action_check import check
 from ..team.policies import POLICIES, named, prepare
+from ..team.robots import Robot
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from ..team.travel import Travel
@@ -87,8 +88,8 @@ class Assistant:
     distance : array, shape (P + 1, P + 1), optional
         Distances between the places of P people, in the order in which they join, and the base, which is last; by
         default 1 between any two.
-    robots : int, optional
-        Number of robots; by default that of the setting, 1. They have numbers from 1.
+    robots : int or sequence of Robot, optional
+        Number of robots, or each of them if they differ; by default as in the setting, 1. They have numbers from 1.
 
     Raises
     ------
@@ -105,14 +106,14 @@ class Assistant:
         setting: Setting | None = None,
         population: Population | Mixture | None = None,
         distance: ArrayLike | None = None,
-        robots: int | None = None,
+        robots: int | tuple[Robot, ...] | None = None,
     ) -> None:
         if isinstance(people, str):
             raise TypeError(f"people {people!r}: expected a list of names")
         self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
         if robots is not None:
             self.setting = replace(self.setting, robots=robots)
-        if self.setting.execute:
+        if self.setting.best.execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy
         if policy == "rollout":
@@ -126,7 +127,7 @@ class Assistant:
             named(policy, (), self.setting.travel(1))  # raises an error that lists the names
         self._advice: tuple[Advice, ...] | None = None
         self._step = 0
-        self._locations, self._under_way = [BASE] * self.setting.robots, [False] * self.setting.robots
+        self._locations, self._under_way = [BASE] * self.setting.robot_count, [False] * self.setting.robot_count
         names = list(people)
         places = len(names) if self._distance is None else len(self._distance) - 1
         self._travel = self.setting.travel(max(1, places), self._distance)
@@ -513,8 +514,8 @@ class Assistant:
 
     def _number(self, robot: int) -> int:
         """Return the index of a robot."""
-        if isinstance(robot, bool) or not isinstance(robot, int) or not 1 <= robot <= self.setting.robots:
-            raise UnknownError(f"robot {robot!r}: expected a number from 1 to {self.setting.robots}")
+        if isinstance(robot, bool) or not isinstance(robot, int) or not 1 <= robot <= self.setting.robot_count:
+            raise UnknownError(f"robot {robot!r}: expected a number from 1 to {self.setting.robot_count}")
         return robot - 1
 
     def explain(self, person: str | None = None, *, against: str | None = None) -> Explanation:
@@ -556,19 +557,26 @@ class Assistant:
         policy: Any = self.policy
         rule = policy if isinstance(policy, str) else getattr(policy, "name", getattr(policy, "__name__", "your own"))
         location = self._locations[number]
-        moving = self._travel.c_move * self._travel.distance[location]
-        return DecisionPoint.of(self._team, location, moving, str(rule))
+        travel = self._travel.of_robot(number)
+        moving = travel.c_move * travel.distance[location]
+        return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number))
+
+    def _extra(self, number: int) -> float:
+        """Return what a suggestion by a robot costs more than in people's problems."""
+        extra = self.setting.extra_costs
+        return 0.0 if extra is None else float(extra.suggesting[number])
 
     def _decide(self) -> tuple[Advice, ...]:
         for number, location in enumerate(self._locations):
             if self._under_way[number] and not self._team.present[location]:
                 self._under_way[number] = False  # it counts as being there, because its position on the way is unknown
-        points = [self._decision_point(number) for number in range(self.setting.robots)]
+        points = [self._decision_point(number) for number in range(self.setting.robot_count)]
         advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all) for point in points]
         for number, location in enumerate(self._locations):
             if self._under_way[number]:
                 going_to = self._team.records[location]
-                on_its_way = Advice(going_to.name, None, reason_of(self._team, going_to.place, 0, 0.0), arrived=False)
+                reason = reason_of(self._team, going_to.place, 0, 0.0, self._extra(number))
+                on_its_way = Advice(going_to.name, None, reason, arrived=False)
                 source = partial(points[number].suggested, going_to.place, 0, arrived=False)
                 advice[number] = on_its_way.explained_by(source)
         active = self._team.present & ~self._team.ended & (self._team.robot == 0)
@@ -602,21 +610,21 @@ class Assistant:
 
     def _sent(self, number: int, k: int, robot: int, point: DecisionPoint) -> Advice:
         """Send a robot to a person's place, and return its advice there."""
-        origin = self._locations[number]
-        moving = self._travel.c_move * float(self._travel.distance[origin, k])
-        self._under_way[number] = bool(self._travel.steps[origin, k] > 0)
+        origin, travel = self._locations[number], self._travel.of_robot(number)
+        moving = travel.c_move * float(travel.distance[origin, k])
+        self._under_way[number] = bool(travel.steps[origin, k] > 0)
         self._locations[number], self._team.robot[k] = k, robot
-        reason, record = reason_of(self._team, k, robot, moving), self._team.records[k]
+        reason, record = reason_of(self._team, k, robot, moving, self._extra(number)), self._team.records[k]
         advice = Advice(record.name, self._suggestion(record), reason, arrived=not self._under_way[number])
         return advice.explained_by(partial(point.suggested, k, robot, arrived=advice.arrived))
 
     def _as_policies_see_it(self, active: NDArray[np.bool_]) -> TeamState:
-        t, several = self._team, self.setting.robots > 1
+        t, several = self._team, self.setting.robot_count > 1
         location = np.array([self._locations] if several else self._locations)
         return _LiveTeam(
             self._step, t.x[None], active[None], t.erred[None], location, t.model[None], t.belief[None],
             [part.policy for part in t.parts], self._travel, t,
-            free=~np.array([self._under_way]) if several else None,
+            free=~np.array([self._under_way]) if several else None, extra=self.setting.extra_costs,
         )  # fmt: skip
 
     def _policy(self) -> TeamPolicy:
@@ -719,7 +727,7 @@ class Assistant:
         ]
         # A team of one robot has no lists of robots, as in all versions.
         one, advice = (
-            self.setting.robots == 1,
+            self.setting.robot_count == 1,
             None if self._advice is None else [each.as_dict() for each in self._advice],
         )
         return json.dumps(
@@ -794,7 +802,7 @@ class Assistant:
             record.asked |= set(one.get("asked", ()))
             self._suggest(record, one["suggestion"])
             self._team.present[record.place] = one["present"]
-        one, advice = self.setting.robots == 1, saved["advice"]
+        one, advice = self.setting.robot_count == 1, saved["advice"]
         self._step, self._under_way = saved["step"], [saved["under_way"]] if one else saved["under_way"]
         names = [saved["robot"]] if one else saved["robot"]
         self._locations = [BASE if name is None else self._team.by_name[name].place for name in names]

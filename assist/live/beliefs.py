@@ -151,11 +151,14 @@ def goals_of(team: Roster, k: int) -> dict[str, float]:
     return dict(zip(choices.goals, goal_shares(team.belief[k], choices.goal_count).tolist(), strict=True))
 
 
-def reason_of(team: Roster, k: int, robot: int, moving: float) -> Reason:
-    """Return the reason for a robot action towards the person at a place, or for going there (0), in numbers."""
+def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.0) -> Reason:
+    """Return the reason for a robot action towards the person at a place, or for going there (0), in numbers.
+
+    `extra` is what a suggestion by this robot costs more than in the person's problem, if robots differ.
+    """
     policy, belief = team.parts[team.model[k]].policy, team.belief[k]
     q = team.answers_about(worth_of_actions, int(team.model[k]), np.array([k]))[0]
-    saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0])
+    saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0]) - extra
     beta, theta = policy.pomdp.grid.spreads(belief)
     follow = _follow(team, k, robot or 1 + int(q[1:].argmax()))
     steps = team.records[k].steps

@@ -53,6 +53,8 @@ class DecisionPoint:
         Cost of the robot's way to each person, in cost units.
     rule : str
         Name of the team's policy.
+    extra : float
+        What a suggestion by this robot costs more than in people's problems, in cost units.
     """
 
     names: tuple[str, ...]
@@ -69,10 +71,11 @@ class DecisionPoint:
     here: int
     moving: Floats
     rule: str
+    extra: float = 0.0
 
     @classmethod
-    def of(cls, team: Roster, here: int, moving: Floats, rule: str) -> DecisionPoint:
-        """Return a copy of the present state of a team; `here`, `moving` and `rule` are attributes."""
+    def of(cls, team: Roster, here: int, moving: Floats, rule: str, extra: float) -> DecisionPoint:
+        """Return a copy of the present state of a team; the other arguments are attributes."""
         count = len(team.records)
 
         def copy(array: NDArray[T]) -> NDArray[T]:
@@ -82,6 +85,7 @@ class DecisionPoint:
             tuple(team.by_name), tuple([record.problem for record in team.records]), list(team.parts),
             copy(team.x), copy(team.model), copy(team.robot), copy(team.present), copy(team.ended), copy(team.erred),
             copy(team.belief), tuple([record.joint for record in team.records]), here, moving[:count], rule,
+            extra,
         )  # fmt: skip
 
     def explanation(
@@ -279,8 +283,8 @@ class DecisionPoint:
         _, part, row = self._at(place)
         cost = float(part.policy.pomdp.robot_costs[row, robot])
         return Prospect(
-            self.names[place], part.policy.pomdp.suggestion(row, robot), float(q[robot] - q[0]) + cost, cost,
-            float(self.moving[place]),
+            self.names[place], part.policy.pomdp.suggestion(row, robot), float(q[robot] - q[0]) + cost,
+            cost + self.extra, float(self.moving[place]),
         )  # fmt: skip
 
     def _values(self, policy: Policy, places: NDArray[np.int64]) -> Floats:

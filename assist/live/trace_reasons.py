@@ -59,12 +59,14 @@ class TraceReasons:
         # The models of people who are not active may have no problem in this step, and none is looked at.
         model, own = np.unique(np.where(team.active[row], team.model[row], team.model[row, place]), return_inverse=True)
         parts = [self._part(team, one) for one in model.tolist()]
+        way = team.travel.of_robot(number)
         here = int(team.location.reshape(len(team.x), -1)[row, number])
         count, joint = len(names), team.joint if isinstance(team, HiddenTeamState) else [None] * team.x.size
         point = DecisionPoint(
             tuple(names), tuple(self._problem(int(model[one])) for one in own), parts, team.x[row], own,
             np.zeros(count, dtype=np.int64), team.active[row], ~team.active[row], team.erred[row], team.belief[row],
-            tuple(joint[row * count : (row + 1) * count]), here, team.travel.c_move * team.travel.distance[here], rule,
+            tuple(joint[row * count : (row + 1) * count]), here, way.c_move * way.distance[here], rule,
+            0.0 if team.extra is None else float(team.extra.suggesting[number]),
         )  # fmt: skip
         found = point.suggested(place, robot, arrived=True)
         plain = {name: part for name, part in found.as_dict().items() if part is not None}

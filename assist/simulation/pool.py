@@ -159,7 +159,11 @@ class Pool:
                 policy_bytes(len(table)), len(table), size if setting.knowledge == "own" else 1, memory_limit_mb
             )
             table = table.choices()
-        needed = {"weights": population.weights or prior.weights, "execute": setting.execute, "solver": solver != qmdp}
+        needed = {
+            "weights": population.weights or prior.weights,
+            "execute": setting.best.execute,
+            "solver": solver != qmdp,
+        }
         people: Sequence[Human]
         if isinstance(table, Choices) or is_whole(table, MAX_ENUMERATED if any(needed.values()) else states):
             choices = _choices(table, setting, population, prior, size, memory_limit_mb)
@@ -181,7 +185,8 @@ class Pool:
         """Return the union of pools with different tasks, models or costs of suggestions.
 
         The setting is that of the first pool. Fields that concern one person only are part of the policies and may
-        differ. Fields of the whole team (`gamma`, `c_move`, `travel_time`, `max_steps` and `robots`) must be the same.
+        differ. Fields of the whole team (`gamma`, `c_move`, `travel_time`, `max_steps` and `robots`) must be the same,
+        and all costs of robots that differ.
 
         Raises
         ------
@@ -190,7 +195,8 @@ class Pool:
         """
         if not pools:
             raise ValueError("joined: expected one pool or more")
-        for name in ("gamma", "c_move", "travel_time", "max_steps", "robots"):
+        differ = ("c_suggest", "execute", "c_execute") if pools[0].setting.differ else ()
+        for name in ("gamma", "c_move", "travel_time", "max_steps", "robots", *differ):
             values = [getattr(pool.setting, name) for pool in pools]
             if len(set(values)) > 1:
                 raise ValueError(f"joined: {name} is {values} in these pools; expected the same in all")
@@ -203,7 +209,8 @@ class Pool:
         )
 
     def priced(self, c_suggest: float) -> Pool:
-        """Return the same people with another cost of a suggestion; the task must be enumerated."""
+        """Return the same people with another cost of a suggestion; the task must be enumerated, and robots alike."""
+        self.setting.require_alike("priced")
         for policy in self.policies:
             policy.require_enumerated("priced")
         policies = tuple(
@@ -250,7 +257,7 @@ def _choices(
     choices = choices_of(table, (*population.weights, *prior.weights))
     require_goal(choices.h[choices.initial])
     offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
-    robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.execute)
+    robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.best.execute)
     one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
     require_room(one, len(choices), models, memory_limit_mb)
     require_room_for_people(size, choices.h.nbytes, memory_limit_mb)

@@ -98,7 +98,7 @@ class Run:
             self.goal, self.states = goal, states[self.model]
             self.x += goal * self.states
         self.erred = np.zeros(shape, dtype=bool)
-        self.robots = pool.setting.robots
+        self.robots, self.extra = pool.setting.robot_count, pool.setting.extra_costs
         self.location = np.full((len(numbers), self.robots), BASE, dtype=np.int64)
         self.busy_until = np.zeros((len(numbers), self.robots), dtype=np.int64)
         self.belief: Floats | None = None
@@ -257,7 +257,7 @@ class Run:
             step=step, x=visible[every], active=active[every], erred=self.erred[every],
             location=self.location[every] if self.robots > 1 else self.location[every, 0], model=view.model[every],
             belief=belief, policies=view.policies,
-            travel=self.travel, free=arrived[every] if self.robots > 1 else None,
+            travel=self.travel, free=arrived[every] if self.robots > 1 else None, extra=self.extra,
         )  # fmt: skip
         if self.observed is not None:
             team = self.observed.as_known(team, np.arange(len(self.x))[every])
@@ -271,8 +271,8 @@ class Run:
         rows, number = np.nonzero(person != NOBODY)
         teams, to, does = free[rows], person[rows, number], does[rows, number]
         origin = self.location[teams, number]
-        charged[teams, to] += self.travel.c_move * self.travel.distance[origin, to]
-        self.busy_until[teams, number] = step + self.travel.steps[origin, to]
+        charged[teams, to] += self.travel.costs_between(number, origin, to)
+        self.busy_until[teams, number] = step + self.travel.steps_between(number, origin, to)
         np.add.at(self.moves, teams, origin != to)
         self.location[teams, number] = to
         robot[teams, to] = does
@@ -280,6 +280,9 @@ class Run:
             at = (teams[rows], to[rows])
             arrays = view.groups[model].arrays
             charged[at] += arrays.robot_costs[visible[at], does[rows]]
-            self.executed[at] += arrays.suggested[visible[at], does[rows]] == NOTHING
+            executes = arrays.suggested[visible[at], does[rows]] == NOTHING
+            self.executed[at] += executes
+            if self.extra is not None:
+                charged[at] += self.extra.of(number[rows], executes)
         self.helped[teams, to] += does > 0
         return robot, charged

@@ -26,7 +26,7 @@ def with_threshold(
     `again` simulates a policy in the same setting. Policies that weigh costs have a method `with_policies`.
     """
     with_policies = getattr(policy, "with_policies", None)
-    if with_policies is None:
+    if with_policies is None or pool.setting.differ:  # then there is no single cost
         return found
     few = _few(pool, found)
 

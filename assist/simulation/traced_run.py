@@ -62,7 +62,7 @@ class TracedRun(Run):
                 "step": taken.step,
                 "action": choices.name(place, int(taken.slot[i])) if taken.slot[i] >= 0 else None,
                 "suggestion": choices.name(x, suggested) if suggested != NOTHING else None,
-                **({"executed": pomdp.executes(x, r)} if self.pool.setting.execute else {}),
+                **({"executed": pomdp.executes(x, r)} if self.pool.setting.best.execute else {}),
                 "policy": self.name,
                 "place": k,
                 **({"robot_place": there[0]} if self.robots == 1 else {"robot_places": there}),

@@ -27,6 +27,7 @@ from planner.system.typed_toml import (
     Texts,
     Truth,
     Whole,
+    WholeOrTables,
     Wholes,
     convert,
     fault,
@@ -123,7 +124,12 @@ class StudyTable(Struct, forbid_unknown_fields=True):
 
 
 SettingTable = partial_of(
-    Setting, trust=str | AnyTable, believed_trust=str | AnyTable, observation=AnyTable, c_ask=float
+    Setting,
+    trust=str | AnyTable,
+    believed_trust=str | AnyTable,
+    observation=AnyTable,
+    c_ask=float,
+    robots=WholeOrTables,
 )
 
 

@@ -6,6 +6,7 @@ from .policies import POLICIES as POLICIES
 from .policies import UserPolicy as UserPolicy
 from .policies import named as named
 from .priority import Priority as Priority
+from .robots import Robot as Robot
 from .rollout import Rollout as Rollout
 from .rollout import RolloutOptions as RolloutOptions
 from .settings import Setting as Setting

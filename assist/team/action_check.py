@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..people.decision import NOTHING
 from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState, by_model
 
 
@@ -31,10 +32,10 @@ def check(team: TeamState, action: TeamAction) -> None:
     if wrong.any():
         raise refused(f"goes to person {action.person[wrong][0]} in a team of {people}")
     goes = np.nonzero(action.person != NOBODY)
-    teams, to, robot = goes[0], action.person[goes], action.robot[goes]
+    teams, to, robot, number = goes[0], action.person[goes], action.robot[goes], team.robot_numbers()[goes]
     if not team.active[teams, to].all():
         raise refused("goes to a person who has finished or is not there")
-    if (robot[team.travel.steps[team.location[goes], to] > 0] != 0).any():
+    if (robot[team.travel.steps_between(number, team.location[goes], to) > 0] != 0).any():
         raise refused("speaks to a person before the robot has arrived")
     if team.is_joint:
         if team.free is not None and not team.free[goes].all():
@@ -46,7 +47,12 @@ def check(team: TeamState, action: TeamAction) -> None:
             # Robots may be with one person already, if somebody else has moved them.
             if (team.location[n, there] != ordered[n, one]).any() or (action.person[n, there] != NOBODY).sum() > 1:
                 raise refused("lets two robots be with one person, or on their way there")
-    for number, rows in by_model(team.model[teams, to], np.flatnonzero(robot != 0), len(team.policies)):
-        count = team.policies[number].pomdp.robot_actions[team.x[teams[rows], to[rows]]]
-        if ((robot[rows] < 0) | (robot[rows] >= count)).any():
+    for model, rows in by_model(team.model[teams, to], np.flatnonzero(robot != 0), len(team.policies)):
+        pomdp, x = team.policies[model].pomdp, team.x[teams[rows], to[rows]]
+        if ((robot[rows] < 0) | (robot[rows] >= pomdp.robot_actions[x])).any():
             raise refused("makes a suggestion that the person's state does not have")
+        if team.extra is not None:
+            executes = pomdp.suggested[x, robot[rows]] == NOTHING
+            unable = np.isinf(team.extra.of(number[rows], executes))
+            if unable.any():
+                raise refused(f"lets robot {number[rows][unable][0] + 1} execute an action, which it cannot")

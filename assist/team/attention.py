@@ -109,10 +109,19 @@ class AttentionSwitching:
         return team.act(np.where(score[teams, best] > 0, best, NOBODY), robot)
 
     def scores(self, team: TeamState) -> tuple[NDArray[np.int64], Floats]:
-        """Return each person's robot action, shape (N, K), and its score, shape (N, K), or (N, M, K) with M robots."""
+        """Return each person's robot action, shape (N, K), and its score, shape (N, K), or (N, M, K) with M robots.
+
+        If robots differ, the robot action has the shape (N, M, K), too.
+        """
         q = team.q_values()
-        robot = q.argmax(axis=2)
         reference = q[:, :, 0] if self.never is None else team.of_each(self._if_never)[:, :, 0]
+        if team.extra is not None:
+            each = q[:, None] - team.extra_costs(q.shape[2])
+            robot = each.argmax(axis=3)
+            useful = team.active[:, None] & (robot > 0)
+            score = np.subtract(each.max(axis=3), reference[:, None], out=np.full(robot.shape, -np.inf), where=useful)
+            return robot, score - team.to()
+        robot = q.argmax(axis=2)
         worth = np.take_along_axis(q, robot[:, :, None], axis=2)[:, :, 0]  # faster than a maximum over so few entries
         # People who are not active score minus infinity.
         score = np.subtract(worth, reference, out=np.full(team.x.shape, -np.inf), where=team.active)

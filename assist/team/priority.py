@@ -30,10 +30,16 @@ from .travel import Travel
 
 
 def coming(travel: Travel) -> tuple[float, int, int]:
-    """Return the mean cost of coming, its mean number of steps, and the number of steps from the farthest place."""
+    """Return the mean cost of coming, its mean number of steps, and the number of steps from the farthest place.
+
+    If robots differ, they are means over robots, and the number of steps of the slowest one.
+    """
     way = ~np.eye(len(travel.distance), dtype=bool)[:, :-1]
-    entry = travel.c_move * float(travel.distance[:, :-1][way].mean())
-    return entry, round(float(travel.steps[:, :-1][way].mean())), int(travel.steps.max())
+    each = travel.robots or (travel,)
+    c_move = sum(one.c_move for one in each) / len(each)
+    entry = c_move * float(travel.distance[:, :-1][way].mean())
+    steps = sum(float(one.steps[:, :-1][way].mean()) for one in each) / len(each)
+    return entry, round(steps), max(int(one.steps.max()) for one in each)
 
 
 def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, staying: Floats) -> TeamAction:
@@ -45,7 +51,7 @@ def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, stayin
     Parameters
     ----------
     team : TeamState
-    robot : int array, shape (N, K)
+    robot : int array, shape (N, K), or (N, M, K) if M robots differ
         Robot action for each person.
     going : float array, shape (N, K), or (N, M, K) with M robots
         Worth of going to each person.
@@ -182,10 +188,12 @@ class Priority:
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Return each person's robot action and the value of going there, (N, K), and that of staying, (N,).
 
-        With M robots per team, M > 1, the values have the shapes (N, M, K) and (N, M).
+        With M robots per team, M > 1, the values have the shapes (N, M, K) and (N, M); if the robots differ, the robot
+        actions also have the shape (N, M, K).
         """
-        steps = team.travel.steps[team.location][..., :-1]
-        robot, going, holding = np.zeros_like(team.x), np.full(steps.shape, -np.inf), np.zeros(team.location.shape)
+        steps, differ = team.travel.steps_from(team.location), team.extra is not None
+        robot = np.zeros(steps.shape if differ else team.x.shape, dtype=np.int64)
+        going, holding = np.full(steps.shape, -np.inf), np.zeros(team.location.shape)
         if steps.max(initial=0) > self.longest:
             raise ValueError(
                 f"a way of {steps.max()} steps: this policy was made for at most {self.longest}; "
@@ -199,7 +207,13 @@ class Priority:
         # People who are not active score minus infinity.
         gain = np.full(q.shape, -np.inf)
         np.subtract(q[:, :, 1:] + price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
-        if q.shape[2] > 2:
+        lowest: Floats = np.zeros(1)  # what coming to a person to act costs at least, more than the best robot
+        if q.shape[2] > 2 and differ:
+            extra = team.extra_costs(q.shape[2] - 1)[..., 1:]
+            each = gain[:, None, :, 2:] - extra
+            robot = np.where(team.active[:, None], each.argmax(axis=3) + 1, 0)
+            going, lowest = each.max(axis=3), extra.min(axis=3)
+        elif q.shape[2] > 2:
             robot = np.where(team.active, gain[:, :, 2:].argmax(axis=2) + 1, 0)
             best = gain[:, :, 2:].max(axis=2)
             going[:] = best[:, None] if team.is_joint else best
@@ -207,6 +221,8 @@ class Priority:
         away = np.nonzero(active & (steps > 0))
         e, k = away[0], away[-1]
         going[away] = arriving[e, k, steps[away] - 1] + price - q[e, k, 0]
+        if differ:
+            going[away] -= np.broadcast_to(lowest, going.shape)[away]
         with_them = np.nonzero(team.location != BASE)
         at = team.location[with_them]
         holding[with_them] = np.where(team.active[with_them[0], at], gain[with_them[0], at, 1], 0.0)

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.arguments import number, whole
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays, read_only
@@ -279,16 +279,17 @@ class _Paths:
         before = self._positions()
         going = np.nonzero(action.person != NOBODY)
         origin, to = self.location[going], action.person[going]
-        robot, gained = np.zeros_like(self.x), np.zeros(len(self.x))
-        robot[going[0], to] = action.robot[going]
-        np.subtract.at(gained, going[0], self.team.travel.c_move * self.team.travel.distance[origin, to])
-        self.location[going], self.left[going] = to, self.team.travel.steps[origin, to]
+        number = np.broadcast_to(np.arange(self.team.robots) if self.team.is_joint else 0, self.location.shape)[going]
+        robot, by, gained = np.zeros_like(self.x), np.zeros_like(self.x), np.zeros(len(self.x))
+        robot[going[0], to], by[going[0], to] = action.robot[going], number
+        np.subtract.at(gained, going[0], self.team.travel.costs_between(number, origin, to))
+        self.location[going], self.left[going] = to, self.team.travel.steps_between(number, origin, to)
         now = self._positions()
         attended = self.active & (now != AWAY)
         gained += self.rollout.base.price[0] * attended.sum(axis=1)
         # In the position after the robot's way: leave or stay away (0), or stay (1), or make a suggestion (2 and up).
         move = np.where(now == HERE, 1 + robot, 0)
-        advantage = self._act(before, np.where(now == AWAY, before, now), move, robot)
+        advantage = self._act(before, np.where(now == AWAY, before, now), move, robot, by)
         self.left = (self.left - 1).clip(0)
         return gained + advantage.sum(axis=1)
 
@@ -298,7 +299,7 @@ class _Paths:
         team = TeamState(
             self.team.step + step, self.x % self.states if goals > 1 else self.x, self.active, self.erred,
             self.location, self.model, self.belief, self.team.policies, self.team.travel,
-            free=free if self.team.is_joint else None,
+            free=free if self.team.is_joint else None, extra=self.team.extra,
         )  # fmt: skip
         action = self.rollout.base(team)
         return action if team.is_joint else TeamAction(np.where(free, action.person, NOBODY), action.robot * free)
@@ -310,8 +311,8 @@ class _Paths:
         position[somewhere[0], self.location[somewhere]] = HERE + self.left[somewhere]
         return position
 
-    def _act(self, before: Ints, now: Ints, move: Ints, robot: Ints) -> Floats:
-        """Let everybody act; return the advantage of each robot action, shape (rows, K)."""
+    def _act(self, before: Ints, now: Ints, move: Ints, robot: Ints, by: Ints) -> Floats:
+        """Let everybody act; return the advantage of each action by the robot with a number, shape (rows, K)."""
         uniform = self.rng.random((1, self.samples, self.x.shape[1], 2)).repeat(self.pairs, axis=0)
         people = PeopleArrays.of_teams(
             self.x, robot, self.mind, self.theta, self.seen, uniform, self.belief, self.erred
@@ -326,6 +327,10 @@ class _Paths:
             q = solved.policy.q_mdp[states[now.reshape(-1)[rows], x], move.reshape(-1)[rows], b, t]
             value = solved.policy.value_mdp[states[before.reshape(-1)[rows], x], b, t]
             advantage.reshape(-1)[rows] = q - value
+            if self.team.extra is not None:
+                does = robot.reshape(-1)[rows]
+                extra = self.team.extra.of(by.reshape(-1)[rows], policy.pomdp.suggested[x, does] == NOTHING)
+                advantage.reshape(-1)[rows] -= np.where(does > 0, extra, 0.0)
             act(rows, people, minds, arrays)
             self.active.reshape(-1)[rows] = ~arrays.goal[people.x[rows]]
         return advantage

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..people.trust_rules import LogitSteps, Reliability, TrustRule, rule_with, 
 from ..person.leaf_bounds import LeafBounds
 from ..person.observation_model import ObservationModel
 from ..person.pomdp import AssistPOMDP, Suggestions
+from .robots import ExtraCosts, Robot
 from .travel import Travel
 
 Knowledge = Literal["own", "exact"]
@@ -55,8 +57,9 @@ class Setting:
         Cost of an action executed by the robot, in cost units.
     max_steps : int
         Largest number of steps of an episode.
-    robots : int
-        Number of robots of a team, M. They are alike, and begin at the base.
+    robots : int or sequence of Robot
+        Number of robots of a team, M, which are alike; or what each of them can do and what it costs, if they differ.
+        All begin at the base.
     trust : str or TrustRule, optional
         How theta moves, for people and in the robot's model of them: "paper" (equation 7 with `eta` and
         `utility_scale`), "constant", "outcome", "outcome-at-disagreement", "reliability", or a rule. Unless given
@@ -92,7 +95,7 @@ class Setting:
     max_steps: int = 500
     trust: str | TrustRule | None = None
     believed_trust: str | TrustRule | None = None
-    robots: int = 1
+    robots: int | tuple[Robot, ...] = 1
     observation: ObservationModel | None = None
     c_ask: float | None = None
     ask_error: float = 0.0
@@ -121,7 +124,7 @@ class Setting:
             raise ValueError(f"execute {self.execute!r}: expected True or False")  # noqa: TRY004
         object.__setattr__(self, "execute", bool(self.execute))
         object.__setattr__(self, "max_steps", whole("max_steps", self.max_steps, 1))
-        object.__setattr__(self, "robots", whole("robots", self.robots, 1))
+        object.__setattr__(self, "robots", _robots(self.robots))
         seen: object = self.observation
         if isinstance(seen, Mapping):  # as `as_dict` writes it
             object.__setattr__(self, "observation", ObservationModel(**seen))
@@ -141,6 +144,58 @@ class Setting:
         self.travel(1)  # raises an error for impossible travel
         self.trust_rule()  # raises an error for an unknown rule
         self.believed_rule()
+        if self.differ and len(set(self.each_robot)) == 1:  # a team of robots that are alike
+            for field in fields(Robot):
+                object.__setattr__(self, field.name, getattr(self.each_robot[0], field.name))
+            object.__setattr__(self, "robots", len(self.each_robot))
+
+    @property
+    def robot_count(self) -> int:
+        """The number of robots of a team, M."""
+        return len(self.robots) if isinstance(self.robots, tuple) else self.robots
+
+    @property
+    def differ(self) -> bool:
+        """Whether the robots of a team differ."""
+        return isinstance(self.robots, tuple)
+
+    @cached_property
+    def each_robot(self) -> tuple[Setting, ...]:
+        """The setting of a team with each of the robots alone."""
+        if not isinstance(self.robots, tuple):
+            return (replace(self, robots=1),) * self.robots
+        found = []
+        for m, robot in enumerate(self.robots, start=1):
+            try:
+                found.append(replace(self, robots=1, **robot.as_dict()))
+            except ValueError as error:
+                raise ValueError(f"robot {m}: {error}") from None
+        return tuple(found)
+
+    @cached_property
+    def best(self) -> Setting:
+        """The setting of as many robots that are alike: each can do what any robot can, at the lowest cost of any.
+
+        People's problems have these robots, and policies and simulations add the `extra_costs` of each.
+        """
+        if not self.differ:
+            return self
+        each = self.each_robot
+        least = {name: min(getattr(one, name) for one in each) for name in ("c_suggest", "c_move", "travel_time")}
+        execute = [one.c_execute for one in each if one.execute]
+        return replace(
+            self, robots=len(each), execute=bool(execute), c_execute=min(execute, default=self.c_execute), **least
+        )
+
+    @cached_property
+    def extra_costs(self) -> ExtraCosts | None:
+        """How much more the actions of each robot cost than those of `best`; None if the robots are alike."""
+        if not self.differ:
+            return None
+        return ExtraCosts(
+            np.array([one.c_suggest - self.best.c_suggest for one in self.each_robot]),
+            np.array([one.c_execute - self.best.c_execute if one.execute else np.inf for one in self.each_robot]),
+        )
 
     def trust_rule(self) -> TrustRule:
         """Return the trust rule of people."""
@@ -170,7 +225,9 @@ class Setting:
         del plain["observation"]
         if self.observation is not None:
             plain["observation"] = self.observation.as_dict()
-        if self.robots == 1:
+        if isinstance(self.robots, tuple):
+            plain["robots"] = [robot.as_dict() for robot in self.robots]
+        elif self.robots == 1:
             del plain["robots"]
         if self.c_ask is None:
             del plain["c_ask"], plain["ask_error"]
@@ -192,8 +249,19 @@ class Setting:
         ValueError
             It names `what` needs one robot.
         """
-        if self.robots > 1:
-            raise ValueError(f"robots {self.robots}: expected 1, as {what} has one robot")
+        if self.robot_count > 1:
+            raise ValueError(f"robots {self.robot_count}: expected 1, as {what} has one robot")
+
+    def require_alike(self, what: str) -> None:
+        """Raise an error if a team's robots differ, where they must be alike.
+
+        Raises
+        ------
+        ValueError
+            It names `what` needs robots that are alike.
+        """
+        if self.differ:
+            raise ValueError(f"robots: they differ; expected a number, as {what} has robots that are alike")
 
     def require_all_seen(self, what: str) -> None:
         """Raise an error if actions may be missed or confused, where they must be seen as they are.
@@ -208,6 +276,8 @@ class Setting:
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Return the travel between `places` people; `distance` as in `Travel.of`."""
+        if self.differ:
+            return Travel.of_each([one.travel(places, distance) for one in self.each_robot])
         return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
 
     def chooses(self, human: Human | None, population: Population | Mixture) -> ChoiceModel:
@@ -222,7 +292,7 @@ class Setting:
         *,
         frontier: LeafBounds | None = None,
     ) -> AssistPOMDP:
-        """Return the problem of assisting one person of a population.
+        """Return the problem of assisting one person of a population, by the `best` of robots that differ.
 
         Parameters
         ----------
@@ -240,7 +310,22 @@ class Setting:
         model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
         return AssistPOMDP.of(
             model, chooses=self.chooses(human, population), grid=Grid.regular(population),
-            population=population, gamma=self.gamma, c_suggest=self.c_suggest,
+            population=population, gamma=self.gamma, c_suggest=self.best.c_suggest,
             suggestions=self.suggestions if self.observation is None else "all",
-            execute=self.execute, c_execute=self.c_execute, frontier=frontier, trust=self.believed_rule(),
+            execute=self.best.execute, c_execute=self.best.c_execute, frontier=frontier, trust=self.believed_rule(),
         )  # fmt: skip
+
+
+def _robots(robots: Any) -> int | tuple[Robot, ...]:
+    """Return the checked number of robots, or each of them."""
+    if not isinstance(robots, Sequence) or isinstance(robots, str):
+        return whole("robots", robots, 1)
+    if not robots:
+        raise ValueError("robots []: expected one or more")
+    each = []
+    for m, robot in enumerate(robots, start=1):
+        try:
+            each.append(Robot.of(robot))
+        except ValueError as error:
+            raise ValueError(f"robot {m}: {error}") from None
+    return tuple(each)

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from planner.system.arrays import outline
 
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
 from ..person.policy import Policy
+from .robots import ExtraCosts
 from .travel import Travel
 
 BASE = -1
@@ -102,6 +103,8 @@ class TeamState:
     free : bool array, shape (N, M), or None
         Which of several robots are not under way; None if all are free. A policy for one robot is only asked when that
         robot is free.
+    extra : ExtraCosts or None
+        What actions of each robot cost more than in people's problems, if the robots differ.
     """
 
     step: int
@@ -114,6 +117,7 @@ class TeamState:
     policies: Sequence[Policy]
     travel: Travel
     free: NDArray[np.bool_] | None = field(default=None, kw_only=True)
+    extra: ExtraCosts | None = field(default=None, kw_only=True)
 
     __repr__ = outline
 
@@ -190,17 +194,39 @@ class TeamState:
 
     def to(self) -> Floats:
         """Return the cost of moving to each person from the robot's place, shape (N, K), or (N, M, K)."""
-        return self.travel.c_move * self.travel.distance[self.location][..., :-1]
+        return self.travel.costs_from(self.location)
+
+    def extra_costs(self, actions: int) -> Floats:
+        """Return the extra cost of each robot's action on each person, shape (N, M, K, R), if the robots differ.
+
+        It is 0 for no action, and infinite for an action that the robot cannot execute. `actions` is the number R.
+        """
+        assert self.extra is not None
+        executes = np.zeros((self.x.size, actions), dtype=bool)
+        if np.isfinite(self.extra.executing).any():
+            for group, rows in self.groups():
+                suggested = self.policies[group].pomdp.suggested[self.x.ravel()[rows], :actions]
+                executes[rows, : suggested.shape[1]] = suggested == NOTHING
+        each = np.arange(self.robots)[:, None, None]
+        costs = self.extra.of(each, executes.reshape(len(self.x), 1, *self.x.shape[1:], actions))
+        costs[..., 0] = 0.0
+        return costs
+
+    def robot_numbers(self) -> NDArray[np.int64]:
+        """Return the number of each robot within its team, from 0, in the shape of `location`."""
+        return np.broadcast_to(np.arange(self.robots) if self.is_joint else 0, self.location.shape)
 
     def act(self, person: NDArray[np.int64], robot: NDArray[np.int64]) -> TeamAction:
         """Return the action of going to a person in each team.
 
         `person` has the shape (N,), or (N, M) with M robots, and `robot` holds the robot actions of all people, shape
-        (N, K). If the travel takes time, the robot makes no suggestion; it chooses again after its arrival.
+        (N, K), or (N, M, K) if robots differ. If the travel takes time, the robot makes no suggestion; it chooses again
+        after its arrival.
         """
-        teams = np.arange(len(self.x)).reshape(-1, *[1] * (person.ndim - 1))
-        speaks = (person != NOBODY) & (self.travel.steps[self.location, person] == 0)
-        return TeamAction(person, np.where(speaks, robot[teams, person], 0))
+        teams, number = np.arange(len(self.x)).reshape(-1, *[1] * (person.ndim - 1)), self.robot_numbers()
+        speaks = (person != NOBODY) & (self.travel.steps_between(number, self.location, person) == 0)
+        said = robot[teams, number, person] if robot.ndim > 2 else robot[teams, person]
+        return TeamAction(person, np.where(speaks, said, 0))
 
 
 class TeamPolicy(Protocol):

@@ -84,7 +84,8 @@ class Whittle:
         """Return each person's robot action and the index of going there, (N, K), and the index of staying, (N,).
 
         The robot action is the best one at the highest price, among those computed, that is not above the index. With M
-        robots, the indices have the shapes (N, M, K) and (N, M), and the robot action is that of the largest index.
+        robots, the indices have the shapes (N, M, K) and (N, M), and the robot action is that of the largest index. If
+        they differ, each has a robot action of its own, shape (N, M, K).
         """
         found = [one.worth(team) for one in self.at_prices]
         prices = np.array([one.price[0] for one in self.at_prices])
@@ -92,7 +93,7 @@ class Whittle:
         # The worth counts the price from the next step on; a robot that is present also pays for this step.
         going, below = _zero(prices, np.stack([going for _, going, _ in found], axis=-1) - prices)
         staying, _ = _zero(prices, np.stack([holding for _, _, holding in found], axis=-1) - prices)
-        below = below.max(axis=1) if team.is_joint else below
+        below = below.max(axis=1) if team.is_joint and team.extra is None else below
         return np.take_along_axis(robots, below[..., None], axis=-1)[..., 0], going, staying
 
 

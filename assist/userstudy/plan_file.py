@@ -27,6 +27,7 @@ from planner.system.typed_toml import (
     Texts,
     Truth,
     Whole,
+    WholeOrTables,
     convert,
     fault,
     given,
@@ -110,7 +111,12 @@ class FileTable(Struct, forbid_unknown_fields=True):
 
 
 SettingTable = partial_of(
-    Setting, trust=str | AnyTable, believed_trust=str | AnyTable, observation=AnyTable, c_ask=float
+    Setting,
+    trust=str | AnyTable,
+    believed_trust=str | AnyTable,
+    observation=AnyTable,
+    c_ask=float,
+    robots=WholeOrTables,
 )
 
 
@@ -260,8 +266,8 @@ def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Set
         raise fault(file, f"{place}.c_ask", "given; expected none, as participants' pages show no questions")
     if setting.execute:
         raise fault(file, f"{place}.execute", "true; expected a robot that suggests")
-    if setting.robots > 1:
-        raise fault(file, "setting.robots", f"{setting.robots}; expected 1")
+    if setting.robot_count > 1:
+        raise fault(file, "setting.robots", f"{setting.robot_count}; expected 1")
     return setting
 
 

@@ -31,6 +31,9 @@ Texts = Annotated[tuple[Text, ...], Meta(min_length=1, description="a list of te
 Wholes = Annotated[tuple[Whole, ...], Meta(min_length=1, description="a list of whole numbers of 1 or more")]
 Pair = Annotated[tuple[float, float], Meta(description="two numbers, [low, high]")]
 AnyTable = Annotated[dict[str, Any], Meta(description="a table")]
+WholeOrTables = Annotated[
+    int | list[dict[str, Any]], Meta(description="a whole number of 1 or more, or one table or more")
+]
 Tables = Annotated[list[dict[str, Any]], Meta(min_length=1, description="one table or more")]
 
 KINDS = {float: Number, int: Annotated[int, Meta(description="a whole number")], bool: Truth, str: Text}

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 import os
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
 from planner.batch.solve_instance import SolveOptions
 from planner.system import files
+
+if TYPE_CHECKING:
+    from ...team.robots import Robot
 
 Range = tuple[float, float]
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -41,6 +45,30 @@ SECONDS = Number(min=0, max=1e9, min_open=True)
 MEGABYTES = Number(min=0, max=1e12, min_open=True)
 JOBS = click.IntRange(min=1, max=10_000)
 SEED = click.IntRange(min=0)
+
+
+class Robots(click.ParamType):  # type: ignore[type-arg]
+    """A number of robots, or a list of TOML tables with the fields of `Robot`."""
+
+    name = "robots"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | tuple[Robot, ...]:
+        """Return the number, or the robots; a configuration file has given them as such."""
+        from ...team.settings import Setting
+
+        try:
+            found = tomllib.loads(f"robots = {value}")["robots"] if isinstance(value, str) else value
+            Setting(robots=found)
+        except tomllib.TOMLDecodeError:
+            self.fail(
+                f"{value}: expected a number, or a list such as [{{c_suggest = 0.2}}, {{c_move = 2}}]", param, ctx
+            )
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+        return found
+
+
+ROBOTS = Robots()
 
 
 class Output(click.Path):

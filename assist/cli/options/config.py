@@ -15,7 +15,7 @@ from click.core import ParameterSource
 
 from planner.system.errors import InputFileError, MissingExtraError
 
-from .common import INPUT_FILE, Option
+from .common import INPUT_FILE, ROBOTS, Option
 
 if TYPE_CHECKING:
     from msgspec import Struct
@@ -124,7 +124,7 @@ def _kind(option: click.Parameter) -> Any:
     """Return the type that an option's value has in a file."""
     from msgspec import Meta
 
-    from planner.system.typed_toml import Pair, Text, Texts, Truth
+    from planner.system.typed_toml import Pair, Text, Texts, Truth, WholeOrTables
 
     if getattr(option, "is_flag", False):
         return Truth
@@ -133,6 +133,8 @@ def _kind(option: click.Parameter) -> Any:
     if option.nargs == 2:
         return Pair
     kind = option.type
+    if kind is ROBOTS:
+        return WholeOrTables
     if isinstance(kind, click.Choice):
         choices = tuple(kind.choices)
         return Annotated[Literal[choices], Meta(description=" or ".join(f'"{one}"' for one in choices))]

@@ -126,7 +126,7 @@ def plan_of(
         options |= questions_of(ask, ask_error, problems, doubtful=doubtful)
         options["observation"] = ObservationModel(miss, confusion)
         setting = Setting(**with_rule_of(population_file, options))
-        if setting.execute:
+        if setting.best.execute:
             raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")
         distance = None if distances is None else travel_of(setting, humans, distances).distance
         found = _named(find_instances(instances, domain))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .common import INPUT_FILE, NUMBER, Command, Option, with_options
+from .common import INPUT_FILE, NUMBER, ROBOTS, Command, Option, with_options
 
 if TYPE_CHECKING:
     from ...team.settings import Setting
@@ -22,8 +22,9 @@ def travel_options(command: Command) -> Command:
     """
     options: tuple[Option[Any], ...] = (
         click.option(
-            "--robots", type=click.IntRange(min=1), default=1, show_default=True, metavar="M",
-            help="Number of robots of a team.",
+            "--robots", type=ROBOTS, default=1, show_default=True, metavar="M",
+            help="Number of robots of a team; or a list, such as '[{execute = true}, {c_suggest = 0.2}]', if they "
+                 "differ in execute, c_suggest, c_execute, c_move or travel_time.",
         ),
         click.option(
             "--c-move", type=NUMBER, default=0.5, show_default=True,

@@ -1,0 +1,299 @@
+"""Teams of robots that differ in their abilities, costs and speeds: simulation, policies and the bound."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import graph_task, invoke
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from teams import state
+
+from assist.certify.options import BoundOptions
+from assist.certify.team_bound import upper_bound
+from assist.cli.options.config import read_config
+from assist.cli.serve import serve
+from assist.interop.teams import Teams
+from assist.people.choices import Choices
+from assist.people.human import Population
+from assist.simulation.pool import Pool
+from assist.simulation.simulate import simulate
+from assist.simulation.trace import Trace
+from assist.study.protocol import read
+from assist.team.action_check import check
+from assist.team.assignment import assigned
+from assist.team.policies import POLICIES
+from assist.team.robots import ExtraCosts, Robot
+from assist.team.settings import Setting
+from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
+from assist.team.travel import Travel
+from planner import sweep
+from planner.system.errors import InputFileError
+
+TASK = graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 4), (1, 2, 1)], start=3)
+"""A chain from 3 to the goal 0, on which a step back from 2 costs 4."""
+FAR = [[0, 1, 2.1, 3.3], [1, 0, 1.7, 1.2], [2.1, 1.7, 0, 2.4], [3.3, 1.2, 2.4, 0]]
+
+
+def people(robots: int | tuple[Robot, ...], size: int = 3, **setting: Any) -> Pool:
+    """Return people whom the robots do not know beforehand."""
+    options: dict[str, Any] = {"knowledge": "exact", "gamma": 0.9, "c_suggest": 0.05, "c_move": 0.05} | setting
+    chosen = Setting(robots=robots, **options)
+    return Pool.sample(Choices.of(sweep(TASK)), size, seed=1, setting=chosen, population=Population(beta=(0.1, 0.5)))
+
+
+costs = st.sampled_from([None, 0.0, 0.02, 0.3])
+kinds_of_robots = st.builds(
+    Robot, execute=st.sampled_from([None, True, False]), c_suggest=costs, c_execute=costs, c_move=costs,
+    travel_time=st.sampled_from([None, 0.0, 0.5, 2.0]),
+)  # fmt: skip
+
+
+@settings(max_examples=60, deadline=None)
+@given(robot=kinds_of_robots, count=st.integers(1, 4), execute=st.booleans())
+def test_robots_that_are_alike_are_a_number_of_robots(robot: Robot, count: int, execute: bool) -> None:
+    setting = Setting(execute=execute, robots=(robot,) * count)
+    assert setting == replace(Setting(execute=execute), robots=count, **robot.as_dict())
+    assert setting.best is setting
+    assert setting.extra_costs is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(robots=st.lists(kinds_of_robots, min_size=2, max_size=4).map(tuple))
+def test_the_best_robot_is_nowhere_worse(robots: tuple[Robot, ...]) -> None:
+    setting = Setting(robots=robots)
+    assert Setting(**json.loads(json.dumps(setting.as_dict()))) == setting
+    best, travel = setting.best, setting.travel(3, FAR)
+    assert best.robots == len(robots)
+    for each, way in zip(setting.each_robot, travel.robots or [travel] * len(robots), strict=True):
+        assert best.execute or not each.execute
+        assert best.c_suggest <= each.c_suggest
+        assert not each.execute or best.c_execute <= each.c_execute
+        assert travel.c_move <= way.c_move == each.c_move
+        assert (travel.steps <= way.steps).all()
+        np.testing.assert_array_equal(way.steps, each.travel(3, FAR).steps)
+
+
+@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize(("travel_time", "distance"), [(0.0, FAR), (0.7, FAR)])
+def test_robots_without_a_difference_act_like_alike_ones(
+    pool: Pool, name: str, travel_time: float, distance: list[list[float]]
+) -> None:
+    """An execution has another cost for one of them, and none executes actions."""
+    two = replace(pool, setting=replace(pool.setting, travel_time=travel_time, robots=2))
+    same = replace(two, setting=replace(two.setting, robots=(Robot(c_execute=9.0), Robot())))
+    assert same.setting.differ
+    episodes = 3 if name == "rollout" else 12
+    found = [
+        simulate(one, name, humans=3, episodes=episodes, seed=3, explain=False, travel=one.setting.travel(3, distance))
+        for one in (two, same)
+    ]
+    for column in ("discounted_return", "moves", "helped", "actions"):
+        np.testing.assert_array_equal(getattr(found[0], column), getattr(found[1], column))
+
+
+@st.composite
+def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndarray]:
+    """Travel at different costs, where robots are, which may choose, and what each is worth to each person."""
+    count = draw(st.integers(2, 3))
+    moves = [draw(st.sampled_from([0.0, 0.25, 0.5])) for _ in range(count)]
+    travel = Travel.of_each([Travel.of(3, c_move=c_move, distance=FAR) for c_move in moves])
+    places = draw(st.permutations([0, 1, 2]))
+    at = [place if draw(st.booleans()) else BASE for place in places[:count]]
+    free = [draw(st.booleans()) or place == BASE for place in at]
+    worth = [[draw(st.integers(-8, 24)) / 8 for _ in range(3)] for _ in range(count)]
+    return travel, np.array([at]), np.array([free]), np.array([worth])
+
+
+@settings(max_examples=120, deadline=None)
+@given(situations())
+def test_the_assignment_of_different_robots_is_the_best_of_all(
+    found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    travel, location, free, worth = found
+    nobody, robots = np.zeros((1, 3), dtype=np.int64), location.shape[1]
+    extra = ExtraCosts(np.zeros(robots), np.zeros(robots))
+    team = TeamState(0, nobody, nobody == 0, nobody > 0, location, nobody, None, [], travel, free=free, extra=extra)
+    net = worth - team.to()
+    person = assigned(team, net)
+    check(team, TeamAction(person, np.zeros_like(person)))
+    taken = set(location[~free])
+    options = [
+        [NOBODY, *(k for k in range(3) if k not in taken and net[0, m, k] > 0)] if one else [NOBODY]
+        for m, one in enumerate(free[0])
+    ]
+
+    def apart(each: tuple[int, ...]) -> bool:
+        """Return whether no two robots are with one person; a robot that is not sent stays where it is."""
+        after = [here if k == NOBODY else k for k, here in zip(each, location[0].tolist(), strict=True)]
+        places = [place for place in after if place != BASE]
+        return len(set(places)) == len(places)
+
+    best = max(
+        sum(net[0, m, k] for m, k in enumerate(each) if k != NOBODY)
+        for each in itertools.product(*options)
+        if apart(each)
+    )
+    assert sum(net[0, m, k] for m, k in enumerate(person[0]) if k != NOBODY) == pytest.approx(best)
+
+
+@pytest.mark.parametrize("name", [name for name in POLICIES if name != "none"])
+@pytest.mark.parametrize("travel_time", [0.0, 1.0])
+def test_a_robot_that_may_not_execute_never_does(name: str, travel_time: float) -> None:
+    robots = (Robot(c_suggest=0.3), Robot(execute=True, c_execute=0.1), Robot(c_move=0.0))
+    pool = people(robots, travel_time=travel_time)
+    policy, seen = pool.policy(name, pool.setting.travel(3)), [0, 0, 0]
+
+    def watched(team: TeamState) -> TeamAction:
+        action = policy(team)
+        for n, m in np.argwhere(action.robot > 0).tolist():
+            k, r = action.person[n, m], action.robot[n, m]
+            seen[m] += team.policies[team.model[n, k]].pomdp.executes(int(team.x[n, k]), int(r)) is not None
+        return action
+
+    trace: Trace = []
+    found = simulate(pool, watched, humans=3, episodes=10 if name == "rollout" else 40, seed=2, trace=trace)
+    assert seen[0] == seen[2] == 0
+    assert seen[1] == found.executed.sum() == sum(row["executed"] is not None for row in trace)
+    assert (seen[1] > 0) == (name != "reactive")  # which only makes suggestions
+
+
+def test_each_robot_pays_its_own_costs() -> None:
+    """One person and one decision, with certain actions: the return is minus what the robot's actions cost."""
+    robots = (Robot(c_suggest=0.5, c_move=2.0), Robot(execute=True, c_execute=0.25, c_move=1.0, c_suggest=0.125))
+    pool = people(robots, size=2, max_steps=1)
+    pomdp = pool.policies[0].pomdp
+    start = pool.choices(0).initial
+    suggests, executes = pomdp.first_optimal[start], pomdp.robot_actions[start] - 1
+    assert pomdp.executes(start, executes) is not None
+
+    def paid(person: list[int], robot: list[int]) -> float:
+        def act(team: TeamState) -> TeamAction:
+            each = np.array([person]).repeat(len(team.x), axis=0)
+            return TeamAction(each, np.array([robot]).repeat(len(team.x), axis=0))
+
+        found = simulate(pool, act, humans=2, episodes=1, seed=1)
+        return float(-found.discounted_return[0] - found.costs[0].sum())
+
+    assert paid([NOBODY, NOBODY], [0, 0]) == pytest.approx(0)
+    assert paid([0, NOBODY], [suggests, 0]) == pytest.approx(2.5)
+    assert paid([NOBODY, 0], [0, suggests]) == pytest.approx(1.125)
+    assert paid([NOBODY, 1], [0, executes]) == pytest.approx(1.25)
+    assert paid([1, 0], [suggests, executes]) == pytest.approx(3.75)
+    with pytest.raises(PolicyError, match="lets robot 1 execute an action, which it cannot"):
+        paid([0, NOBODY], [executes, 0])
+
+
+def test_each_robot_has_its_own_speed() -> None:
+    """Two robots set out to people who only they can reach: the slow one arrives later."""
+    pool = people((Robot(travel_time=3), Robot(travel_time=1)), size=2)
+    away: list[list[bool]] = []
+
+    def act(team: TeamState) -> TeamAction:
+        away.append((~team.may_choose()[0]).tolist())
+        person = np.full(team.location.shape, NOBODY)
+        if team.step == 0:
+            person[:] = [0, 1]
+        return TeamAction(person, np.zeros_like(person))
+
+    simulate(pool, act, humans=2, episodes=1, seed=1)
+    assert away[:3] == [[False, False], [True, False], [True, False]]
+    assert not any(map(any, away[3:]))
+
+
+def test_suggestions_are_made_by_the_robot_for_which_they_cost_least() -> None:
+    """Everybody is equally far, so that the cheap robot serves whoever needs one."""
+    pool = people((Robot(c_suggest=0.5), Robot(c_suggest=0.01)), size=1)
+    team = replace(
+        state(pool, [pool.choices(0).initial], travel=pool.setting.travel(1)),
+        location=np.full((1, 2), BASE), extra=pool.setting.extra_costs,
+    )  # fmt: skip
+    for name in ("attention", "priority", "whittle"):
+        action = pool.policy(name)(team)
+        assert action.person.tolist() == [[NOBODY, 0]], name
+        assert action.robot[0, 1] > 0
+
+
+@pytest.mark.slow
+@settings(max_examples=15, deadline=None)
+@given(
+    robots=st.lists(kinds_of_robots, min_size=2, max_size=3).map(tuple), travel_time=st.sampled_from([0.0, 1.0]),
+    size=st.integers(2, 3), seed=st.integers(0, 99),
+)  # fmt: skip
+def test_no_policy_of_different_robots_exceeds_the_bound(
+    robots: tuple[Robot, ...], travel_time: float, size: int, seed: int
+) -> None:
+    pool = people(robots, size, travel_time=travel_time)
+    bound = upper_bound(pool, window=4, gap=1e-2, options=BoundOptions(price_episodes=100), seed=seed)
+    for name in POLICIES:
+        value = bound.certify(name, episodes=30 if name == "rollout" else 1000, seed=seed)
+        assert value.value - 4 * value.value_stderr <= bound.upper
+    alike = replace(pool, setting=pool.setting.best)
+    again = upper_bound(alike, window=4, gap=1e-2, options=BoundOptions(price_episodes=100), seed=seed)
+    assert bound.upper == pytest.approx(again.upper)
+
+
+@pytest.mark.parametrize(
+    ("robots", "message"),
+    [
+        ((), r"robots \[\]: expected one or more"),
+        (("two",), "robot 1: 'two'; expected a Robot"),
+        (({"c_sugest": 1},), "robot 1: 'c_sugest' is unknown; .*c_suggest"),
+        ((Robot(), Robot(c_suggest=-1.0)), "robot 2: c_suggest -1: expected a number from 0"),
+        ((Robot(execute="yes"),), "robot 1: execute 'yes': expected True or False"),
+    ],
+)
+def test_robots_that_cannot_be(robots: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Setting(robots=robots)
+
+
+def test_where_robots_have_to_be_alike() -> None:
+    pool = people((Robot(execute=True), Robot()))
+    with pytest.raises(ValueError, match="expected a number, as an environment has robots that are alike"):
+        Teams(pool, 1, 2)
+    with pytest.raises(ValueError, match="expected a number, as priced has robots that are alike"):
+        pool.priced(1.0)
+    with pytest.raises(ValueError, match="joined: c_suggest is"):
+        Pool.joined([pool, people((Robot(execute=True), Robot()), c_suggest=0.1)])
+
+
+LIST = "[{execute = true, c_execute = 0.1}, {c_suggest = 0.2}]"
+
+
+def test_commands_with_different_robots() -> None:
+    costs = ("--c-suggest", 0.3, "--c-move", 0.2, "--knowledge", "exact", "--robots", LIST, "--json")
+    found = invoke("simulate", "kitting/tiny", "--humans", 2, "--policy", "priority", "--episodes", 20, *costs)
+    record = json.loads(found.stdout)
+    robots = [{"execute": True, "c_execute": 0.1}, {"c_suggest": 0.2}]
+    assert record["setting"]["robots"] == robots
+    assert record["policies"][0]["executions"]["mean"] > 0
+    found = invoke("simulate", "kitting/tiny", "--humans", 2, "--robots", "[{c_sugest = 1}]")
+    assert found.exit_code == 2
+    assert "robot 1: 'c_sugest' is unknown; did you mean 'c_suggest'?" in found.stderr
+    found = invoke("simulate", "kitting/tiny", "--humans", 2, "--robots", "two")
+    assert "'--robots': two: expected a number, or a list such as [{c_suggest = 0.2}" in found.stderr
+    found = invoke("serve", "kitting/tiny", "--humans", 2, "--robots", LIST)
+    assert found.exit_code == 2
+    assert "--execute: expected a robot that suggests" in found.stderr
+
+
+def test_files_with_different_robots(tmp_path: Path) -> None:
+    study = tmp_path / "study.toml"
+    study.write_text(f'instances = ["kitting/tiny"]\n[setting]\nrobots = {LIST}\n')
+    ((_, setting),) = read(study).conditions[0].settings
+    assert setting.robots == (Robot(execute=True, c_execute=0.1), Robot(c_suggest=0.2))
+    for wrong, said in (("true", "a whole number of 1 or more, or one table or more"), ("[{c_move = -1}]", "robot 1")):
+        study.write_text(f'instances = ["kitting/tiny"]\n[setting]\nrobots = {wrong}\n')
+        with pytest.raises(InputFileError, match=said):
+            read(study)
+    config = tmp_path / "serve.toml"
+    for text, expected in (("2", 2), (LIST, [{"execute": True, "c_execute": 0.1}, {"c_suggest": 0.2}])):
+        config.write_text(f"robots = {text}\n")
+        assert read_config(config, serve.params)["robots"] == expected
