@@ -128,21 +128,11 @@ def test_the_assignment_of_different_robots_is_the_best_of_all(
     person = assigned(team, net)
     check(team, TeamAction(person, np.zeros_like(person)))
     taken = set(location[~free])
-    options = [
-        [NOBODY, *(k for k in range(3) if k not in taken and net[0, m, k] > 0)] if one else [NOBODY]
-        for m, one in enumerate(free[0])
-    ]
-
-    def apart(each: tuple[int, ...]) -> bool:
-        """Return whether no two robots are with one person; a robot that is not sent stays where it is."""
-        after = [here if k == NOBODY else k for k, here in zip(each, location[0].tolist(), strict=True)]
-        places = [place for place in after if place != BASE]
-        return len(set(places)) == len(places)
-
+    options = [[NOBODY, *sorted({0, 1, 2} - taken)] if one else [NOBODY] for one in free[0]]
     best = max(
         sum(net[0, m, k] for m, k in enumerate(each) if k != NOBODY)
         for each in itertools.product(*options)
-        if apart(each)
+        if len({k for k in each if k != NOBODY}) == sum(k != NOBODY for k in each)
     )
     assert sum(net[0, m, k] for m, k in enumerate(person[0]) if k != NOBODY) == pytest.approx(best)
 
@@ -209,6 +199,34 @@ def test_each_robot_has_its_own_speed() -> None:
     simulate(pool, act, humans=2, episodes=1, seed=1)
     assert away[:3] == [[False, False], [True, False], [True, False]]
     assert not any(map(any, away[3:]))
+
+
+def test_a_robot_without_a_task_makes_room_for_a_better_one() -> None:
+    """The first robot is with the person and can only suggest, which is in vain; the second one executes."""
+    pool = people((Robot(), Robot(execute=True, c_execute=0.01)), size=1)
+    places: list[list[int]] = []
+
+    def act(team: TeamState) -> TeamAction:
+        places.append(team.location[0].tolist())
+        last = int(team.policies[0].pomdp.robot_actions[team.x[0, 0]] - 1)
+        second = team.step > 0
+        return TeamAction(np.array([[NOBODY, 0] if second else [0, NOBODY]]), np.array([[0, last * second]]))
+
+    found = simulate(pool, act, humans=1, episodes=1, seed=1)
+    assert places[:3] == [[BASE, BASE], [0, BASE], [BASE, 0]][: len(places)]
+    assert found.moves[0] == 2
+    team = replace(
+        state(pool, [pool.choices(0).initial], travel=pool.setting.travel(1)),
+        location=np.array([[0, BASE]]), extra=pool.setting.extra_costs,
+    )  # fmt: skip
+    assert pool.policy("priority")(team).person.tolist() == [[NOBODY, 0]]
+    with pytest.raises(PolicyError, match="lets two robots be with one person"):
+        check(team, TeamAction(np.array([[0, 0]]), np.zeros((1, 2), dtype=np.int64)))
+    with pytest.raises(PolicyError, match="or on their way there"):
+        check(
+            replace(team, free=np.array([[False, True]])),
+            TeamAction(np.array([[NOBODY, 0]]), np.zeros((1, 2), dtype=np.int64)),
+        )
 
 
 def test_suggestions_are_made_by_the_robot_for_which_they_cost_least() -> None:
@@ -344,10 +362,11 @@ def joint_optimum(pool: Pool, robots: tuple[Setting, ...]) -> float:
                         options.append((moving + cost, k, k, r))
             each.append(options)
         for joint in itertools.product(*each):
-            places = [place for _, place, _, _ in joint if place != BASE]
-            if len(set(places)) == len(places):
+            sent = [to for _, _, to, _ in joint if to != NOBODY]
+            if len(set(sent)) == len(sent):
                 does = [sum(r for _, _, to, r in joint if to == k) for k in range(2)]
-                yield sum(cost for cost, *_ in joint), tuple(place for _, place, _, _ in joint), does
+                there = tuple(BASE if to == NOBODY and place in sent else place for _, place, to, _ in joint)
+                yield sum(cost for cost, *_ in joint), there, does
 
     everywhere = itertools.product(range(len(choices)), repeat=2)
     states = [(x, at) for x in everywhere for at in itertools.product((BASE, 0, 1), repeat=len(robots))]

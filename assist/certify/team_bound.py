@@ -44,7 +44,8 @@ Robots that differ. The bound is that of M robots that can each do what any of t
 shortest time of any (`Setting.best`).
 
 Proof. Any policy of the team is one of those robots, too: where a robot of the team is still on its way, the faster one
-has arrived and waits, which no other robot can disturb. Its actions are possible, and cost no more.
+has arrived and waits, which no other robot can disturb. Its actions are possible, and cost no more. A robot that makes
+room for another one leaves for free, as in people's problems, and comes back at the cost of a move.
 
 The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated
 in the same model.

@@ -38,6 +38,7 @@ from ..people.mixture import Mixture, advice_takers
 from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..team.action_check import check
+from ..team.assignment import placed
 from ..team.policies import POLICIES, named, prepare
 from ..team.robots import Robot
 from ..team.settings import Setting
@@ -588,10 +589,13 @@ class Assistant:
         team = self._as_policies_see_it(active)
         action = self._policy()(team)
         check(team, action)
+        origins = list(self._locations)
+        if team.extra is not None:
+            self._locations = placed(team.location, action.person)[0].tolist()
         chosen = zip(action.person.reshape(-1).tolist(), action.robot.reshape(-1).tolist(), strict=True)
         for number, (k, robot) in enumerate(chosen):
             if k != NOBODY:
-                advice[number] = self._sent(number, k, robot, points[number])
+                advice[number] = self._sent(number, origins[number], k, robot, points[number])
         return (advice[0].asking(question), *advice[1:])
 
     def _asking(self, active: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Question | None]:
@@ -608,9 +612,9 @@ class Assistant:
             active[self._team.by_name[question.person].place] = False
         return active, question
 
-    def _sent(self, number: int, k: int, robot: int, point: DecisionPoint) -> Advice:
-        """Send a robot to a person's place, and return its advice there."""
-        origin, travel = self._locations[number], self._travel.of_robot(number)
+    def _sent(self, number: int, origin: int, k: int, robot: int, point: DecisionPoint) -> Advice:
+        """Send a robot from its place to a person's, and return its advice there."""
+        travel = self._travel.of_robot(number)
         moving = travel.c_move * float(travel.distance[origin, k])
         self._under_way[number] = bool(travel.steps[origin, k] > 0)
         self._locations[number], self._team.robot[k] = k, robot

@@ -12,6 +12,7 @@ from ..people.decision import NOTHING, Floats
 from ..people.goals import drawn_goals, given_likeliest
 from ..person.dynamics import PeopleArrays
 from ..team.action_check import check
+from ..team.assignment import placed
 from ..team.questions import answered
 from ..team.state import BASE, NOBODY, PolicyError, TeamAction, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
@@ -274,6 +275,8 @@ class Run:
         charged[teams, to] += self.travel.costs_between(number, origin, to)
         self.busy_until[teams, number] = step + self.travel.steps_between(number, origin, to)
         np.add.at(self.moves, teams, origin != to)
+        if self.extra is not None:
+            self.location[free] = placed(self.location[free], person)
         self.location[teams, number] = to
         robot[teams, to] = does
         for model, rows in by_model(view.model[teams, to], np.flatnonzero(does > 0), len(view.policies)):

@@ -41,6 +41,8 @@ def check(team: TeamState, action: TeamAction) -> None:
         if team.free is not None and not team.free[goes].all():
             raise refused("sends a robot that is under way")
         after = np.where(action.person == NOBODY, team.location, action.person)
+        if team.extra is not None:  # those that are not sent make room
+            after = np.where((action.person == NOBODY) & team.may_choose(), BASE, after)
         ordered = np.sort(after, axis=1)
         for n, one in zip(*np.nonzero((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != BASE)), strict=True):
             there = after[n] == ordered[n, one]

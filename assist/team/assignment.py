@@ -2,8 +2,8 @@
 
 The worth of an assignment is the sum of the worths of its pairs of robot and person. Where all places are equally far
 from each other, the best assignment serves the people with the largest worths, and a robot that is with one of them
-stays. Elsewhere the best one is a matching of maximum weight (`scipy.optimize.linear_sum_assignment`). If robots
-differ, one that stays without a task keeps better ones away from its person, so that staying is part of the matching.
+stays. Elsewhere, or if robots differ, it is a matching of maximum weight (`scipy.optimize.linear_sum_assignment`). One
+of different robots may come to a person with whom another one stays without a task: that one makes room (`placed`).
 """
 
 from __future__ import annotations
@@ -33,9 +33,18 @@ def assigned(team: TeamState, worth: Floats) -> Ints:
     under_way = np.nonzero(~free)
     worth = np.where(free[:, :, None] & team.active[:, None], worth, -np.inf)
     worth[under_way[0], :, team.location[under_way]] = -np.inf  # the person to whom another robot is on its way
-    if team.extra is not None:
-        return _matched_with_stays(worth, team.location)
-    return (_best_served if team.travel.equally_far else _matched)(worth, team.location, free)
+    alike = team.travel.equally_far and team.extra is None
+    return (_best_served if alike else _matched)(worth, team.location, free)
+
+
+def placed(location: Ints, person: Ints) -> Ints:
+    """Return where robots that differ are after they were sent, all of shape (N, M).
+
+    A robot that is not sent leaves for its base, at no cost, if another one is sent to the person it is with.
+    """
+    sent = person != NOBODY
+    comes = ((person[:, None] == location[:, :, None]) & sent[:, None]).any(axis=2)
+    return np.where(sent, person, np.where(comes, BASE, location))
 
 
 def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
@@ -75,43 +84,22 @@ def _matched(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
         robots, people = linear_sum_assignment(gain, maximize=True)
         good = gain[robots, people] > 0
         person[n, robots[good]] = people[good]
-        _stay_rather_than_swap(person[n], location[n], free[n])
+        _stay_rather_than_swap(person[n], location[n], free[n], gain)
     return person
 
 
-def _matched_with_stays(worth: Floats, location: Ints) -> Ints:
-    """Return the assignment of different robots; one that is not sent stays where it is, and nobody else comes there.
-
-    A robot is only sent at a positive worth. So it does not leave a person just to make room.
-    """
-    from scipy.optimize import linear_sum_assignment  # slow to import, and rarely needed
-
-    person, robots, people = np.full(location.shape, NOBODY), np.arange(worth.shape[1]), worth.shape[2]
-    for n in np.flatnonzero((worth > 0).any(axis=(1, 2))).tolist():
-        gain = np.where(worth[n] > 0, worth[n], -np.inf)
-        there = np.flatnonzero(location[n] != BASE)
-        at = location[n, there]
-        crowded = np.flatnonzero(np.bincount(at, minlength=people) > 1)  # somebody else has moved robots there
-        gain[np.ix_(~np.isin(robots, there[np.isin(at, crowded)]), crowded)] = -np.inf
-        idle = np.zeros(len(robots))
-        idle[there] = -1 - gain[gain > 0].sum()  # worse than any assignment in which the robot keeps its place
-        value = np.concatenate([gain, np.where(robots == robots[:, None], idle, -np.inf)], axis=1)
-        value[there, at] = gain[there, at].clip(0)
-        robot, to = linear_sum_assignment(value, maximize=True)
-        sent = (to < people) & (gain[robot, to.clip(max=people - 1)] > 0)
-        person[n, robot[sent]] = to[sent]
-    return person
-
-
-def _stay_rather_than_swap(person: Ints, location: Ints, free: NDArray[np.bool_]) -> None:
+def _stay_rather_than_swap(person: Ints, location: Ints, free: NDArray[np.bool_], gain: Floats) -> None:
     """Assign a robot without a person to the one it is with, in place of another robot that would come.
 
-    This is at least as good, since staying costs nothing. Where moves are free, a matching does not prefer it.
+    This is done where it is at least as good, as a matching does not prefer it. If robots are alike, it always is:
+    staying costs nothing.
     """
     idle = np.flatnonzero((person == NOBODY) & free & (location != BASE)).tolist()
     while idle:
         m = idle.pop()
         for other in np.flatnonzero((person == location[m]) & (location != location[m])).tolist():
+            if gain[m, location[m]] < gain[other, location[m]]:
+                continue
             person[m], person[other] = location[m], NOBODY
             if location[other] != BASE:
                 idle.append(other)

@@ -28,6 +28,7 @@ from ..people.decision import NOTHING, Floats
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays, read_only
+from .assignment import placed
 from .by_policy import ByPolicy
 from .hidden_states import HiddenTeamState
 from .priority import Priority, to_the_best
@@ -283,6 +284,8 @@ class _Paths:
         robot, by, gained = np.zeros_like(self.x), np.zeros_like(self.x), np.zeros(len(self.x))
         robot[going[0], to], by[going[0], to] = action.robot[going], number
         np.subtract.at(gained, going[0], self.team.travel.costs_between(number, origin, to))
+        if self.team.extra is not None:
+            self.location = placed(self.location, action.person)
         self.location[going], self.left[going] = to, self.team.travel.steps_between(number, origin, to)
         now = self._positions()
         attended = self.active & (now != AWAY)
