@@ -309,6 +309,9 @@ def test_the_report_separates_confirmatory_from_exploratory(
     folder = exported(tmp_path / "data", rows_of(rows, **within), text)
     summary = write_report(folder, tmp_path / "report")
     report = (tmp_path / "report" / "report.md").read_text()
+    page = (tmp_path / "report" / "report.html").read_text()
+    assert page.count("<table>") == report.count("\n| --- |") > 5
+    assert "<title>A small study</title>" in page
     confirmatory, _, exploratory = report.partition("### Exploratory")
     assert "| actions per task | attention |" in confirmatory.partition("### Confirmatory")[2]
     assert "p (Holm)" in confirmatory

@@ -10,6 +10,7 @@ import statistics
 import time
 import zipfile
 from functools import partial
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,7 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
     assert [row["reached"] for row in summary["flow"]][-1] == 8
     assert sum(row["left"] for row in summary["flow"]) == 1
 
+    assert json.loads((unpacked / "versions.json").read_text())["kitassist"] == metadata.version("kitassist")
     text = (data / "report" / "report.md").read_text()
     assert "**Rehearsal.** Participants are simulated" in text
     assert "**Few participants.** Fewer than 10 in every condition" in text

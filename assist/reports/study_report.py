@@ -6,16 +6,12 @@ treated in `assist.reports.study_claims`.
 
 from __future__ import annotations
 
-import html
-import importlib.util
 import json
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from planner.system.errors import MissingExtraError
 from planner.system.files import atomic, remove_unfinished
 from planner.system.workers import outcomes
 
@@ -25,6 +21,7 @@ from ..study.runner import load_study, without_suggestions
 from ..study.study import OWN, Study
 from . import study_claims
 from . import study_claims as claims
+from .html_page import html_page, require_packages
 from .statistics import FEW
 from .study_figures import ReportFigure, of_kinds, of_whom, pictures
 from .study_summary import ARM, BASELINES, MEASURES, Found, average
@@ -32,23 +29,6 @@ from .wording import Record, beside, interval, named, sign, table, varying, with
 
 FIGURES = "figures"
 COLUMNS = {"population": "people", "setting": "setting", "prior": "robot's prior"}
-
-PAGE = """<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<meta name="color-scheme" content="light dark">
-<title>{title}</title>
-<style>
-body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }}
-table {{ border-collapse: collapse; font-size: 0.85rem; display: block; overflow-x: auto; }}
-th, td {{ padding: 0.2rem 0.7rem; border-bottom: 1px solid #8886; text-align: left; }}
-img {{ max-width: 100%; }}
-</style>
-{body}
-</html>
-"""
-IMAGE = re.compile(r'<img alt="([^"]*)" src="([^"]*)\.png" />')
 
 
 def require() -> None:
@@ -60,9 +40,7 @@ def require() -> None:
         pandas, Markdown or matplotlib is not installed.
     """
     style.require()
-    for package in ("pandas", "markdown"):
-        if importlib.util.find_spec(package) is None:
-            raise MissingExtraError("reports need", package, "study")
+    require_packages("pandas", "markdown")
 
 
 @dataclass(frozen=True)
@@ -94,10 +72,7 @@ class Report:
 
     def page(self, title: str) -> str:
         """Return the report as an HTML page, with figures for light and dark backgrounds."""
-        import markdown
-
-        body = IMAGE.sub(_for_both_backgrounds, markdown.markdown(self.text, extensions=["tables"]))
-        return PAGE.format(title=html.escape(title), body=body)
+        return html_page(title, self.text, dark=True)
 
 
 def write_report(study: Study, folder: str | Path, *, jobs: int = 1) -> Record:
@@ -122,13 +97,6 @@ def write_report(study: Study, folder: str | Path, *, jobs: int = 1) -> Record:
         with atomic(folder / name) as path:
             path.write_text(text, encoding="utf-8")
     return report.summary
-
-
-def _for_both_backgrounds(image: re.Match[str]) -> str:
-    """Return an image element that selects the figure for the page's background."""
-    text, name = image.groups()
-    dark = f'<source srcset="{name}-dark.svg" media="(prefers-color-scheme: dark)">'
-    return f'<picture>{dark}<img alt="{text}" src="{name}.svg"></picture>'
 
 
 def _draw_all(pictures: Sequence[ReportFigure], folder: Path, jobs: int) -> None:

@@ -1,4 +1,4 @@
-"""The report of a user study (`report.md`, `summary.json` and figures), from its folder or from an unpacked export."""
+"""The report of a user study (`report.md` and `.html`, `summary.json`, figures), from its folder or an export of it."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from ..userstudy.plan_file import read
 from ..userstudy.questionnaires import TLX
 from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Row, Tables, tables
+from .html_page import html_page, require_packages
 from .preregistration import compared
 from .statistics import FEW
 from .userstudy_summary import measures, summarise
@@ -43,9 +44,10 @@ def require() -> None:
     Raises
     ------
     MissingExtraError
-        matplotlib is not installed.
+        Markdown or matplotlib is not installed.
     """
     style.require()
+    require_packages("markdown")
 
 
 def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
@@ -105,7 +107,9 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
     for name, (_, figure) in pictures.items():
         style.save_for_pages(figure, out / FIGURES, name, dark=False)
     text = "\n\n".join(_sections(study, summary, {name: said for name, (said, _) in pictures.items()})) + "\n"
-    for name, content in {"summary.json": json.dumps(summary, indent=1) + "\n", "report.md": text}.items():
+    page = html_page(study.title, text, dark=False)
+    numbers = json.dumps(summary, indent=1) + "\n"
+    for name, content in {"summary.json": numbers, "report.md": text, "report.html": page}.items():
         with atomic(out / name) as path:
             path.write_text(content, encoding="utf-8")
     return summary

@@ -1,10 +1,13 @@
-"""Export of a study's data as a ZIP file: tables, a data dictionary, logs for `fit`, and the study's file."""
+"""Export of a study's data as a ZIP file: tables, a data dictionary, logs for `fit`, the study's file, versions."""
 
 from __future__ import annotations
 
 import io
+import json
+import platform
 import zipfile
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
 from .plan_file import read
@@ -42,6 +45,8 @@ def files(folder: Path) -> Iterator[tuple[str, str]]:
         yield f"log-{task}.jsonl", log
     if (folder / REGISTERED).exists():
         yield REGISTERED, (folder / REGISTERED).read_text(encoding="utf-8")
+    versions = {"kitassist": metadata.version("kitassist"), "python": platform.python_version()}
+    yield "versions.json", json.dumps(versions) + "\n"
     yield PLAN, (folder / PLAN).read_text(encoding="utf-8")
 
 
