@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,10 @@ from graphs import graph_task
 
 from assist.certify import TeamBound, upper_bound
 from assist.people import Goals, HumanModel, Population
-from assist.person import AssistPOMDP, qmdp
+from assist.people.trust_rules import outcome
+from assist.person import AssistPOMDP, Solution, qmdp, solve
 from assist.person.qmdp import evaluate
-from assist.simulation import Pool
+from assist.simulation import Pool, simulate
 from assist.team import Setting
 from planner import sweep_goals
 
@@ -127,3 +129,91 @@ def test_the_command() -> None:
         2,
         True,
     )
+
+
+def problem(goals: Goals, **more: Any) -> AssistPOMDP:
+    model, people = (
+        HumanModel.exact(goals.choices(), eta=0.1, lapse=0.01),
+        Population(beta=(0.1, 0.5), theta=(0.8, 0.95)),
+    )
+    return AssistPOMDP.of(model, population=people, gamma=0.5, c_suggest=0.01, **more)
+
+
+def solved(**more: Any) -> Solution:
+    return solve(problem(ring((0.45, 0.45, 0.1)), **more), gap=1e-5)
+
+
+@pytest.mark.parametrize("more", [{}, {"suggestions": "all"}, {"trust": outcome()}], ids=str)
+def test_the_solver_encloses_the_value_with_unknown_goals(more: dict[str, Any]) -> None:
+    """Compared with an enumeration of histories; the value with known goals is out of reach here."""
+    found = solved(**more)
+    low, high = exact(found.pomdp, 4)
+    assert found.stopped == "gap"
+    assert found.lower <= high
+    assert found.upper >= low
+    assert found.upper < found.value_qmdp - 0.05
+    assert found.lower > max(found.value_never, found.value_always)
+
+
+def test_values_of_the_solution_are_those_of_a_plain_look_ahead() -> None:
+    """People who have reached their goal cost no more than a suggestion; a row of any goal may stand for its state."""
+    found, rng = solved(suggestions="all"), np.random.default_rng(3)
+    pomdp, choices = found.pomdp, found.pomdp.model.choices
+    belief = rng.dirichlet(np.full(pomdp.prior.size, 0.3), 5).reshape(-1, *pomdp.prior.shape)
+    q = found.q_values(np.arange(5) + 5 * np.array([0, 1, 2, 0, 1]), belief)
+    for x, own in enumerate(belief):
+        reached = choices.goal[choices.of_goals(np.array([x]))[:, 0]].repeat(len(pomdp.grid.beta))
+        going = np.where(reached[:, None], 0.0, own)
+        for robot in range(pomdp.robot_actions[x]):
+            value = -pomdp.robot_costs[x, robot]
+            for slot in np.flatnonzero(choices.applicable[x]):
+                at = np.array([x]), np.array([robot]), np.array([slot])
+                chance = (going * pomdp.likelihood(*at)[0]).sum()
+                y = choices.targets[x : x + 1, slot]
+                after = chance * pomdp.update(going[None] / going.sum(), *at)
+                value += pomdp.gamma * found.value(y, after)[0] - choices.costs[x, slot] * chance
+            assert q[x, robot] == pytest.approx(value, abs=1e-9)
+    assert (found.value(np.arange(5), belief) <= found.upper_bound(np.arange(5), belief) + 1e-12).all()
+
+
+def test_with_certainty_the_solution_is_that_of_the_goal() -> None:
+    goals = ring((0.0, 1.0, 0.0))
+    ((_, known),) = problem(goals).of_goals()
+    known, unknown = (solve(one, gap=1e-6) for one in (known, problem(goals)))
+    assert unknown.lower == pytest.approx(known.lower, rel=3e-6)
+    assert unknown.upper == pytest.approx(known.upper, rel=3e-6)
+
+
+def test_the_policy_reaches_its_lower_bound_and_is_saved(tmp_path: Path) -> None:
+    setting = Setting(gamma=0.8, c_suggest=0.05, c_move=0.0, knowledge="exact", lapse=0.01)
+    people = Population(beta=(0.1, 0.5), theta=(0.8, 0.95))
+    pool = Pool.sample(ring((0.45, 0.45, 0.1)), 1, seed=1, setting=setting, population=people, solver=solve)
+    found = pool.policies[0].prepare()
+    assert isinstance(found, Solution)
+    run = simulate(pool, "attention", humans=1, episodes=4000, seed=3, world="model")
+    mean, error = run.discounted_return.mean(), run.discounted_return.std() / 4000**0.5
+    assert found.lower - 4 * error <= mean <= found.upper + 4 * error
+    found.save(tmp_path / "policy.npz")
+    again, x = Solution.load(tmp_path / "policy.npz"), np.array([0])
+    assert again.pomdp.model.choices.goals == {"place-2": 0.45, "place-3": 0.45, "place-1": 0.1}
+    belief = found.pomdp.prior[None]
+    assert (again.q_values(x, belief) == found.q_values(x, belief)).all()
+
+
+def test_the_command_for_one_person(tmp_path: Path) -> None:
+    given = ["policy", KITS / "travel.pddl", "--goals", KITS]
+    prior = ["--goal-prior", "travel=.5,mend=.5,mount=0"]
+    file = tmp_path / "policy.npz"
+    result = invoke(*given, *prior, "--gap", "1", "--gamma", ".7", "--json", "--out", file)
+    assert (result.exit_code, result.stderr) == (0, "")
+    found = json.loads(result.stdout)
+    assert found["goals"] == {"travel": 0.5, "mend": 0.5, "mount": 0}
+    assert (found["states"], found["hidden"]) == (836, 180)
+    assert found["lower"] <= found["upper"] <= found["value_qmdp"] + 1e-6
+    assert Solution.load(file).lower == found["lower"]
+    for more, said in {
+        ("--execute",): "execute: expected people whose goal is known, and there are 3 goals",
+        ("--region-states", "20"): "--goals: expected a task of at most 20 states (--region-states)",
+    }.items():
+        result = invoke(*given, *more)
+        assert (result.exit_code, said in result.stderr) == (2, True)

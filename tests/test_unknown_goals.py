@@ -20,7 +20,7 @@ from assist.learning import Log, infer_goals
 from assist.live import Assistant, Session
 from assist.people import Goals, HumanModel, Population
 from assist.people.goals import given_likeliest, sharpened
-from assist.person import AssistPOMDP, qmdp, solve
+from assist.person import AssistPOMDP, qmdp
 from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team import Setting
@@ -364,7 +364,7 @@ def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:
     pool = Pool.sample(goals, 2, seed=1)
     expected = "expected people whose goal is known, and there are 3 goals"
     for refused in (
-        lambda: solve(problem_of(goals)), lambda: upper_bound(pool, paths=30), lambda: pool.policy("reactive"),
+        lambda: upper_bound(pool, paths=30), lambda: pool.policy("reactive"),
         lambda: problem_of(goals, execute=True), lambda: Assistant(goals, ["ann"], policy="reactive"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=expected):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from planner import CostToGo, Instance
 from planner.batch.solve_instance import versions
 from planner.system.progress import status_line
 
@@ -22,11 +22,15 @@ from .options.common import (
     region_states_option,
     seconds_option,
 )
+from .options.goals import goal_list_options, several_goals
 from .options.help import command
 from .options.person import person_options, person_problem
 from .options.task import costs_of
 from .output.person_bounds import line_of, show_bounds
 from .terminal.console import one_line_errors, print_json
+
+if TYPE_CHECKING:
+    from ..people.goals import Goals
 
 
 @command("policy kitting/tiny --gap 0.01")
@@ -38,18 +42,24 @@ from .terminal.console import one_line_errors, print_json
 @region_states_option("Size of the truncated problem used for larger tasks (states most likely to be visited).")
 @click.option("--out", type=OUTPUT_FILE, help="Save policy and bounds (.npz).")
 @person_options
+@goal_list_options
 @json_option
 def policy(
     instance: str, gap: float, time_limit: float, memory_limit: float, max_states: int, region_states: int,
-    out: Path | None, as_json: bool, **person: Any,
+    out: Path | None, as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...], **person: Any,
 ) -> None:  # fmt: skip
     """Solve the POMDP of assisting one person, with a lower and an upper bound on the optimal value."""
+    from ..people.goals import first_of
     from ..person.solver import solve
     from ..person.suggestion_threshold import threshold_of
 
     if out is not None and out.suffix != ".npz":
         raise click.UsageError(f"--out {out}: expected a name that ends in .npz")
-    known_of = partial(costs_of, max_states=max_states, memory_limit_mb=memory_limit)
+
+    def known_of(found: Instance) -> CostToGo | Goals:
+        goals = several_goals(instance, problems, goal_prior, domain=person["domain"], max_states=max_states)
+        return goals or costs_of(found, max_states=max_states, memory_limit_mb=memory_limit)
+
     with one_line_errors():
         found, problem = person_problem(instance, known_of, states=region_states, time_limit=time_limit, **person)
         with status_line("first bounds") as show:
@@ -59,10 +69,12 @@ def policy(
             )  # fmt: skip
             threshold = threshold_of(solution)
         if out is not None:
-            solution.save(out, values=problem.known.values(problem.states), task_states=problem.states)
+            solution.save(out, values=first_of(problem.known).values(problem.states), task_states=problem.states)
     frontier = problem.pomdp.frontier
+    goals = problem.pomdp.model.choices.goals
     record = {
         "instance": str(found.problem), "domain": str(found.domain), **solution.as_dict(),
+        **({} if goals is None else {"goals": dict(goals)}),
         "method": problem.known.method, "frontier": 0 if frontier is None else len(frontier.states),
         "suggestion_threshold": threshold and asdict(threshold), "versions": versions(),
     }  # fmt: skip

@@ -14,6 +14,7 @@ from planner.system.arrays import outline
 
 from ..people.arguments import whole
 from ..people.decision import perceived_cost
+from ..people.goals import Goals, first_of
 from ..people.human import HumanModel, Population
 from ..people.memory import choices_of
 from ..people.misconception import perceived_cost_to_go
@@ -51,15 +52,15 @@ class PersonProblem:
 
     Attributes
     ----------
-    known : CostToGo
-        Cost-to-go of the task.
+    known : CostToGo or Goals
+        Cost-to-go of the task, or of each goal.
     pomdp : AssistPOMDP
         Its `frontier` is None if it covers the whole task.
     states : int array, shape (n,)
-        Number of each state of the problem in `known`.
+        Number in the task of each state that a policy distinguishes.
     """
 
-    known: CostToGo
+    known: CostToGo | Goals
     pomdp: AssistPOMDP
     states: NDArray[np.int64]
 
@@ -68,7 +69,7 @@ class PersonProblem:
     @classmethod
     def of(
         cls,
-        known: CostToGo,
+        known: CostToGo | Goals,
         *,
         states: int | None = None,
         start: int | None = None,
@@ -93,7 +94,8 @@ class PersonProblem:
 
         Parameters
         ----------
-        known : CostToGo
+        known : CostToGo or Goals
+            With several goals, all states of the task are enumerated.
         states : int, optional
             Largest number of states; by default 20,000 for a table, and 200 if states are solved on demand. An
             on-demand query takes up to seconds.
@@ -114,7 +116,7 @@ class PersonProblem:
         ------
         ValueError
             A parameter is out of its range, or a truncated task is combined with a misconception, executed actions,
-            terms or a choice model.
+            terms or a choice model. Several goals are combined with executed actions or terms, or have too many states.
         """
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
@@ -124,13 +126,15 @@ class PersonProblem:
             "trust": trust_rule(trust, eta, utility_scale),
         }  # fmt: skip
         person: dict[str, Any] = {"eta": eta, "lapse": lapse, "utility_scale": utility_scale}
-        if is_whole(known, states):
+        if isinstance(known, Goals) and not is_whole(first_of(known), states):
+            raise ValueError(f"several goals: expected a task of at most {states or WHOLE:,} states")
+        if isinstance(known, Goals) or is_whole(known, states):
             model = _model(known, population or Population(), sigma, seed, **person)
             pomdp = AssistPOMDP.of(
                 model, chooses=(population or Population()).typical, population=population, execute=execute,
                 c_execute=c_execute, **robot,
             )  # fmt: skip
-            return cls(known, pomdp, model.choices.of_task(np.arange(len(known))))
+            return cls(known, pomdp, model.choices.of_task(np.arange(model.choices.task_states))[: pomdp.task_states])
         if states is None:
             states = 200 if known.searches else WHOLE
         _require_plain(states, sigma, execute, population)
@@ -141,10 +145,12 @@ class PersonProblem:
 
 
 def _model(
-    known: Table, people: Population | Mixture, sigma: float, seed: int | np.random.Generator, **person: float
+    known: Table | Goals, people: Population | Mixture, sigma: float, seed: int | np.random.Generator, **person: float
 ) -> HumanModel:
     """Return the model of a person on an enumerated task, with a misconception that the robot knows."""
-    choices = choices_of(known, people.weights)
+    if isinstance(known, Goals) and people.weights:
+        raise ValueError("people with weights of terms: expected one goal")
+    choices = known.choices() if isinstance(known, Goals) else choices_of(known, people.weights)
     h = perceived_cost_to_go(choices, sigma, np.random.default_rng(seed)) if sigma else choices.h
     return HumanModel(choices, perceived_cost(choices, h), **person)
 

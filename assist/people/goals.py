@@ -20,6 +20,7 @@ from .choices import WAIT, Choices
 from .decision import Floats
 
 Task = TypeVar("Task", bound=CostToGo)
+Value = TypeVar("Value", bound=np.generic)
 
 
 def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None) -> Floats:
@@ -61,6 +62,12 @@ def goal_shares(belief: Floats, goals: int) -> Floats:
         The number G.
     """
     return np.asarray(belief.reshape(*belief.shape[:-2], goals, -1).sum(axis=-1))
+
+
+def in_task_states(values: NDArray[Value], goals: int) -> NDArray[Value]:
+    """Return values of all rows, shape (G * m, ..., C), by task state: shape (m, ..., G * C). `goals` is G."""
+    parts = np.moveaxis(values.reshape(goals, -1, *values.shape[1:]), 0, -2)
+    return np.ascontiguousarray(parts.reshape(*parts.shape[:-2], -1))
 
 
 def given_likeliest(belief: Floats, goals: int) -> Floats:

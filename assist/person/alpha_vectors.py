@@ -19,7 +19,7 @@ from planner.system.arrays import outline
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from .belief_filter import child, split
+from .belief_filter import child, leave_out_reached, split
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
@@ -32,12 +32,13 @@ class VectorPolicy(Policy):
     Attributes
     ----------
     pomdp : AssistPOMDP
-    vectors : float array, shape (m, B, T)
+    vectors : float array, shape (m, G * B, T)
         Alpha vectors, sorted by state. They hold values in cost units, that is, minus costs.
     robot : int array, shape (m,)
         First robot action of each vector's plan.
     first : int array, shape (n + 1,)
-        The vectors of state x are `vectors[first[x] : first[x + 1]]`. A goal state needs none: its value is 0.
+        The vectors of state x are `vectors[first[x] : first[x + 1]]`. A goal state needs none: its value is 0. If the
+        goal is one of several, n is the number of task states.
 
     Raises
     ------
@@ -53,15 +54,15 @@ class VectorPolicy(Policy):
     __repr__ = outline
 
     def __post_init__(self) -> None:
-        states, count = len(self.pomdp.model.choices), len(self.robot)
-        if self.vectors.shape != (count, *self.pomdp.grid.shape) or self.first.shape != (states + 1,):
+        states, count, hidden = self.pomdp.task_states, len(self.robot), self.pomdp.prior.shape
+        if self.vectors.shape != (count, *hidden) or self.first.shape != (states + 1,):
             raise ValueError(
                 f"vectors {self.vectors.shape}, robot {self.robot.shape}, first {self.first.shape}: expected "
-                f"({count}, {self.pomdp.grid.shape[0]}, {self.pomdp.grid.shape[1]}), ({count},) and ({states + 1},)"
+                f"({count}, {hidden[0]}, {hidden[1]}), ({count},) and ({states + 1},)"
             )
         if self.first[0] != 0 or self.first[-1] != count or (np.diff(self.first) < 0).any():
             raise ValueError(f"first: expected ascending offsets from 0 to {count}")
-        without = (np.diff(self.first) == 0) & ~self.pomdp.model.choices.goal
+        without = (np.diff(self.first) == 0) & ~self.pomdp.model.choices.goal.reshape(-1, states).all(axis=0)
         if without.any():
             raise ValueError(f"state {int(without.argmax())}: expected one alpha vector or more")
         state = np.repeat(np.arange(states), np.diff(self.first))
@@ -76,7 +77,7 @@ class VectorPolicy(Policy):
 
     @cached_property
     def _arrays(self) -> ProblemArrays:
-        return ProblemArrays.of(self.pomdp)
+        return ProblemArrays.of_hidden_goal(self.pomdp)
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R): one exact Bellman backup of the vectors' values.
@@ -84,12 +85,12 @@ class VectorPolicy(Policy):
         Parameters
         ----------
         x : int array, shape (N,)
-        belief : float array, shape (N, B, T)
+        belief : float array, shape (N, G * B, T)
             The beliefs need not be normalised; the values scale with their mass.
         """
         q = np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
-        of_state = read_only(self.vectors), read_only(self.first)
-        _look_ahead(q, read_only(x, np.int64), read_only(belief, float), *of_state, self._arrays)
+        of_state, own = (read_only(self.vectors), read_only(self.first)), x % self.pomdp.task_states
+        _look_ahead(q, read_only(own, np.int64), read_only(belief, float), *of_state, self._arrays)
         if self.pomdp.frontier is not None:
             broken_off = self.pomdp.final[x] & ~self.pomdp.model.choices.goal[x]
             q[broken_off, 0] = self.value(x[broken_off], belief[broken_off])
@@ -106,8 +107,8 @@ class VectorPolicy(Policy):
 
     def _best(self, x: NDArray[np.int64], belief: Floats) -> tuple[Floats, NDArray[np.int64]]:
         value, best = np.zeros(len(x)), np.full(len(x), -1, dtype=np.int64)
-        of_state = read_only(self.vectors), read_only(self.first)
-        _maximise(value, best, read_only(x, np.int64), read_only(belief, float), *of_state)
+        of_state, own = (read_only(self.vectors), read_only(self.first)), x % self.pomdp.task_states
+        _maximise(value, best, read_only(own, np.int64), read_only(belief, float), *of_state)
         return value, best
 
 
@@ -157,17 +158,20 @@ def _look_ahead(
     cells = belief.shape[1] * belief.shape[2]
     beliefs, alphas = belief.reshape((len(x), cells)), vectors.reshape((len(vectors), cells))
     followed, declined, lapsed, after = np.empty(cells), np.empty(cells), np.empty(cells), np.empty(cells)
-    complied = np.empty(cells) if m.uses_answer else lapsed
+    complied, going_on = np.empty(cells) if m.uses_answer else lapsed, np.empty(cells)
     for i in range(len(x)):
         s = x[i]
         if m.final[s]:
             q[i, 0] = 0.0
             continue
         mass = beliefs[i].sum()
+        for h in range(cells):
+            going_on[h] = beliefs[i, h]
+        leave_out_reached(going_on, s, m)
         for r in range(m.robot_actions[s]):
             q[i, r] = -m.robot_costs[s, r] * mass
-            acting, slot = split(beliefs[i], followed, declined, complied, lapsed, s, r, m)
-            if m.goal[acting]:
+            acting, slot = split(going_on, followed, declined, complied, lapsed, s, r, m)
+            if m.final[acting]:
                 continue
             for a in range(m.counts[acting]):
                 chance = child(after, acting, a, slot, followed, declined, complied, lapsed, m)

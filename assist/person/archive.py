@@ -1,7 +1,8 @@
 """Frozen dataclasses of arrays saved as files.
 
 A file is a numpy `.npz` archive with one array per field. A field of a nested dataclass is named by its path, with dots
-between the names. A field that is None is omitted.
+between the names. A field that is None is omitted. A mapping has two arrays: its names, and its numbers, with `.values`
+after the name.
 """
 
 from __future__ import annotations
@@ -55,6 +56,9 @@ def _pack(value: Any, prefix: str) -> dict[str, Any]:
         part = getattr(value, field.name)
         if is_dataclass(part):
             packed |= _pack(part, f"{prefix}{field.name}.")
+        elif isinstance(part, Mapping):
+            packed[prefix + field.name] = np.array(list(part))
+            packed[f"{prefix}{field.name}.values"] = np.array(list(part.values()))
         elif part is not None:
             packed[prefix + field.name] = np.asarray(part)
     return packed
@@ -74,6 +78,9 @@ def _unpack(cls: Any, arrays: Mapping[str, Any], prefix: str) -> Any:
             parts[name] = _unpack(hint, arrays, f"{key}.")
         elif hint in (int, float, str):
             parts[name] = _of_kind(arrays[key], str if hint is str else np.float64, key).item()
+        elif get_origin(hint) is Mapping:
+            values = _of_kind(arrays[f"{key}.values"], np.float64, f"{key}.values")
+            parts[name] = dict(zip(arrays[key].tolist(), values.tolist(), strict=True))
         elif get_origin(hint) is tuple:
             parts[name] = tuple(arrays[key].tolist())
         elif get_origin(hint) is np.ndarray:

@@ -109,6 +109,23 @@ def exclude_reached(belief: Floats, x: int, m: ProblemArrays) -> None:
 
 
 @njit()
+def leave_out_reached(belief: Floats, x: int, m: ProblemArrays) -> float:
+    """Set the cells of a flat belief, shape (G * B * T,), whose goal is reached in task state x to 0; return the rest.
+
+    `x` is a row of the first goal. With one goal, nothing changes.
+    """
+    size, rest = m.chosen.shape[2] * len(m.theta), 0.0
+    goals = len(belief) // size
+    for goal in range(goals):
+        reached = goals > 1 and m.goal[goal * (len(m.counts) // goals) + x]
+        for h in range(goal * size, (goal + 1) * size):
+            if reached:
+                belief[h] = 0.0
+            rest += belief[h]
+    return rest
+
+
+@njit()
 def split(
     belief: Floats, followed: Floats, declined: Floats, complied: Floats, lapsed: Floats, x: int, robot: int,
     m: ProblemArrays,
@@ -122,13 +139,15 @@ def split(
     The trust update is the same for all slots that were not suggested, and the influence is one of two factors
     (equation 6). So four weighted beliefs are enough, whatever the number of slots.
 
+    With G goals, H = G * B * T. The belief is 0 in the cells of goals that are reached in state x.
+
     Parameters
     ----------
     belief : float array, shape (H,)
     followed, declined, complied, lapsed : float arrays, shape (H,)
         Arrays for the parts. `complied` may be the array `lapsed` itself unless the trust rule uses the answer.
     x, robot : int
-        The person's state and the robot action.
+        The person's state, a row of the first goal, and the robot action.
     m : ProblemArrays
 
     Returns
@@ -136,7 +155,8 @@ def split(
     tuple of int
         The state in which the person acts, and the suggested slot.
     """
-    thetas = len(m.theta)
+    thetas, betas = len(m.theta), m.chosen.shape[2]
+    states = len(m.counts) * betas * thetas // len(belief)
     acting, suggested = m.afterstate[x, robot], m.suggested[x, robot]
     steady, uniform = 1.0 - m.lapse, m.lapse / max(m.counts[acting], 1)
     if suggested < 0:
@@ -151,17 +171,18 @@ def split(
         mass = belief[h]
         if mass == 0.0:
             continue
-        b, t = h // thetas, h % thetas
+        hidden, t = h // thetas, h % thetas
+        row, b = x + hidden // betas * states, hidden % betas
         follow_factor, decline_factor = influence_factors(
-            m.theta[t], m.chosen[x, suggested, b], m.unsuggested[x, robot, b]
+            m.theta[t], m.chosen[row, suggested, b], m.unsuggested[row, robot, b]
         )
-        at, up = h - t + m.followed_low[x, robot, t], m.followed_weight[x, robot, t]
+        at, up = h - t + m.followed_low[row, robot, t], m.followed_weight[row, robot, t]
         followed[at] += steady * follow_factor * (1.0 - up) * mass
         followed[at + 1] += steady * follow_factor * up * mass
         if m.uses_answer:
             complied[at] += uniform * (1.0 - up) * mass
             complied[at + 1] += uniform * up * mass
-            at, up = h - t + m.low[x, robot, t], m.weight[x, robot, t]
+            at, up = h - t + m.low[row, robot, t], m.weight[row, robot, t]
         declined[at] += steady * decline_factor * (1.0 - up) * mass
         declined[at + 1] += steady * decline_factor * up * mass
         lapsed[at] += uniform * (1.0 - up) * mass
@@ -178,11 +199,12 @@ def child(
 
     `acting` and `suggested` are what `split` returned.
     """
-    thetas, mass = len(m.theta), 0.0
+    thetas, betas, mass = len(m.theta), m.chosen.shape[2], 0.0
+    states = len(m.counts) * betas * thetas // len(after)
     influenced, uniform = (followed, complied) if slot == suggested else (declined, lapsed)
-    for b in range(len(after) // thetas):
-        p = m.chosen[acting, slot, b]
-        for h in range(b * thetas, (b + 1) * thetas):
+    for hidden in range(len(after) // thetas):
+        p = m.chosen[acting + hidden // betas * states, slot, hidden % betas]
+        for h in range(hidden * thetas, (hidden + 1) * thetas):
             after[h] = p * influenced[h] + uniform[h]
             mass += after[h]
     return mass

@@ -20,7 +20,7 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from ..people.influence_kernels import influence_factors
-from .belief_filter import child, split
+from .belief_filter import child, leave_out_reached, split
 from .qmdp import ROUNDING
 from .upper_hull import new_program, solve
 
@@ -38,7 +38,7 @@ class UpperHull(NamedTuple):
     Attributes
     ----------
     corner : float array, shape (n, H)
-        Upper bounds for a known hidden state, H = B * T.
+        Upper bounds for a known hidden state, H = G * B * T; n is the number of task states.
     belief, inverse : float arrays, shape (capacity, H)
         Beliefs of mass 1, and the reciprocal of each entry.
     drop : float array, shape (capacity,)
@@ -86,7 +86,7 @@ class Trial(NamedTuple):
     belief: Floats
     bound: Floats  # upper bound at the belief
     robot: NDArray[np.int64]
-    chance: Floats  # probability of the child that the trial enters
+    chance: Floats  # probability of the child that the trial enters, and that the person goes on there
     q: Floats  # upper bound on the Q-value of each robot action
     known: NDArray[np.bool_]  # whether `q` was computed from the children
     child: Floats  # upper bound of each child, times its probability
@@ -348,7 +348,7 @@ def _expand_children(d, r, work, trial, m):
     x = trial.state[d]
     complied = work[3] if m.uses_answer else work[2]
     acting, slot = split(trial.belief[d], work[0], work[1], complied, work[2], x, r, m)
-    if not m.goal[acting]:
+    if not m.final[acting]:
         for a in range(m.counts[acting]):
             trial.mass[d, r, a] = child(trial.after[d, r, a], acting, a, slot, work[0], work[1], complied, work[2], m)
     return acting
@@ -360,7 +360,7 @@ def _bound_above(d, r, work, room, trial, hull, m):
     x = trial.state[d]
     value = -m.robot_costs[x, r]
     acting = _expand_children(d, r, work, trial, m)
-    if not m.goal[acting]:
+    if not m.final[acting]:
         for a in range(m.counts[acting]):
             trial.child[d, r, a] = upper(m.targets[acting, a], trial.after[d, r, a], hull, room)
             value += m.gamma * trial.child[d, r, a] - m.costs[acting, a] * trial.mass[d, r, a]
@@ -388,7 +388,7 @@ def _bound_below(d, r, work, trial, picked, vectors, m):
     x = trial.state[d]
     value = -m.robot_costs[x, r]
     acting = m.afterstate[x, r] if trial.known[d, r] else _expand_children(d, r, work, trial, m)
-    if not m.goal[acting]:
+    if not m.final[acting]:
         for a in range(m.counts[acting]):
             v, picked[a] = lower(m.targets[acting, a], trial.after[d, r, a], vectors)
             value += m.gamma * v - m.costs[acting, a] * trial.mass[d, r, a]
@@ -402,22 +402,28 @@ def _backup_vector(x, r, picked, vector, vectors, m):
     The margin `ROUNDING` moves each entry downwards, so that the vector is a lower bound in floating-point arithmetic
     too.
     """
-    thetas = len(m.theta)
+    thetas, betas = len(m.theta), m.chosen.shape[2]
+    states = len(m.counts) * betas * thetas // len(vector)
     acting, slot = m.afterstate[x, r], m.suggested[x, r]
-    if m.goal[acting]:
+    if m.final[acting]:
         _fill(vector, -m.robot_costs[x, r])
         return
     count = m.counts[acting]
     declined, mean, followed, complied = np.empty(thetas), np.empty(thetas), np.empty(thetas), np.empty(thetas)
-    for b in range(len(vector) // thetas):
+    for hidden in range(len(vector) // thetas):
+        goal, b = hidden // betas, hidden % betas
+        row, part = goal * states + acting, vector[hidden * thetas : (hidden + 1) * thetas]
+        if m.goal[row]:
+            _fill(part, 0.0)
+            continue
         _fill(declined, 0.0)
         _fill(mean, 0.0)
         _fill(followed, 0.0)
         _fill(complied, 0.0)
         for a in range(count):
-            p, c, i = m.chosen[acting, a, b], m.costs[acting, a], picked[a]
+            p, c, i = m.chosen[row, a, b], m.costs[acting, a], picked[a]
             for t in range(thetas):
-                u = m.gamma * vectors.vector[i, b * thetas + t] - c
+                u = m.gamma * vectors.vector[i, hidden * thetas + t] - c
                 if a == slot:
                     followed[t] = p * u
                 else:
@@ -429,9 +435,9 @@ def _backup_vector(x, r, picked, vector, vectors, m):
         for t in range(thetas):
             v = (1.0 - m.lapse) * declined[t] + m.lapse * mean[t]
             if slot >= 0:
-                v = _entry_after_suggestion(followed, declined, complied, mean, x, r, b, t, m)
+                v = _entry_after_suggestion(followed, declined, complied, mean, goal * states + x, r, b, t, m)
             v -= m.robot_costs[x, r]
-            vector[b * thetas + t] = v - ROUNDING * abs(v)
+            part[t] = v - ROUNDING * abs(v)
 
 
 @njit()
@@ -476,12 +482,19 @@ def _backup_lower(d, step, work, trial, backup, vectors, m):
 
 @njit()
 def start_node(d, belief, mass, q, trial, m):
-    """Put belief / mass on the trial, with upper bounds on the Q-values that do not need the children."""
+    """Put belief / mass on the trial, with upper bounds on the Q-values that do not need the children.
+
+    If the goal is hidden, the belief is conditioned on the fact that the person goes on. Return the mass of the rest.
+    """
     x, own = trial.state[d], trial.belief[d]
-    for h in range(len(belief)):
-        own[h] = belief[h] / mass
+    _copy(own, belief)
+    if len(own) > m.chosen.shape[2] * len(m.theta):
+        mass = leave_out_reached(own, x, m)
+    for h in range(len(own)):
+        own[h] = own[h] / mass if mass > 0.0 else 0.0
     for r in range(m.robot_actions[x]):
         trial.q[d, r], trial.known[d, r] = dot(q[x, r], own), False
+    return mass
 
 
 @njit(nogil=True)
@@ -558,13 +571,12 @@ def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
                     chosen = a
         if chosen == NONE:
             break
-        chance = trial.mass[depth, r, chosen]
-        trial.chance[depth] = chance
-        reach *= chance
         depth += 1
         trial.state[depth] = m.targets[acting, chosen]
+        chance = start_node(depth, trial.after[depth - 1, r, chosen], trial.mass[depth - 1, r, chosen], q, trial, m)
+        trial.chance[depth - 1] = chance
         trial.bound[depth] = trial.child[depth - 1, r, chosen] / chance
-        start_node(depth, trial.after[depth - 1, r, chosen], chance, q, trial, m)
+        reach *= chance
     return depth, target, cut
 
 

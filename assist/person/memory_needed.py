@@ -10,7 +10,8 @@ from .search import SolverOptions
 
 def first_bounds_bytes(pomdp: AssistPOMDP, depth: int = SolverOptions.depth) -> int:
     """Return the approximate memory, in bytes, that `solve` needs before its search begins."""
-    (states, robots), slots, hidden = pomdp.suggested.shape, pomdp.model.choices.targets.shape[1], pomdp.prior.size
+    slots, hidden = pomdp.model.choices.targets.shape[1], pomdp.prior.size
+    states, robots = pomdp.task_states, pomdp.suggested.shape[1]
     # QMDP's values and a copy; the corners; vectors and witnesses of four policies; the values of one policy.
     return 8 * hidden * (states * (2 * robots + 12) + depth * (8 + robots * slots))
 
@@ -20,6 +21,6 @@ def require_room(pomdp: AssistPOMDP, depth: int, limit_mb: float) -> None:
     needed = first_bounds_bytes(pomdp, depth) / 1e6
     if needed > limit_mb:
         raise LimitError(
-            f"the first bounds on {len(pomdp.robot_actions):,} states take about {needed:,.0f} MB of memory, and "
+            f"the first bounds on {pomdp.task_states:,} states take about {needed:,.0f} MB of memory, and "
             f"{limit_mb:,.0f} MB are allowed; expected fewer states, a coarser grid or more memory"
         )

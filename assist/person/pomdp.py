@@ -215,6 +215,11 @@ class AssistPOMDP:
             found.append((share, problem))
         return found
 
+    @property
+    def task_states(self) -> int:
+        """The number of states that a policy distinguishes: task states if the goal is hidden, otherwise rows."""
+        return len(self.robot_actions) // self.model.choices.goal_count
+
     @cached_property
     def final(self) -> NDArray[np.bool_]:
         """Whether the problem ends in each state, shape (n,): at goals and at frontier states."""

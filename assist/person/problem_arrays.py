@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..people.goals import in_task_states
 from .pomdp import AssistPOMDP
 
 
@@ -26,7 +27,7 @@ class ProblemArrays(NamedTuple):
     """A problem in the form that compiled code reads; shapes as in `AssistPOMDP` and `Choices`.
 
     It is a named tuple because numba does not accept dataclasses. `counts` is the number of choices in each state, and
-    `final` is as in `AssistPOMDP`.
+    `final` is as in `AssistPOMDP`, or as `of_hidden_goal` says.
     """
 
     counts: NDArray[np.int64]
@@ -68,3 +69,13 @@ class ProblemArrays(NamedTuple):
             gamma=float(pomdp.gamma),
             lapse=float(pomdp.model.lapse),
         )
+
+    @classmethod
+    def of_hidden_goal(cls, pomdp: AssistPOMDP) -> ProblemArrays:
+        """Return the arrays for a policy that does not see the goal.
+
+        With several goals, `final` has one entry for each task state: whether all goals are reached there. The other
+        arrays are those of `of`.
+        """
+        final = np.all(in_task_states(pomdp.final[:, None], pomdp.model.choices.goal_count), axis=1)
+        return cls.of(pomdp)._replace(final=read_only(np.asarray(final)))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..people.goals import Value, in_task_states
 from . import hsvi
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
@@ -48,31 +49,21 @@ def relative_gap(lower: float, upper: float) -> float:
     return 0.0 if upper <= lower else (upper - lower) / abs(lower)
 
 
-def _informed(best: QMDP, belief: Floats, among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
-    """Return QMDP's action in each state for one belief, shape (n,).
-
-    The choice is among all robot actions, or among those of the mask `among`, shape (n, R).
-    """
-    q = np.einsum("nrbt,bt->nr", np.maximum(best.q_mdp, -1e300), belief)
-    if among is not None:
-        q = np.where(among, q, -np.inf)
-    return q.argmax(axis=1)
-
-
 class Search:
     """The bounds of one problem during the search."""
 
     def __init__(self, pomdp: AssistPOMDP, best: QMDP, options: SolverOptions) -> None:
-        self.pomdp, self.arrays, self.options = pomdp, ProblemArrays.of(pomdp), options
-        states, size = len(pomdp.robot_actions), pomdp.prior.size
+        self.pomdp, self.arrays, self.options = pomdp, ProblemArrays.of_hidden_goal(pomdp), options
+        states, size = pomdp.task_states, pomdp.prior.size
         margin = ROUNDING / (1 - pomdp.gamma)
-        corner = (best.value_mdp + margin * np.abs(best.value_mdp)).reshape(states, size)
-        self.q = best.q_mdp.reshape(states, -1, size) * (1 - margin)  # values are negative
+        corner = self.by_state(best.value_mdp + margin * np.abs(best.value_mdp))
+        self.q = self.by_state(best.q_mdp) * (1 - margin)  # values are negative
         self.hull = hsvi.empty_hull(corner, 2 * options.depth)
         self.vectors = hsvi.empty_vectors(states, size, 4 * states + 2 * options.depth)
         robots, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
         self.trial = hsvi.new_trial(options.depth, size, robots, slots)
-        self.order = read_only(sweep_order(pomdp))
+        order = sweep_order(pomdp) % states
+        self.order = read_only(order[np.sort(np.unique(order, return_index=True)[1])])  # each state once
         self.renewed = len(self.order)  # position of the current renewal in this order
         self.tried = 0  # backups of trials since the last renewal began
         self.fineness = np.array([0.001, 0.01])  # as in `hsvi.trials`, which refines it
@@ -84,13 +75,28 @@ class Search:
     def first_policies(self, best: QMDP, until: float) -> tuple[float, float]:
         """Add the vectors of policies that depend on x only; return the values of never and of always suggesting."""
         pomdp = self.pomdp
-        never = self.begin(np.zeros(len(pomdp.robot_actions), dtype=np.int64))
-        always = self.begin(_informed(best, pomdp.prior, pomdp.suggests_optimal), until)
+        never = self.begin(np.zeros(pomdp.task_states, dtype=np.int64))
+        optimal = np.any(self.by_state(pomdp.suggests_optimal[:, :, None, None]), axis=2)
+        always = self.begin(self.informed(best, pomdp.prior, np.asarray(optimal)), until)
         trusting = np.zeros_like(pomdp.prior)
         trusting[:, -1] = pomdp.prior.sum(axis=1)
         for belief in (pomdp.prior, trusting):
-            self.begin(_informed(best, belief), until, self.options.first_sweeps)
+            self.begin(self.informed(best, belief), until, self.options.first_sweeps)
         return never, always
+
+    def by_state(self, values: NDArray[Value]) -> NDArray[Value]:
+        """Return values of all rows, shape (G * n, ..., B, T), by state: shape (n, ..., G * B * T)."""
+        return in_task_states(values.reshape(*values.shape[:-2], -1), self.pomdp.model.choices.goal_count)
+
+    def informed(self, best: QMDP, belief: Floats, among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+        """Return QMDP's action in each state for one belief, shape (n,).
+
+        The choice is among all robot actions, or among those of the mask `among`, shape (n, R).
+        """
+        q = np.einsum("nrh,h->nr", self.by_state(np.maximum(best.q_mdp, -1e300)), belief.reshape(-1))
+        if among is not None:
+            q = np.where(among, q, -np.inf)
+        return q.argmax(axis=1)
 
     def load(self) -> float:
         """Compile the search, without a trial or a backup; return the seconds that it took."""
@@ -133,10 +139,10 @@ class Search:
 
     def begin(self, robot: NDArray[np.int64], deadline: float = math.inf, max_sweeps: int | None = None) -> float:
         """Add the vectors of a policy that depends on x only; return its value at the root, or a lower bound on it."""
-        value = evaluate(self.pomdp, robot, deadline=deadline, max_sweeps=max_sweeps)
-        flat = np.ascontiguousarray(value).reshape(len(value), -1)
-        hsvi.add_vectors(flat, robot, _own(self.pomdp.prior), self.vectors)
-        return float((value[self.pomdp.model.choices.initial] * self.pomdp.prior).sum())
+        rows = np.tile(robot, self.pomdp.model.choices.goal_count)
+        value = self.by_state(evaluate(self.pomdp, rows, deadline=deadline, max_sweeps=max_sweeps))
+        hsvi.add_vectors(value, robot, _own(self.pomdp.prior), self.vectors)
+        return float((value[self.root] * self.prior).sum())
 
     def bounds(self, x: int, belief: Floats) -> tuple[float, float]:
         """Return the lower and upper bound at a belief."""

@@ -4,6 +4,9 @@ The algorithm is heuristic search value iteration (Smith and Simmons, "Point-bas
 and implementation", 2005), adapted to this problem: x is observed, so that every state has bounds of its own, over
 beliefs of B * T numbers.
 
+If the goal is hidden, too, a state is a task state, and beliefs have G * B * T numbers. Whoever reaches their goal
+stops, which the robot sees.
+
 - Lower bound: each state has alpha vectors. The first ones belong to policies that depend on x only (`qmdp.evaluate`).
   Each backup adds the vector of a robot action that is followed by existing vectors. So the lower bound is the value of
   a policy that can be executed.
@@ -60,9 +63,9 @@ class Solution(Policy):
     Attributes
     ----------
     policy : VectorPolicy
-    corner : float array, shape (n, B, T)
-        Upper bound for known beta and theta, in cost units.
-    point : float array, shape (p, B, T)
+    corner : float array, shape (n, G * B, T)
+        Upper bound for known goal, beta and theta, in cost units.
+    point : float array, shape (p, G * B, T)
         Beliefs with a lower upper bound, sorted by state.
     drop : float array, shape (p,)
         Upper bound at each of these beliefs minus the value of `corner` there; negative.
@@ -145,7 +148,7 @@ class Solution(Policy):
     def as_dict(self) -> dict[str, Any]:
         """Return the size of the problem, its bounds and the effort, as plain data."""
         return {
-            "states": len(self.pomdp.robot_actions),
+            "states": self.pomdp.task_states,
             "hidden": self.pomdp.prior.size,
             "lower": self.lower,
             "upper": self.upper,
@@ -164,7 +167,7 @@ class Solution(Policy):
         Parameters
         ----------
         x : int array, shape (N,)
-        belief : float array, shape (N, B, T)
+        belief : float array, shape (N, G * B, T)
         """
         return self.policy.q_values(x, belief)
 
@@ -177,11 +180,11 @@ class Solution(Policy):
 
         The arguments are as in `q_values`.
         """
-        value, size = np.empty(len(x)), self.pomdp.prior.size
+        value, size, own = np.empty(len(x)), self.pomdp.prior.size, x % self.pomdp.task_states
         beliefs = read_only(belief, float).reshape(len(x), size)
         corner, point = (read_only(array).reshape(-1, size) for array in (self.corner, self.point))
         drop, first = read_only(self.drop), read_only(self.first)
-        convex_bound.uppers(value, read_only(x, np.int64), beliefs, corner, point, drop, first, convex_bound.PIVOTS)
+        convex_bound.uppers(value, read_only(own, np.int64), beliefs, corner, point, drop, first, convex_bound.PIVOTS)
         return value
 
 
@@ -228,13 +231,12 @@ def solve(
     LimitError
         The first bounds alone would exceed the memory limit. Nothing has been computed then.
     ValueError
-        A number is negative, or the goal is one of several.
+        A number is negative.
     """
     assert callable(progress)
     for name, number in (("gap", gap), ("time_limit", time_limit), ("memory_limit_mb", memory_limit_mb)):
         if number is not None and not number >= 0:
             raise ValueError(f"{name} {number:g}: expected 0 or more")
-    pomdp.model.choices.require_one_goal("the certified solver")
     options = options or SolverOptions()
     require_room(pomdp, options.depth, memory_limit_mb)
     load_compiled(pomdp)
@@ -259,18 +261,18 @@ def solve(
     if further_beliefs is not None and len(further_beliefs[0]):
         widen(work, *further_beliefs, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
         work.tighten()
-    x0 = pomdp.model.choices.initial
+    rows = pomdp.model.choices.of_goals(np.array([pomdp.model.choices.initial]))[:, 0]
+    observed = best.value_mdp[rows].reshape(pomdp.prior.shape) * pomdp.prior
     return result_of(
-        work,
-        value_qmdp=float((best.value_mdp[x0] * pomdp.prior).sum()), value_never=never, value_always=always,
+        work, value_qmdp=float(observed.sum()), value_never=never, value_always=always,
         seconds=time.perf_counter() - start, stopped=stopped,
     )  # fmt: skip
 
 
 def result_of(search: Search, **facts: object) -> Solution:
     """Return the result of a search, sorted by state."""
-    pomdp, states = search.pomdp, len(search.pomdp.robot_actions)
-    shape = (-1, *pomdp.grid.shape)
+    pomdp, states = search.pomdp, search.pomdp.task_states
+    shape = (-1, *pomdp.prior.shape)
     kept, first = _sorted(search.vectors.state, states)
     policy = VectorPolicy(
         pomdp, search.vectors.vector[kept].reshape(shape), search.vectors.robot[kept].astype(np.int64), first

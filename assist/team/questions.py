@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..people.decision import Floats
 from ..person.joint_belief import JointBelief
 from ..person.policy import Policy
-from ..person.qmdp import evaluate
+from ..person.qmdp import QMDP, evaluate, qmdp
 from .by_policy import ByPolicy
 from .hidden_states import expected_answers
 from .state import worth_of_actions
@@ -116,8 +116,9 @@ class Questions:
 def benefit(policy: Policy) -> Floats:
     """Return the benefit of a robot that knows a person's goal, beta and theta, shape (n, B * T)."""
     solved: Any = policy.prepare()
+    known = solved if isinstance(solved, QMDP) else qmdp(policy.pomdp)
     never = evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
-    return np.maximum(solved.value_mdp - never, 0.0).reshape(len(never), -1)
+    return np.maximum(known.value_mdp - never, 0.0).reshape(len(never), -1)
 
 
 def worth_of_knowing(policy: Policy, joint: JointBelief) -> float:

@@ -21,6 +21,7 @@ TRUST = ("paper", "constant", "outcome", "outcome-at-disagreement", "reliability
 
 if TYPE_CHECKING:
     from ...large_tasks.person_problem import PersonProblem
+    from ...people.goals import Goals
 
 
 def model_options() -> tuple[Option[Any], ...]:
@@ -90,8 +91,8 @@ def person_options(command: Command) -> Command:
 
 
 def person_problem(
-    instance: str, known_of: Callable[[Instance], CostToGo], *, states: int | None, domain: str | None, beta: Range,
-    theta: Range, population_file: Path | None, people: str | None, sigma: float, execute: bool,
+    instance: str, known_of: Callable[[Instance], CostToGo | Goals], *, states: int | None, domain: str | None,
+    beta: Range, theta: Range, population_file: Path | None, people: str | None, sigma: float, execute: bool,
     time_limit: float | None = None, **setting: Any,
 ) -> tuple[Instance, PersonProblem]:  # fmt: skip
     """Build one person's problem from the values of `person_options`. Invalid options raise usage errors.
@@ -99,21 +100,22 @@ def person_problem(
     Parameters
     ----------
     known_of : callable
-        Reads and solves the task.
+        Reads and solves the task, or the tasks of several goals.
     states : int or None
         Largest number of states in the problem; a larger task is truncated to it. None: all states of the task.
     time_limit : float, optional
         Seconds for choosing the states of a truncated problem.
     """
     from ...large_tasks.person_problem import PersonProblem, is_whole
+    from ...people.goals import Goals, first_of
 
     found = one_instance(instance, domain)
     population = population_of(beta, theta, file=population_file, people=people)
     known = known_of(found)
     if states is None:
         states = len(known)
-    whole = is_whole(known, states)
-    for name, given in (("--sigma", sigma > 0), ("--execute", execute)):
+    whole = is_whole(first_of(known), states)
+    for name, given in (("--sigma", sigma > 0), ("--execute", execute), ("--goals", isinstance(known, Goals))):
         if given and not whole:
             raise click.UsageError(f"{name}: expected a task of at most {states:,} states (--region-states)")
     try:

@@ -26,13 +26,14 @@ def show_bounds(record: dict[str, Any]) -> None:
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column()
     table.add_column(justify="right")
-    what = f"{record['states']:,} states, {record['hidden']} hidden pairs"
+    known, hidden = ("goal, beta and theta", "values") if "goals" in record else ("beta and theta", "pairs")
+    what = f"{record['states']:,} states, {record['hidden']} hidden {hidden}"
     if record["frontier"]:
         what += f"; {record['frontier']:,} frontier states"
     click.echo(what)
     for name, label in (
         ("value_never", "never suggest"), ("value_always", "always suggest"), ("lower", "policy (lower bound)"),
-        ("upper", "any policy (upper bound)"), ("value_qmdp", "beta and theta observed (QMDP)"),
+        ("upper", "any policy (upper bound)"), ("value_qmdp", f"{known} observed (QMDP)"),
     ):  # fmt: skip
         table.add_row(label, f"{record[name]:.4f}")
     print_table(table)
