@@ -9,7 +9,7 @@ action of each person once and in order, and the same events are posted over HTT
 suggestions have to be equal to the last bit.
 
 Over MQTT, stations do not wait for answers before the next report. Over OPC UA they do, and the proxy shows earlier
-values again.
+values again. A report that is not answered for 15 seconds is shown again, too.
 """
 
 from __future__ import annotations
@@ -310,23 +310,35 @@ class OpcUaLine:
                 client.connection_lost_callback = over
                 async with client:
                     subscription = await client.create_subscription(50, Seen())
-                    await subscription.subscribe_data_change([client.get_node(node) for node in known])
+                    # Each answer is seen, also if another one follows within the interval.
+                    await subscription.subscribe_data_change([client.get_node(node) for node in known], queuesize=100)
                     self._client = client
                     await lost.wait()
             self._client = None
             await asyncio.sleep(0.2)
 
-    async def _work(self, person: Person, until: float, every: float, again: float = 1.0) -> None:
+    async def _work(
+        self, person: Person, until: float, every: float, again: float = 1.0, patience: float = 15.0
+    ) -> None:
         before = None
         while time.monotonic() < until:
             await asyncio.sleep(pause(person.rng, every))
-            report, last = person.act(), -again
+            report, last, began = person.act(), -again, time.monotonic()
             while person.open():
                 if time.monotonic() > last + again:
                     last = time.monotonic()
+                    if last > began + patience:  # the answer may have been lost with the server that had it
+                        began = last
+                        await self._clear(person, report)
                     await self._show(person, report, before)
                 await asyncio.sleep(0.05)
             before = report
+
+    async def _clear(self, person: Person, report: dict[str, Any]) -> None:
+        """Empty the node of a report, so that the same report is a change of its value again."""
+        with suppress(OSError, ua.UaError):
+            if self._client is not None:
+                await self._client.get_node(f"ns=2;s={person.name}.{kind(report)}").write_value("")
 
     async def _show(self, person: Person, report: dict[str, Any], before: dict[str, Any] | None) -> None:
         """Write a report to its node, unless it is there; the proxy may write the one before once more."""
