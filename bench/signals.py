@@ -80,7 +80,7 @@ def row_of(recovery: ActionRecovery, name: str, walks: int, length: int, lost: f
     return {
         "task": name,
         "lost": lost,
-        "unseen": recovery.unseen,
+        "allowed": recovery.unseen,
         "actions": actions,
         "ms": 1000 * took / count["calls"],
         **shares,
@@ -90,7 +90,7 @@ def row_of(recovery: ActionRecovery, name: str, walks: int, length: int, lost: f
 COLUMNS: Columns = {
     "task": cell("task"),
     "reports lost": cell("lost", ".0%"),
-    "unseen": cell("unseen"),
+    "unseen": cell("allowed"),
     "actions": cell("actions", ","),
     "recovered, %": cell("recovered", ".2f"),
     "ambiguous, %": cell("ambiguous", ".2f"),
