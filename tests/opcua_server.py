@@ -1,15 +1,27 @@
-"""An OPC UA server with two stations, for tests: `python opcua_server.py PORT`."""
+"""An OPC UA server with two stations, for tests: `python opcua_server.py PORT [USER PASSWORD]`."""
 
 from __future__ import annotations
 
 import asyncio
 import sys
+from typing import Any
 
 from asyncua import Server, ua
+from asyncua.crypto.permission_rules import User, UserRole
 
 
-async def serve(port: int) -> None:
-    server = Server()
+class Users:
+    """Lets in one user."""
+
+    def __init__(self, *known: str) -> None:
+        self.known = known
+
+    def get_user(self, _: Any, username: str | None = None, password: str | None = None, **__: Any) -> User | None:
+        return User(UserRole.User) if (username, password) == self.known else None
+
+
+async def serve(port: int, *known: str) -> None:
+    server = Server(user_manager=Users(*known) if known else None)
     await server.init()
     server.set_endpoint(f"opc.tcp://127.0.0.1:{port}/")
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
@@ -25,4 +37,4 @@ async def serve(port: int) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(serve(int(sys.argv[1])))
+    asyncio.run(serve(int(sys.argv[1]), *sys.argv[2:]))

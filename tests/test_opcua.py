@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 from click.testing import CliRunner
 from conftest import kit
@@ -22,6 +23,7 @@ from starlette.testclient import TestClient
 from test_mqtt import Here, done_of, free_port, plans
 
 from assist.cli import main
+from assist.cli.options.live import bridge_of
 from assist.live import Event
 from assist.team.settings import Setting
 
@@ -60,14 +62,17 @@ TAKE = "fetch"
 class Plant:
     """A server in a process of its own, which forgets everything when it is killed."""
 
-    def __init__(self) -> None:
-        self.port = free_port()
+    def __init__(self, *known: str) -> None:
+        self.port, self.known = free_port(), known
         self.start()
 
     def start(self) -> None:
         file = Path(__file__).with_name("opcua_server.py")
         self.process = subprocess.Popen(
-            [sys.executable, file, str(self.port)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            [sys.executable, file, str(self.port), *self.known],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
         )
         assert self.process.stdout is not None
         assert self.process.stdout.readline() == "ready\n"
@@ -151,6 +156,24 @@ def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tm
     for one in (here, there):
         assert done_of(one.session._course.log(), expected) == expected
     assert here.session._course.beliefs() == there.session._course.beliefs()
+
+
+def test_a_server_may_ask_for_a_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plant, here = Plant("plc", "secret"), Here(tmp_path / "opcua", ["person-1"])
+    text = SETTINGS.replace('PORT/"', f"{plant.port}/\"\nusername = 'plc'")
+    (file := tmp_path / "bridge.toml").write_text(text)
+    with pytest.raises(click.UsageError, match=r"server\.username: has no password; expected it in KITASSIST_OPCUA"):
+        bridge_of(file)
+    monkeypatch.setenv("KITASSIST_OPCUA_PASSWORD", "secret")
+
+    async def work() -> None:
+        while not here.bridge.connected:
+            await asyncio.sleep(0.05)
+
+    try:
+        here.run(file, work)
+    finally:
+        plant.kill()
 
 
 OWN = """

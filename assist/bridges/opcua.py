@@ -25,7 +25,7 @@ from planner.system.errors import MissingExtraError
 
 from ..web.client import RefusedError
 from .messages import MessageError, fields_of_value
-from .opcua_settings import Observed, OpcUaSettings
+from .opcua_settings import Observed, OpcUaSettings, password
 from .session_client import SessionClient
 
 LOG = logging.getLogger(__name__)
@@ -141,6 +141,9 @@ class OpcUaBridge:
         """
         ua, ended = self._library.ua, asyncio.Event()
         client = self._library.Client(self.settings.url)
+        if self.settings.username is not None:
+            client.set_user(self.settings.username)
+            client.set_password(password() or "")
 
         async def over(_: Exception) -> None:
             ended.set()

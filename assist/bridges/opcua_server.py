@@ -26,7 +26,7 @@ from typing import Any
 from ..web.client import RefusedError, robot_path
 from .messages import LONGEST_ID, MessageError, Report, fields_of_value
 from .opcua import library
-from .opcua_settings import OwnServerSettings
+from .opcua_settings import OwnServerSettings, password
 from .session_client import SessionClient
 from .team_watch import Tasks, TeamWatch
 
@@ -40,7 +40,7 @@ class _Users:
     """Who may use the server: all clients, or those with the name and password."""
 
     def __init__(self, settings: OwnServerSettings, user: Callable[[], Any]) -> None:
-        self._name, self._password, self._user = settings.username, settings.password(), user
+        self._name, self._password, self._user = settings.username, password(), user
 
     def get_user(self, _: Any, username: str | None = None, password: str | None = None, **__: Any) -> Any:
         """Return the user, who may write only where the nodes allow it; None for a stranger."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -25,6 +24,7 @@ class ServerTable(Struct, forbid_unknown_fields=True):
     """The table `server`."""
 
     url: Text
+    username: Text | None = None
 
 
 class ObserveTable(Struct, forbid_unknown_fields=True):
@@ -106,11 +106,14 @@ class OpcUaSettings:
     observed : tuple of Observed
     advice : tuple of (str, str)
         Nodes to which suggestions are written, and whose they are.
+    username : str or None
+        Name of a user at the server; the password is in the environment.
     """
 
     url: str
     observed: tuple[Observed, ...]
     advice: tuple[tuple[str, str], ...] = ()
+    username: str | None = None
 
     @classmethod
     def read(cls, file: str | Path) -> OpcUaSettings:
@@ -135,7 +138,8 @@ class OpcUaSettings:
                 (_node(one.node, file, f"advice[{number}].node") or "", one.person)
                 for number, one in enumerate(tables.advice, start=1)
             ]
-            return cls(tables.server.url, tuple(observed), tuple(advice))
+            _require_password(tables.server.username, file, "server.username")
+            return cls(tables.server.url, tuple(observed), tuple(advice), tables.server.username)
 
 
 @dataclass(frozen=True)
@@ -178,14 +182,18 @@ class OwnServerSettings:
             table = tables.own_server
             _require_url(table.url, file, "own_server.url")
             source = source_of(table, Topic("node"), tables.names or {}, file, "own_server")
-            settings = cls(table.url, source, table.id is not None, table.username, robots)
-            if table.username is not None and not settings.password():
-                raise fault(file, "own_server.username", f"has no password; expected it in {PASSWORD}")
-            return settings
+            _require_password(table.username, file, "own_server.username")
+            return cls(table.url, source, table.id is not None, table.username, robots)
 
-    def password(self, environment: Mapping[str, str] = os.environ) -> str | None:
-        """Return the password, from the environment."""
-        return environment.get(PASSWORD)
+
+def password() -> str | None:
+    """Return the password of the user, from the environment."""
+    return os.environ.get(PASSWORD)
+
+
+def _require_password(username: str | None, file: Path, place: str) -> None:
+    if username is not None and not password():
+        raise fault(file, place, f"has no password; expected it in {PASSWORD}")
 
 
 def _require_url(url: str, file: Path, place: str) -> None:
