@@ -88,29 +88,27 @@ class Subject:
         """Return the subject of a task, from its PDDL files if they are present and unchanged."""
         files = [task.instance.domain, task.instance.problem]
         try:
-            source = Source.of(task.instance) if all(file.is_file() for file in files) else None
+            reading = Source.of(task.instance).reading if all(file.is_file() for file in files) else None
         except PDDLError:  # the files have changed since the task was loaded
-            source = None
+            reading = None
         changing = {a for v in task.variables if "dummy(" not in "".join(v.facts) for f in v.facts if (a := atom(f))}
-        parts = () if source is None else _part(source.problem, ":init")
-        stated = {tuple(map(str, part.parts)) for part in parts if part.head != "="}
-        constant = frozenset(stated - changing)
-        equal = (part.parts[1:] for part in parts if part.head == "=")
-        numbers = {tuple(map(str, what.parts)): str(value) for what, value in equal}
-        if source is None:
+        if reading is None:
             objects = dict.fromkeys(_named(task, changing), "object")
-            return cls(task, objects, {}, {}, constant, frozenset(changing), numbers, _grounded_goal(task))
-        typed = [*_typed(_part(source.domain, ":constants")), *_typed(_part(source.problem, ":objects"))]
-        objects = {name: kind if kind != "object" else _kind(name, constant) for name, kind in typed}
+            return cls(task, objects, {}, {}, frozenset(), frozenset(changing), {}, _grounded_goal(task))
+        constant = frozenset(reading.problem.facts) - changing
+        typed = {**reading.domain.constants, **reading.problem.objects}
+        kinds = {name: each.kinds[0] for name, each in typed.items()}
         return cls(
             task=task,
-            objects=objects,
-            supertypes=dict(_typed(_part(source.domain, ":types"))),
-            parameters={str(action.parts[1]): _parameters(action) for action in source.domain.lists(":action")},
+            objects={name: kind if kind != "object" else _kind(name, constant) for name, kind in kinds.items()},
+            supertypes={kind: above[-1] for kind, above in reading.domain.types.parents.items() if above},
+            parameters={
+                name: tuple(each.name for each in action.parameters) for name, action in reading.domain.actions.items()
+            },
             constant=constant,
             changing=frozenset(changing),
-            numbers=numbers,
-            goal=_goal(source.problem, task),
+            numbers={of: str(value) for of, value in reading.problem.values.items()},
+            goal=_goal(reading.problem.goal, task),
         )
 
     @property
@@ -179,34 +177,9 @@ def atom(fact: str) -> Atom | None:
     return (found[1], *(found[2].split(", ") if found[2] else ())) if found else None
 
 
-def _part(whole: Expression, head: str) -> tuple[Expression, ...]:
-    section = whole.section(head)
-    return () if section is None else section.parts[1:]
-
-
-def _typed(parts: tuple[Expression, ...]) -> Iterator[tuple[str, str]]:
-    """Yield the names of a typed list, each with its type."""
-    names: list[str] = []
-    words = iter(parts)
-    for part in words:
-        if part.word != "-":
-            names.append(str(part))
-            continue
-        kind = next(words, None)
-        shown = "object" if kind is None else kind.word or next(iter(kind.words[1:]), "object")
-        yield from ((name, shown) for name in names)
-        names = []
-    yield from ((name, "object") for name in names)
-
-
 def _kind(name: str, constant: frozenset[Atom]) -> str:
     """Return the type of an object in a domain without types: the first unary predicate that is constant for it."""
     return min((fact[0] for fact in constant if fact[1:] == (name,)), default="object")
-
-
-def _parameters(action: Expression) -> tuple[str, ...]:
-    found = {str(a): b for a, b in zip(action.parts, action.parts[1:], strict=False)}.get(":parameters")
-    return () if found is None else tuple(name for name, _ in _typed(found.parts))
 
 
 def _named(task: Task, changing: set[Atom]) -> list[str]:
@@ -214,10 +187,9 @@ def _named(task: Task, changing: set[Atom]) -> list[str]:
     return sorted(words | {word for action in task.actions for word in action.strip("()").split()[1:]})
 
 
-def _goal(problem: Expression, task: Task) -> tuple[Wanted, ...]:
+def _goal(goal: Expression, task: Task) -> tuple[Wanted, ...]:
     """Return the goal as in the file if it is a conjunction of literals, and as in the grounded task otherwise."""
-    section = _part(problem, ":goal")
-    waiting, found = list(section), []
+    waiting, found = [goal], []
     while waiting:
         part = waiting.pop(0)
         if part.head == "and":
@@ -225,7 +197,7 @@ def _goal(problem: Expression, task: Task) -> tuple[Wanted, ...]:
             continue
         inner = part.parts[1] if part.head == "not" and len(part.parts) > 1 else part
         if inner.head in ("and", "or", "not", "imply", "exists", "forall", "="):
-            return _grounded_goal(task, " ".join(map(str, section)))
+            return _grounded_goal(task, str(goal))
         if inner.parts:
             found.append(Wanted(tuple(map(str, inner.parts)), part.head == "not", str(part)))
     return tuple(found)
