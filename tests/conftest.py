@@ -34,8 +34,8 @@ from assist.study.study import Study
 from assist.team.settings import Setting
 from planner import Instance, Limits, Table, find_instances, load, sweep
 from planner.grounding import fast_downward
+from planner.pddl import reader, writer
 from planner.pddl.instances import PDDLError
-from planner.pddl.source import Source
 from planner.pddl.validation import InstanceRefusedError, parsed
 from planner.system import progress
 from planner.system.limits import NO_LIMITS
@@ -157,14 +157,14 @@ def the_same_texts_are_grounded_once(shared_folder: Path) -> None:
     """Ground equal texts once, unless limits are given, since starting the translator takes time."""
     translate = fast_downward.translate
 
-    def once(source: Source, limits: Limits = NO_LIMITS) -> str:
+    def once(reading: reader.Reading, limits: Limits = NO_LIMITS) -> str:
         if limits != NO_LIMITS:
-            return translate(source, limits)
-        texts = json.dumps([source.rendered_domain.text, source.rendered_problem.text])
+            return translate(reading, limits)
+        texts = json.dumps([writer.domain(reading), writer.problem(reading)])
         grounded = shared_folder / f"{hashlib.sha256(texts.encode()).hexdigest()}.sas"
         if not grounded.exists():
             part = grounded.with_suffix(f".{os.getpid()}-{threading.get_ident()}")
-            part.write_text(translate(source))
+            part.write_text(translate(reading))
             part.replace(grounded)
         return grounded.read_text()
 
@@ -256,12 +256,11 @@ def invoke(*arguments: object) -> Result:
 
 def understood(instance: Instance) -> Any:
     """Return an instance as a problem of unified-planning."""
-    source = Source.of(instance)
+    reading = reader.read(instance)
     try:
-        return parsed(source.typed_domain.text, source.rendered_problem.text)
+        return parsed(writer.domain(reading, list_object=True), writer.problem(reading))
     except InstanceRefusedError as error:
-        refusal = error.refusal.placed(source)
-        raise PDDLError(getattr(instance, refusal.file), refusal.line, f"unified-planning: {refusal.message}") from None
+        raise PDDLError(instance.problem, None, f"unified-planning: {error}") from None
 
 
 def write_instance(folder: Path, domain: str, problem: str) -> Instance:

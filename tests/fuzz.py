@@ -36,7 +36,7 @@ from broken import ARGUMENTS, Fuzzer, Input
 from click.testing import CliRunner
 
 from assist.cli import main
-from planner.pddl import validation, validation_process
+from planner.pddl import validation, validation_process, writer
 
 CPU_SECONDS, SECONDS = 30, 400.0  # per input; the second allows for other load on the machine
 MEMORY = 3 << 30  # bytes beyond what the process has mapped already
@@ -77,24 +77,24 @@ def without_processes() -> None:
     translate, parsed = fast_downward.translate, cache(validation.parsed)
     translated: dict[tuple[str, str], str] = {}
 
-    def translate_once(source: Any, *limits: Any) -> str:
-        texts = source.rendered_domain.text, source.rendered_problem.text
+    def translate_once(reading: Any, *limits: Any) -> str:
+        texts = writer.domain(reading), writer.problem(reading)
         if texts not in translated:
-            translated[texts] = translate(source, *limits)
+            translated[texts] = translate(reading, *limits)
         return translated[texts]
 
     class ValidationProcess(validation_process.ValidationProcess):
-        def __init__(self, source: Any, limits: Any = None) -> None:  # noqa: ARG002
-            self._source = source
+        def __init__(self, reading: Any, limits: Any = None) -> None:  # noqa: ARG002
+            self._texts = writer.domain(reading, list_object=True), writer.problem(reading)
 
         def __exit__(self, *_: object) -> None:
             pass
 
         def refusal(self, seconds: float = 0.0) -> Any:  # noqa: ARG002
             try:
-                self._problem = parsed(self._source.typed_domain.text, self._source.rendered_problem.text)
+                self._problem = parsed(*self._texts)
             except validation.InstanceRefusedError as error:
-                return error.refusal.placed(self._source)
+                return str(error)
             return None
 
         def check(self, plan: Sequence[str], seconds: float = 0.0) -> None:  # noqa: ARG002

@@ -10,13 +10,12 @@ from test_reading import DOMAIN, PROBLEM, RULE
 
 from planner import PDDLError, Task, load
 from planner.grounding import cross_check
-from planner.pddl.reader import Reading
-from planner.pddl.source import Source
+from planner.pddl.reader import Reading, read
 
 
 def both(folder: Path, domain: str = DOMAIN, problem: str = PROBLEM) -> tuple[Reading, Task]:
     instance = write_instance(folder, domain, problem)
-    return Source.of(instance).reading, load(instance)
+    return read(instance), load(instance)
 
 
 def check(reading: Reading, task: Task, changed: dict[str, str]) -> None:

@@ -20,7 +20,7 @@ ROOMS = {
     "planner.system": """lazy_imports errors arrays files machine processes threads progress_reports progress jit
         limits workers typed_toml""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations fragment formulas reader writer
-        source validation validation_process built_problems""",
+        validation validation_process built_problems""",
     "planner.grounding": "fast_downward cross_check task load semantics",
     "planner.states": "packing state_space",
     "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors

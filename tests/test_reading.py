@@ -164,7 +164,7 @@ def test_what_is_of_a_supertype_may_be_of_the_type(tmp_path: Path) -> None:
     )
     assert table[table.initial] == 7
     assert table.task.note is not None
-    assert "does not accept the types" in table.task.note
+    assert "is not well-formed" in table.task.note
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from test_sweep import counter, random_task
 from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, sweep
 from planner.grounding import fast_downward
 from planner.grounding.load import from_sas
-from planner.pddl.source import Source
+from planner.pddl.reader import read
 
 
 def plain(task: Task) -> Task:
@@ -62,7 +62,7 @@ def test_fast_downward_accepts_what_is_written(seed: int, axioms: bool) -> None:
 
 @pytest.mark.parametrize("instance", thinned(solvable(SMALL), 3), ids=named)
 def test_shipped_tasks_are_written_as_the_translator_writes_them(instance: Instance) -> None:
-    text = fast_downward.translate(Source.of(instance))
+    text = fast_downward.translate(read(instance))
     task = from_sas(text, instance)
     assert task.sas == text
     assert from_sas(task.sas, instance) == task

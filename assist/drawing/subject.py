@@ -16,8 +16,8 @@ import numpy as np
 from planner import Task
 from planner.grounding.semantics import derived, successors
 from planner.pddl.instances import PDDLError
+from planner.pddl.reader import read
 from planner.pddl.s_expressions import Expression
-from planner.pddl.source import Source
 
 from ..people.action_names import Matcher, words_of
 from ..people.choices import STAND_STILL
@@ -88,7 +88,7 @@ class Subject:
         """Return the subject of a task, from its PDDL files if they are present and unchanged."""
         files = [task.instance.domain, task.instance.problem]
         try:
-            reading = Source.of(task.instance).reading if all(file.is_file() for file in files) else None
+            reading = read(task.instance) if all(file.is_file() for file in files) else None
         except PDDLError:  # the files have changed since the task was loaded
             reading = None
         changing = {a for v in task.variables if "dummy(" not in "".join(v.facts) for f in v.facts if (a := atom(f))}

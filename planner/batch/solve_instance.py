@@ -27,7 +27,7 @@ from ..grounding.load import ground
 from ..grounding.semantics import replay
 from ..grounding.task import Effect, Operator, Task, Variable
 from ..pddl.instances import Instance, PDDLError
-from ..pddl.source import Source
+from ..pddl.reader import Reading, read
 from ..pddl.validation import InvalidPlanError
 from ..pddl.validation_process import PATIENCE, ValidationProcess
 from ..system.errors import MismatchError
@@ -198,9 +198,9 @@ def solve_instance(
     reset_peak_memory()
     try:
         with phases.phase("read"):
-            source = Source.of(instance)
-        with ValidationProcess(source, phases.limits()) as checker, ExitStack() as until_solved:
-            task = _grounded(source, checker, phases, until_solved)
+            reading = read(instance)
+        with ValidationProcess(reading, phases.limits()) as checker, ExitStack() as until_solved:
+            task = _grounded(reading, checker, phases, until_solved)
             record = _solve(task, checker, options, place, phases, use)
     except PDDLError as error:
         record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
@@ -240,10 +240,10 @@ def _out_of_memory(instance: Instance, options: SolveOptions) -> SolveRecord:
     return unsolved(instance, "limit", f"out of memory{limit}")
 
 
-def _grounded(source: Source, checker: ValidationProcess, phases: _Phases, until_solved: ExitStack) -> Task:
+def _grounded(reading: Reading, checker: ValidationProcess, phases: _Phases, until_solved: ExitStack) -> Task:
     """Ground an instance. Meanwhile, load the compiled code that the search needs."""
     with phases.phase("translate", "reading"), ThreadPoolExecutor(1) as thread:
-        grounding = thread.submit(ground, source, checker, phases.limits())
+        grounding = thread.submit(ground, reading, checker, phases.limits())
         from ..system.jit import compiling
 
         until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
@@ -252,7 +252,7 @@ def _grounded(source: Source, checker: ValidationProcess, phases: _Phases, until
         # Solving the smallest task, a switch, loads the compiled code while the translator runs. Of a small instance,
         # this saves 0.1 of 1.1 seconds.
         switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
-        sweep(Task(source.instance, switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
+        sweep(Task(reading.instance, switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
         return grounding.result()
 
 

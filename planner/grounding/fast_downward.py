@@ -23,8 +23,9 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
+from ..pddl import writer
 from ..pddl.instances import Instance, PDDLError
-from ..pddl.source import Source
+from ..pddl.reader import Reading
 from ..system.limits import NO_LIMITS, LimitError, Limits, MemoryLimitError, limit_process
 from ..system.processes import guarded_group, python
 
@@ -60,7 +61,7 @@ def digest(instance: Instance) -> str:
     return found.hexdigest()
 
 
-def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
+def translate(reading: Reading, limits: Limits = NO_LIMITS) -> str:
     """Ground an instance and return its finite-domain task as SAS text.
 
     If the goal is unreachable even when delete effects are ignored, or if it always holds, the result is a dummy task
@@ -69,13 +70,13 @@ def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         sas, domain, problem = (Path(folder) / name for name in ("output.sas", "domain.pddl", "problem.pddl"))
         # The normalised texts, which all other readers use too.
-        domain.write_text(source.rendered_domain.text, encoding="utf-8")
-        problem.write_text(source.rendered_problem.text, encoding="utf-8")
+        domain.write_text(writer.domain(reading), encoding="utf-8")
+        problem.write_text(writer.problem(reading), encoding="utf-8")
         command = python("fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas))
         code, output = _run([*command, str(domain), str(problem)], folder, None, limits)
         _check_limits("translation", code, output, limits)
         if code != 0 or not sas.is_file():
-            raise _refused(source, code, output)
+            raise _refused(reading, code, output)
         return sas.read_text(encoding="utf-8")
 
 
@@ -207,9 +208,8 @@ def _last_line(output: str) -> str:
     return " ".join(lines[-2:]) if lines else "no output"
 
 
-def _refused(source: Source, code: int, output: str) -> PDDLError:
+def _refused(reading: Reading, code: int, output: str) -> PDDLError:
     """Return the error for a task that the translator refuses although it has passed all checks."""
-    reading = source.reading
     if "not stratifiable" in output:
         line = next((rule.head.place.line for rule in reading.domain.rules), None)
         return PDDLError(reading.instance.domain, line, "derived predicates depend on their own negation")

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from ..pddl import built_problems, bundled, instance_finder, instances
-from ..pddl.source import Source
-from ..pddl.validation import Refusal
+from ..pddl.reader import Reading, read
 from ..pddl.validation_process import PATIENCE, ValidationProcess
 from ..system.files import atomic
 from ..system.limits import NO_LIMITS, Limits
@@ -63,9 +62,9 @@ def load(
         stored = Path(cache) / f"{fast_downward.digest(instance)}.sas"
         if (kept := _kept(stored)) is not None:
             return from_sas(kept[1], instance, kept[0])
-    source = Source.of(instance)
-    with ValidationProcess(source, limits) as checker:
-        task = ground(source, checker, limits)
+    reading = read(instance)
+    with ValidationProcess(reading, limits) as checker:
+        task = ground(reading, checker, limits)
     # The files may have been changed since their digest was made.
     if stored is not None and stored.stem == fast_downward.digest(instance):
         content = f"{task.note or ''}\n{task.sas}"
@@ -88,29 +87,27 @@ def _digest(content: str) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def ground(source: Source, checker: ValidationProcess, limits: Limits = NO_LIMITS) -> Task:
+def ground(reading: Reading, checker: ValidationProcess, limits: Limits = NO_LIMITS) -> Task:
     """Ground an instance while unified-planning reads it.
 
     If unified-planning refuses an instance that Fast Downward's translator accepts, the task's note says so. The files
     have passed this project's own checks before.
     """
-    sas = fast_downward.translate(source, limits)
+    sas = fast_downward.translate(reading, limits)
     refusal = checker.refusal(PATIENCE if limits.seconds is None else limits.seconds)
     note = None
     if refusal is not None:
-        if rules := source.reading.domain.rules:
-            refusal = Refusal("domain", rules[0].head.place.line, "it knows no derived predicates")
-        # Without the file's path, since a cached task may be that of a copy.
-        place = "" if refusal.line is None else f" (line {refusal.line} of the {refusal.file})"
-        note = f"read by Fast Downward's translator, not checked by unified-planning: {refusal.message}{place}"
-    return _agreed(from_sas(sas, source.instance, note), source)
+        if rules := reading.domain.rules:  # without the file's path, since a cached task may be that of a copy
+            refusal = f"it knows no derived predicates (line {rules[0].head.place.line} of the domain)"
+        note = f"read by Fast Downward's translator, not checked by unified-planning: {refusal}"
+    return _agreed(from_sas(sas, reading.instance, note), reading)
 
 
-def _agreed(task: Task, source: Source) -> Task:
+def _agreed(task: Task, reading: Reading) -> Task:
     """Return the grounded task, after checking that it agrees with the project's own reading of its files."""
     primary = [at for at, variable in enumerate(task.variables) if variable.axiom_layer < 0]
     facts = [task.variables[at].facts for at in primary]
-    cross_check.check(source.reading, task.actions, task.costs, facts, [task.initial[at] for at in primary])
+    cross_check.check(reading, task.actions, task.costs, facts, [task.initial[at] for at in primary])
     return task
 
 
@@ -119,9 +116,9 @@ def _load_built(problem: Problem, limits: Limits) -> Task:
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         instance, names = built_problems.write(problem, Path(folder))
         try:
-            source = Source.of(instance)
-            sas = fast_downward.translate(source, limits)
-            _agreed(from_sas(sas, instance), source)
+            reading = read(instance)
+            sas = fast_downward.translate(reading, limits)
+            _agreed(from_sas(sas, instance), reading)
         except instances.PDDLError as error:  # the user does not know the temporary files
             raise instances.PDDLError(named.problem, None, error.message) from None
     return from_sas(built_problems.restore_names(sas, names), named)
@@ -180,12 +177,12 @@ class _Sas:
         pairs = (next(self._lines).split() for _ in range(self.number()))
         return tuple((int(variable), int(value)) for variable, value in pairs)
 
-    def each(self, section: str, read: Callable[[], T]) -> tuple[T, ...]:
+    def each(self, section: str, one: Callable[[], T]) -> tuple[T, ...]:
         """Read a number of sections, each between a line that begins it and one that ends it."""
         found = []
         for _ in range(self.number()):
             self.expect(f"begin_{section}")
-            found.append(read())
+            found.append(one())
             self.expect(f"end_{section}")
         return tuple(found)
 

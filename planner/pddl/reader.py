@@ -1,6 +1,6 @@
 """Reading a domain and a problem into frozen types; all other readings are compared with this one.
 
-`read` checks names, numbers of arguments and types everywhere.
+`read` checks names, numbers of arguments and types everywhere, without a planner or another library.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from . import declarations
+from . import declarations, fragment, instance_finder, instances
 from .declarations import Names, Symbol, Typed, Types, meant, refuse, shown
 from .formulas import Cost, Formulas, listed, whole_number, word
 from .instances import Instance
@@ -72,7 +72,6 @@ class Problem:
     """Facts that hold in the initial state (predicate and arguments), with their places."""
     values: Mapping[tuple[str, ...], int]
     """Values of the functions, by name and arguments."""
-    value_places: Mapping[tuple[str, ...], Place]
     goal: Expression
     metric: Place | None
     init: Place
@@ -88,11 +87,18 @@ class Reading:
     unions: Mapping[tuple[str, ...], str] = field(default_factory=dict)
 
 
-def read(instance: Instance, domain: Expression, problem: Expression) -> Reading:
-    """Read an instance whose sections have been checked by `fragment`.
+def read(instance: Instance) -> Reading:
+    """Read and check the files of an instance.
 
-    An invalid declaration, formula or value raises a `PDDLError` with its place.
+    A `PDDLError` says if they are not valid PDDL, do not match, or go beyond classical planning with action costs.
     """
+    if (fault := instance_finder.missing(instance)) is not None:
+        raise fault
+    domain, problem = (
+        instances.parse(file, instances.text(file, kind))
+        for file, kind in ((instance.domain, "domain"), (instance.problem, "problem"))
+    )
+    fragment.check(instance, domain, problem)
     unions: dict[tuple[str, ...], str] = {}
     known, derived = _domain(instance.domain, domain, unions)
     reading = Reading(instance, known, _problem(instance, problem, known, derived, unions), unions)
@@ -216,7 +222,7 @@ def _problem(
         refuse(file, None, "the problem has no (:goal ...)")
     if init is None:
         refuse(file, None, "the problem has no (:init ...)")
-    facts, values, places = _init(file, init, formulas)
+    facts, values = _init(file, init, formulas)
     if len(goal.parts) != 2 or not goal.parts[1].parts:
         refuse(file, goal, "expected (:goal CONDITION), and one condition")
     if metric is not None and str(metric) != "(:metric minimize (total-cost))":
@@ -227,7 +233,6 @@ def _problem(
         objects=objects,
         facts=facts,
         values=values,
-        value_places=places,
         goal=formulas.condition(goal.parts[1], formulas.scope((), goal)),
         metric=None if metric is None else metric.place,
         init=init.place,
@@ -236,8 +241,8 @@ def _problem(
 
 def _init(
     file: Path, init: Expression, formulas: Formulas
-) -> tuple[dict[tuple[str, ...], Place], dict[tuple[str, ...], int], dict[tuple[str, ...], Place]]:
-    """Read the initial state: the facts that hold and the values of functions, each with their places."""
+) -> tuple[dict[tuple[str, ...], Place], dict[tuple[str, ...], int]]:
+    """Read the initial state: the facts that hold, with their places, and the values of functions."""
     facts: dict[tuple[str, ...], Place] = {}
     absent: dict[tuple[str, ...], Place] = {}
     values: dict[tuple[str, ...], int] = {}
@@ -266,7 +271,7 @@ def _init(
         (facts if positive is fact else absent).setdefault(atom, fact.place)
     for atom in facts.keys() & absent.keys():
         refuse(file, absent[atom], f"'({' '.join(atom)})' holds on line {facts[atom].line}, and does not hold here")
-    return facts, values, places
+    return facts, values
 
 
 def _value(file: Path, fact: Expression, formulas: Formulas) -> tuple[tuple[str, ...], int]:

@@ -67,10 +67,6 @@ class Expression(NamedTuple):
             yield expression
             waiting.extend(reversed(expression.parts))
 
-    def lists(self, head: str) -> Iterator[Expression]:
-        """Return the subexpressions, itself included, that are lists beginning with the word."""
-        return (each for each in self.walk() if each.head == head)
-
     def section(self, head: str) -> Expression | None:
         """Return the first element that is a list beginning with the word; None if there is none."""
         return next((part for part in self.parts if part.head == head), None)

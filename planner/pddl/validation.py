@@ -9,14 +9,9 @@ decides.
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NoReturn
-
-from .s_expressions import tokens
-from .source import Source
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem
@@ -26,29 +21,8 @@ class InvalidPlanError(AssertionError):
     """A plan does not solve its task."""
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """The reason why unified-planning does not accept an instance, with the line of the text that it has read.
-
-    The file is "domain" or "problem".
-    """
-
-    file: str
-    line: int | None
-    message: str
-
-    def placed(self, source: Source) -> Refusal:
-        """Return the refusal with the line of the instance's own file."""
-        rendered = source.typed_domain if self.file == "domain" else source.rendered_problem
-        return Refusal(self.file, rendered.line(self.line), self.message)
-
-
 class InstanceRefusedError(ValueError):
-    """unified-planning refuses an instance; `refusal` holds the reason."""
-
-    def __init__(self, refusal: Refusal) -> None:
-        self.refusal = refusal
-        super().__init__(refusal.message)
+    """unified-planning refuses an instance; the message is its reason."""
 
 
 def validate(problem: Problem, plan: Sequence[str]) -> None:
@@ -80,12 +54,12 @@ def parsed(domain: str, problem: str) -> Problem:
             return PDDLReader().parse_problem_string(domain, problem)
         except Exception as fault:  # noqa: BLE001  it raises any exception, internal errors included
             clear_walkers()
-            try:  # which of the two files is it?
-                PDDLReader().parse_problem_string(domain)
-            except Exception:  # noqa: BLE001  as above
-                clear_walkers()
-                _refuse("domain", domain, fault)
-            _refuse("problem", problem, fault)
+            raise InstanceRefusedError(reason(fault)) from None
+
+
+def reason(fault: Exception) -> str:
+    """Return the first line of an error of unified-planning or pyparsing; others give places in the rewritten text."""
+    return str(fault).partition("\n")[0] or f"it fails at it ({type(fault).__name__})"
 
 
 def clear_walkers() -> None:
@@ -95,22 +69,3 @@ def clear_walkers() -> None:
     for walker in vars(get_environment()).values():
         if isinstance(stack := getattr(walker, "stack", None), list):
             stack.clear()
-
-
-def _refuse(file: str, text: str, fault: Exception) -> NoReturn:
-    """Raise `InstanceRefusedError` with a one-line reason for what unified-planning or pyparsing does not accept."""
-    told = str(fault)
-    line: int | None = getattr(fault, "lineno", None)
-    if line is None and (place := re.search(r"\bline:? (\d+)", told)):
-        line = int(place[1])
-    if match := re.match(r"Name (\S+) already defined", told):
-        lines = [place.line for token, place in tokens(text) if token == match[1]]
-        line = line or (lines[1] if len(lines) > 1 else None)
-        message = f"'{match[1]}' may name one thing only"
-    elif match := re.search(r"The expression '(.*)' is not well-formed", told):
-        message = f"it does not accept the types of the arguments of {match[1]}"
-    elif match := re.match(r"Type (\S+) is declared more than once", told):
-        message = f"type '{match[1]}' may be under one type only"
-    else:
-        message = f"it fails at it ({type(fault).__name__})" if line is None else "it does not accept what is written"
-    raise InstanceRefusedError(Refusal(file, line, message)) from None

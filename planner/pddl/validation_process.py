@@ -17,14 +17,14 @@ import sys
 import threading
 import types
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from functools import lru_cache
 from typing import IO, Any
 
 from ..system.limits import NO_LIMITS, Limits, limit_process
 from ..system.processes import guarded_group, python
-from .source import Source
-from .validation import InstanceRefusedError, InvalidPlanError, Refusal, parsed, validate
+from . import writer
+from .reader import Reading
+from .validation import InstanceRefusedError, InvalidPlanError, parsed, validate
 
 PATIENCE = 300.0
 """Seconds to wait for an answer, once the translator has finished, and for a plan. It stops a process that hangs."""
@@ -38,10 +38,9 @@ takes 1.4 s of 1.7 s.
 class ValidationProcess:
     """unified-planning reading one instance, from the constructor on. Use it as a context manager."""
 
-    def __init__(self, source: Source, limits: Limits = NO_LIMITS) -> None:
+    def __init__(self, reading: Reading, limits: Limits = NO_LIMITS) -> None:
         self._process = _Process.idle(limits)
-        self._source = source
-        self._process.ask({"domain": source.typed_domain.text, "problem": source.rendered_problem.text})
+        self._process.ask({"domain": writer.domain(reading, list_object=True), "problem": writer.problem(reading)})
 
     def __enter__(self) -> ValidationProcess:
         return self
@@ -49,14 +48,10 @@ class ValidationProcess:
     def __exit__(self, *_: object) -> None:
         self._process.release()
 
-    def refusal(self, seconds: float = PATIENCE) -> Refusal | None:
-        """Wait, once, for the result for the files: None if unified-planning accepts them."""
+    def refusal(self, seconds: float = PATIENCE) -> str | None:
+        """Wait, once, for the reason why unified-planning does not accept the files; None if it does."""
         answer = self._process.answer(seconds)
-        if answer is None:
-            return None
-        if "failed" in answer:
-            return Refusal("problem", None, answer["failed"])
-        return Refusal(**answer).placed(self._source)
+        return None if answer is None else str(answer["failed"])
 
     def check(self, plan: Sequence[str], seconds: float = PATIENCE) -> str | None:
         """Validate a plan of an instance that unified-planning has accepted; return why it could not do so, or None.
@@ -191,7 +186,7 @@ def _serve(questions: IO[str], answers: IO[str]) -> None:
             else:
                 problem = known(question["domain"], question["problem"])
         except InstanceRefusedError as error:
-            said = asdict(error.refusal)
+            said = {"failed": str(error)}
         except InvalidPlanError as error:
             said = {"rejected": str(error)}
         except Exception as error:  # noqa: BLE001  the library's own internal errors
