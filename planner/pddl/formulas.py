@@ -49,19 +49,14 @@ class Cost:
         return values.get(tuple(bound.get(word, word) for word in self.function))
 
 
-def word(at: Expression | Place, text: str) -> Expression:
-    """Return an expression that is a word, with the place (line and column) of another expression."""
-    return Expression(at.line, text, (), at.column)
+def word(text: str) -> Expression:
+    """Return an expression that is a word and has no place."""
+    return Expression(0, text)
 
 
-def listed(at: Expression | Place, *parts: Expression) -> Expression:
-    """Return an expression that is a list, with the place (line and column) of another expression."""
-    return Expression(at.line, "", parts, at.column)
-
-
-def entry(at: Expression | Place, name: str, kind: str) -> list[Expression]:
-    """Return the words of an entry of a typed list, `name - kind`, with the place of another expression."""
-    return [word(at, name), word(at, "-"), word(at, kind)]
+def listed(*parts: Expression) -> Expression:
+    """Return an expression that is a list and has no place."""
+    return Expression(0, "", parts)
 
 
 def whole_number(expression: Expression) -> int | None:
@@ -108,11 +103,12 @@ class Formulas:
             self.unions[kept] = name
         return self.unions[kept]
 
-    def variables(self, found: Iterable[Typed]) -> tuple[Expression, ...]:
+    def variables(self, found: Iterable[Typed]) -> Expression:
         """Return a typed list of variables."""
-        return tuple(part for each in found for part in entry(each.place, each.name, self.kind(each.kinds)))
+        words = ((each.name, "-", self.kind(each.kinds)) for each in found)
+        return listed(*(word(text) for entry in words for text in entry))
 
-    def _quantified(self, part: Expression, scope: Scope) -> tuple[tuple[Expression, ...], Scope]:
+    def _quantified(self, part: Expression, scope: Scope) -> tuple[Expression, Scope]:
         """Read the variables of a quantifier. Return them as a typed list, with the scope inside the quantifier."""
         if part.word:
             refuse(self.file, part, f"'{part}' is not a list of variables; expected (?VARIABLE - TYPE ...)")
@@ -144,23 +140,23 @@ class Formulas:
         self._headed(formula, "condition", CONDITIONS)
         head, parts = formula.head, formula.parts[1:]
         if not head:
-            return listed(formula, word(formula, "and"))
+            return listed(word("and"))
         if head in ("and", "or", "not", "imply"):
             if head == "not":
                 self._expect(formula, 1, "(not CONDITION)")
             if head == "imply":
                 self._expect(formula, 2, "(imply CONDITION CONDITION)")
-            return listed(formula, formula.parts[0], *(self.condition(part, scope) for part in parts))
+            return listed(formula.parts[0], *(self.condition(part, scope) for part in parts))
         if head in ("forall", "exists"):
             self._expect(formula, 2, f"({head} (?VARIABLE - TYPE ...) CONDITION)")
             variables, inner = self._quantified(parts[0], scope)
             body = self.condition(parts[1], inner)
-            return listed(formula, formula.parts[0], listed(parts[0], *variables), body) if variables else body
+            return listed(formula.parts[0], variables, body) if variables.parts else body
         if head in COMPARISONS or (head == "=" and any(self._is_number(part) for part in parts)):
             refuse(self.file, formula, f"numeric conditions are not supported: {shown(formula)}")
         if head == "=":
             self._expect(formula, 2, "(= TERM TERM)")
-            return listed(formula, formula.parts[0], *(self._term(part, scope)[0] for part in parts))
+            return listed(formula.parts[0], *(self._term(part, scope)[0] for part in parts))
         return self.atom(formula, scope, CONDITIONS)
 
     def _is_number(self, part: Expression) -> bool:
@@ -174,14 +170,14 @@ class Formulas:
         if symbol is None:
             near = meant(formula.head, {*self.names.predicates, *besides})
             refuse(self.file, formula, f"unknown predicate '{formula.head}'{near}")
-        return listed(formula, formula.parts[0], *self.arguments(formula, symbol, scope))
+        return listed(formula.parts[0], *self.arguments(formula, symbol, scope))
 
     def _term(self, part: Expression, scope: Scope) -> tuple[Expression, Typed]:
         """Return an argument in normalised form, and its declaration."""
         if not part.word:
             refuse(self.file, part, f"'{shown(part)}' is not expected here: expected an object or a variable")
         if (known := scope.get(part.word)) is not None:
-            return word(part, known.name), known
+            return word(known.name), known
         if (known := self.names.objects.get(part.word)) is not None:
             return part, known
         what = "variable" if part.word.startswith("?") else "object"
@@ -211,25 +207,25 @@ class Formulas:
     def effect(self, formula: Expression, scope: Scope, action: str, costs: list[Cost]) -> Expression:
         """Check an effect, and return it in normalised form; its cost is appended to `costs`."""
         found = self._effect(formula, scope, action, costs, "")
-        return listed(formula, word(formula, "and"), found) if found.head == "increase" else found
+        return listed(word("and"), found) if found.head == "increase" else found
 
     def _effect(self, formula: Expression, scope: Scope, action: str, costs: list[Cost], within: str) -> Expression:
         self._headed(formula, "effect", EFFECTS)
         head, parts = formula.head, formula.parts[1:]
         if not head:
-            return listed(formula, word(formula, "and"))
+            return listed(word("and"))
         if head == "and":
             within_it = (self._effect(part, scope, action, costs, within) for part in parts)
-            return listed(formula, formula.parts[0], *within_it)
+            return listed(formula.parts[0], *within_it)
         if head == "forall":
             self._expect(formula, 2, "(forall (?VARIABLE - TYPE ...) EFFECT)")
             variables, inner = self._quantified(parts[0], scope)
             body = self._effect(parts[1], inner, action, costs, within or "forall")
-            return listed(formula, formula.parts[0], listed(parts[0], *variables), body) if variables else body
+            return listed(formula.parts[0], variables, body) if variables.parts else body
         if head == "when":
             self._expect(formula, 2, "(when CONDITION EFFECT)")
             condition = self.condition(parts[0], scope)
-            return _when(formula, condition, self._effect(parts[1], scope, action, costs, "when"))
+            return _when(condition, self._effect(parts[1], scope, action, costs, "when"))
         if head in ("increase", "decrease", "assign", "scale-up", "scale-down"):
             written, cost = self._cost(formula, scope, action, within)
             if costs:
@@ -252,7 +248,7 @@ class Formulas:
             refuse(
                 self.file, formula, f"action '{action}' changes '{changed.head}', which is derived (line {rule.line})"
             )
-        return listed(formula, formula.parts[0], atom) if head == "not" else atom
+        return listed(formula.parts[0], atom) if head == "not" else atom
 
     def _cost(self, formula: Expression, scope: Scope, action: str, within: str) -> tuple[Expression, Cost]:
         parts = formula.parts[1:]
@@ -273,7 +269,7 @@ class Formulas:
         amount = parts[1]
         written = self._amount(amount, scope, action)
         cost = Cost(whole_number(written), tuple(written.words), formula.place)
-        return listed(formula, formula.parts[0], parts[0], written), cost
+        return listed(formula.parts[0], parts[0], written), cost
 
     def limited(self, at: Expression, number: int) -> None:
         """Refuse a cost above `LARGEST_COST`."""
@@ -284,7 +280,7 @@ class Formulas:
         """Check the cost of an action: a whole number, or a declared function with the right number of arguments."""
         if (number := whole_number(amount)) is not None:
             self.limited(amount, number)
-            return word(amount, str(number))
+            return word(str(number))
         if re.fullmatch(r"-[\d.]+", amount.word) or (amount.head == "-" and len(amount.parts) == 2):
             refuse(self.file, amount, f"action '{action}' costs '{amount}'; costs may not be negative")
         if not amount.head:
@@ -306,16 +302,16 @@ class Formulas:
                 self.file, amount,
                 f"action '{action}' costs '{shown(amount)}': no such function in (:functions ...){near}",
             )  # fmt: skip
-        return listed(amount, amount.parts[0], *self.arguments(amount, function, scope))
+        return listed(amount.parts[0], *self.arguments(amount, function, scope))
 
 
-def _when(at: Expression, condition: Expression, effect: Expression) -> Expression:
+def _when(condition: Expression, effect: Expression) -> Expression:
     """Return a conditional effect in which `forall` is outside of `when`."""
     if not any(part.head == "forall" for part in effect.walk()):
-        return listed(at, word(at, "when"), condition, effect)
+        return listed(word("when"), condition, effect)
     if effect.head == "and":
-        return listed(effect, effect.parts[0], *(_when(at, condition, part) for part in effect.parts[1:]))
+        return listed(effect.parts[0], *(_when(condition, part) for part in effect.parts[1:]))
     if effect.head == "forall":
-        return listed(effect, *effect.parts[:2], _when(at, condition, effect.parts[2]))
-    both = listed(condition, word(condition, "and"), condition, effect.parts[1])
-    return _when(at, both, effect.parts[2])
+        return listed(*effect.parts[:2], _when(condition, effect.parts[2]))
+    both = listed(word("and"), condition, effect.parts[1])
+    return _when(both, effect.parts[2])

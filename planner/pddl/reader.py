@@ -186,7 +186,7 @@ def _action(file: Path, part: Expression, formulas: Formulas) -> Action:
     parameters = declarations.parameters(file, () if listing is None else listing.parts, formulas.names.types)
     scope = formulas.scope(parameters, part)
     formulas.variables(parameters)  # for their types
-    empty = listed(part, word(part, "and"))
+    empty = listed(word("and"))
     precondition = formulas.condition(found.get(":precondition", empty), scope)
     costs: list[Cost] = []
     effect = formulas.effect(found[":effect"], scope, title.word, costs)
@@ -200,7 +200,8 @@ def _rule(file: Path, part: Expression, formulas: Formulas) -> Rule:
     parameters = declarations.parameters(file, head.parts[1:], formulas.names.types)
     scope = formulas.scope(parameters, part)
     formulas.variables(parameters)  # for their types
-    formulas.atom(listed(head, head.parts[0], *(word(each.place, each.name) for each in parameters)), scope)
+    arguments = (Expression(each.place.line, each.name, (), each.place.column) for each in parameters)
+    formulas.atom(head._replace(parts=(head.parts[0], *arguments)), scope)
     return Rule(Symbol(head.head, parameters, part.place), formulas.condition(part.parts[2], scope))
 
 
