@@ -98,6 +98,22 @@ def test_each_of_different_robots_counts_its_own_costs(tiny: Table) -> None:
         Assistant(tiny, ["ann"], robots=(Robot(execute=True), Robot()))
 
 
+def test_a_robot_makes_room_for_a_better_one_also_in_a_record(tiny: Table) -> None:
+    teams = []
+    for _ in range(2):
+        robots = (Robot(c_suggest=9), Robot())
+        desk = Assistant(tiny, ["ann"], population=EASY, setting=SETTING, robots=robots)
+        for action in ("(fetch box-a)", WRONG):
+            desk.observe("ann", action)
+        desk.arrived("ann", robot=1)
+        teams.append(desk)
+    advice = teams[0].recommend_all()
+    assert [one.person for one in advice] == [None, "ann"]
+    teams[1].follow(advice, 1)
+    for desk in teams:
+        assert desk.robots == (None, "ann")
+
+
 def two(tiny: Table) -> Assistant:
     """Return two robots, sent to ann and bob, who have erred, but not to cleo."""
     desk = Assistant(tiny, ["ann", "bob", "cleo"], policy="reactive", setting=Setting(travel_time=2), robots=2)
@@ -164,13 +180,15 @@ def test_two_robots_that_report_the_same_arrival(tiny: Table, tmp_path: Path) ->
     session.close()
 
 
+@pytest.mark.parametrize("robots", [2, (Robot(c_suggest=0.5), Robot(c_suggest=0.0, c_move=0.0, travel_time=1))])
 @settings(max_examples=8, deadline=None)
-@given(HAPPENS, st.integers(0, 10**6))
+@given(events=HAPPENS, seed=st.integers(0, 10**6))
 def test_a_session_of_two_robots_is_restored(
-    tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, int, int]], seed: int
-) -> None:
+    tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: list[tuple[str, int, int]], seed: int,
+    robots: int | tuple[Robot, ...],
+) -> None:  # fmt: skip
     rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("session")
-    options: dict[str, Any] = {"setting": Setting(**SETTING.as_dict() | {"robots": 2}), "population": EASY}
+    options: dict[str, Any] = {"setting": Setting(**SETTING.as_dict() | {"robots": robots}), "population": EASY}
     session = Session({"tiny": tiny}, folder / "one.sqlite", **options)
     session.report([Event("joined", name) for name in "abc"])
     for kind, who, luck in events:

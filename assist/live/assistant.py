@@ -445,6 +445,9 @@ class Assistant:
     def follow(self, advice: Sequence[Advice], step: int) -> None:
         """Apply the advice of each robot from a record, in place of `recommend`; `step` is the team's step after it."""
         self._advice, self._step = tuple(advice), step
+        if self.setting.differ:
+            sent = [NOBODY if one.person is None else self._team.by_name[one.person].place for one in advice]
+            self._locations = placed(np.array([self._locations]), np.array([sent]))[0].tolist()
         for number, one in enumerate(advice):
             self._ask(one.question)
             if one.person is not None:

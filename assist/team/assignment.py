@@ -40,11 +40,12 @@ def assigned(team: TeamState, worth: Floats) -> Ints:
 def placed(location: Ints, person: Ints) -> Ints:
     """Return where robots that differ are after they were sent, all of shape (N, M).
 
-    A robot that is not sent leaves for its base, at no cost, if another one is sent to the person it is with.
+    A robot that is not sent leaves for its base, at no cost, if another one comes to the person it is with.
     """
     sent = person != NOBODY
-    comes = ((person[:, None] == location[:, :, None]) & sent[:, None]).any(axis=2)
-    return np.where(sent, person, np.where(comes, BASE, location))
+    comes = sent & (person != location)
+    leaves = ((person[:, None] == location[:, :, None]) & comes[:, None]).any(axis=2)
+    return np.where(sent, person, np.where(leaves, BASE, location))
 
 
 def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
