@@ -35,6 +35,7 @@ def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
     for one in options:
         value = {
             "humans": "3",
+            "robots": "2",
             "beta": "[0.5, 2.0]",
             "trusted_proxy": '["10.0.0.1"]',
             "execute": "true",
