@@ -23,8 +23,7 @@ def travel_options(command: Command) -> Command:
     options: tuple[Option[Any], ...] = (
         click.option(
             "--robots", type=ROBOTS, default=1, show_default=True, metavar="M",
-            help="Number of robots of a team; or a list, such as '[{execute = true}, {c_suggest = 0.2}]', if they "
-                 "differ in execute, c_suggest, c_execute, c_move or travel_time.",
+            help="Number of robots, or a list such as '[{c_move = 2}, {}]'.",
         ),
         click.option(
             "--c-move", type=NUMBER, default=0.5, show_default=True,
