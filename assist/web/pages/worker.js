@@ -219,6 +219,7 @@ function showEnd() {
   }
   if (!ended) at("done").hidden = true;
   at("hint").hidden = ended && !probably();
+  at("choices-title").classList.toggle("unseen", ended && view.applicable.length === 0); // it can still have the focus
   if (stuck) complain(text("task.stuck"));
   else if (at("problem").textContent === text("task.stuck")) complain(null);
 }

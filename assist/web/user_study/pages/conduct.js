@@ -72,6 +72,7 @@ function show(study) {
   const within = study.design === "within";  // each participant is assigned an order of all conditions
   at("conditions-title").textContent = within ? "Orders of the conditions" : "Conditions";
   for (const head of document.querySelectorAll("[data-condition]")) head.textContent = within ? "Order" : "Condition";
+  at("counted").textContent = participants.some((one) => one.group !== null) ? "Groups counted" : "Counted";
   at("conditions").replaceChildren(...conditions.map((one) => row([cell(one.name), cell(one.policy), cell(one.begun, "count"), cell(one.counting, "count"), cell(one.done, "count")])));
   const counts = conditions.map((one) => one.counting);
   const apart = Math.max(...counts) - Math.min(...counts);
