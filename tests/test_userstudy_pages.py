@@ -364,6 +364,11 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         with second.expect_download() as download:
             second.click("#export")
         packed = zipfile.ZipFile(download.value.path())
+        second.on("dialog", lambda dialog: dialog.accept("asked by post"))
+        second.click('#people button:text("Exclude")')
+        second.wait_for_selector('#people td:text("completed; excluded: asked by post")')
+        second.click('#people button:text("Include")')
+        second.wait_for_selector('#people button:text("Exclude")')
         withdraws = context.new_page()
         withdraws.goto(re.search(r"http\S+\?withdraw", page.inner_text("#withdrawal"))[0])  # type: ignore[index]
         withdraws.fill("#code", "P-222222-22222222")
@@ -374,7 +379,6 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         withdraws.click("#withdraw button")
         withdraws.wait_for_selector(f"text={said('study.withdrawn')}")
         page.wait_for_selector(named("h2", "study.left"))
-        second.on("dialog", lambda dialog: dialog.accept("asked by post"))
         second.click('#people button:text("Erase") >> nth=-1')
         second.wait_for_selector('#people td:text("(erased 1)")')
         page.wait_for_selector(f"text={said('page.invalid')}")

@@ -27,18 +27,18 @@ function row(cells, kind = "") {
   return made;
 }
 
-/** A button that sends a request about a participant; `path` returns the request's path, or null if there is none. */
-function button(code, word, path, said) {
+/** A button that sends a request about a participant: `request` returns its path and options, or null if there is none. */
+function button(code, word, request, said) {
   const made = document.createElement("button");
   made.type = "button";
   made.textContent = word;
   made.setAttribute("aria-label", `${word} ${code}`);
   made.dataset.key = `${word} ${code}`;
   made.addEventListener("click", async () => {
-    const to = path();
-    if (to === null) return;
+    const asked = request();
+    if (asked === null) return;
     try {
-      await ask(to, { method: "DELETE" });
+      await ask(asked[0], asked[1]);
       at("said").textContent = said;
       look();
     } catch (error) {
@@ -50,15 +50,26 @@ function button(code, word, path, said) {
 
 function remover(code) {
   const sure = () => confirm(`Mark ${code} as dropped out? They can rejoin if there is a free place.`);
-  return button(code, "Remove", () => (sure() ? `/api/team/people/${encodeURIComponent(code)}` : null), `${code} is marked as dropped out.`);
+  const path = `/api/team/people/${encodeURIComponent(code)}`;
+  return button(code, "Remove", () => (sure() ? [path, { method: "DELETE" }] : null), `${code} is marked as dropped out.`);
 }
 
 function eraser(code) {
-  const path = () => {
+  const request = () => {
     const reason = prompt(`Erase everything that is recorded about ${code}, permanently? Enter a reason that does not contain the code.`);
-    return reason ? `/api/people/${encodeURIComponent(code)}/records?reason=${encodeURIComponent(reason)}` : null;
+    return reason ? [`/api/people/${encodeURIComponent(code)}/records?reason=${encodeURIComponent(reason)}`, { method: "DELETE" }] : null;
   };
-  return button(code, "Erase", path, `The records of ${code} are erased.`);
+  return button(code, "Erase", request, `The records of ${code} are erased.`);
+}
+
+function excluder(code, excluded) {
+  const path = `/api/study/participants/${encodeURIComponent(code)}/exclude`;
+  if (excluded) return button(code, "Include", () => [path, { method: "POST", body: { reason: null } }], `${code} is in the report again.`);
+  const request = () => {
+    const reason = prompt(`Exclude ${code} from the report? Enter a reason, which the report will name.`);
+    return reason ? [path, { method: "POST", body: { reason } }] : null;
+  };
+  return button(code, "Exclude", request, `${code} is excluded from the report.`);
 }
 
 function show(study) {
@@ -88,10 +99,11 @@ function show(study) {
   const key = focused()?.dataset.key;
   at("people").replaceChildren(...[...participants].reverse().map((one) => {
     const state = STATES[one.status] ?? (one.connected ? "connected" : "not connected");
+    const withdrawn = ["withdrew", "declined"].includes(one.status);
     return row([
-      cell(one.code + (one.simulated ? " (simulated)" : "")), cell(state), cell(one.stage),
+      cell(one.code + (one.simulated ? " (simulated)" : "")), cell(one.excluded === null ? state : `${state}; excluded: ${one.excluded}`), cell(one.stage),
       cell(one.seconds === null ? "" : clock(one.seconds), "count"), cell(one.group === null ? one.condition : `${one.condition} (${one.group})`), cell(one.steps, "count"),
-      cells(one.status === "here" ? [remover(one.code)] : [], one.erased ? [] : [eraser(one.code)]),
+      cells(one.status === "here" ? [remover(one.code)] : [], withdrawn ? [] : [excluder(one.code, one.excluded !== null)], one.erased ? [] : [eraser(one.code)]),
     ], one.status === "here" ? "" : "over");
   }));
   if (key) all("[data-key]").find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
