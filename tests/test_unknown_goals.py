@@ -25,7 +25,7 @@ from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team import Setting
 from assist.team.questions import Questions, answered, benefit
-from planner import Table, sweep, sweep_goals
+from planner import LimitError, Table, sweep, sweep_goals
 from planner.system.errors import ResultsExistError
 
 PRIOR = {"a": 0.5, "b": 0.2, "c": 0.3}
@@ -382,6 +382,15 @@ def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:
     desk = Assistant(tiny, ["ann"])
     with pytest.raises(ValueError, match="the next task has 3 goals; expected 1"):
         desk.begin("ann", goals)
+
+
+def test_too_many_goals_for_the_memory_are_refused() -> None:
+    """The estimate is above what the values of a policy take, whose robot actions are those of all goals."""
+    goals = TASKS["sealed"]
+    solved: Any = Pool.sample(goals, 1, seed=1).policies[0].prepare()
+    limit = (solved.q_mdp.nbytes + solved.value_mdp.nbytes) / 1e6
+    with pytest.raises(LimitError, match="policies for one person on a task of 836 states and 3 goals take about"):
+        Pool.sample(goals, 1, seed=1, memory_limit_mb=limit)
 
 
 @pytest.mark.parametrize("error", [0.0, 0.2])

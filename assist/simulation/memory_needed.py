@@ -13,13 +13,17 @@ MEMORY_LIMIT_MB = 4000.0
 ONE_FOR_ALL = "a smaller pool, one policy for all (knowledge 'exact'), or "
 
 
-def require_room(one: int, states: int, models: int, limit_mb: float) -> None:
-    """Raise a `LimitError` if the policies of `one` bytes each would exceed the memory limit."""
+def require_room(one: int, rows: int, models: int, limit_mb: float, goals: int = 1) -> None:
+    """Raise a `LimitError` if the policies of `one` bytes each would exceed the memory limit.
+
+    They have `rows` for all goals together.
+    """
     needed = (models + 1) * one / 1e6  # a sorted copy of one policy's values exists temporarily
     if needed > positive("memory_limit_mb", limit_mb):
         who, less = ("one person", "") if models == 1 else (f"{models:,} people", ONE_FOR_ALL)
+        size = f"{rows // goals:,} states" + (f" and {goals} goals" if goals > 1 else "")
         raise LimitError(
-            f"policies for {who} on a task of {states:,} states take about {needed:,.0f} MB of memory, and "
+            f"policies for {who} on a task of {size} take about {needed:,.0f} MB of memory, and "
             f"{limit_mb:,.0f} MB are allowed; expected {less}a higher memory limit"
         )
 

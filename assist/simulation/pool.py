@@ -155,9 +155,8 @@ class Pool:
         if isinstance(table, Goals):
             if population.weights or prior.weights:
                 raise ValueError("people with weights of terms: expected one goal")
-            require_room(
-                policy_bytes(len(table)), len(table), size if setting.knowledge == "own" else 1, memory_limit_mb
-            )
+            models = size if setting.knowledge == "own" else 1
+            require_room(policy_bytes(len(table)), len(table), models, memory_limit_mb, len(table.tables))
             table = table.choices()
         needed = {
             "weights": population.weights or prior.weights,
@@ -253,13 +252,17 @@ def _choices(
 ) -> Choices:  # fmt: skip
     """Return the choices in an enumerated task, unless policies and people would exceed the memory limit."""
     models = size if setting.knowledge == "own" else 1
-    require_room(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # checked before the choices are built
+    goals = table.goal_count if isinstance(table, Choices) else 1
+    # checked before the choices are built
+    require_room(policy_bytes(len(table)), len(table), models, memory_limit_mb, goals)
     choices = choices_of(table, (*population.weights, *prior.weights))
     require_goal(choices.h[choices.initial])
     offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
+    if goals > 1:  # what is offered for one goal is offered for all
+        offered = np.logical_or.reduce(offered.reshape(goals, -1, offered.shape[1]))
     robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.best.execute)
     one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
-    require_room(one, len(choices), models, memory_limit_mb)
+    require_room(one, len(choices), models, memory_limit_mb, goals)
     require_room_for_people(size, choices.h.nbytes, memory_limit_mb)
     return choices
 
