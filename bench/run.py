@@ -31,6 +31,7 @@ CASES = {
         "--people 10 --minutes 1 --kills 1",
         "--instance domains/kitting/tiny.pddl --people 2 --minutes 0.1 --kills 1 --every 1",
     ),
+    "explanations": ("", "--pairs 5 --texts 2"),
     "environments": ("--steps 40 --repeat 1", "--instance kitting/tiny --teams 8 --steps 5 --repeat 1"),
     "fit recover": ("--people 100", "--instance kitting/tiny --people 8 --episodes 2"),
     "fit information": ("--people 100", "kitting/tiny --people 10 --episodes 2"),

@@ -635,8 +635,9 @@ def test_languages_are_files(tmp_path: Path) -> None:
 
 def test_actions_without_words_are_in_pddl() -> None:
     found = Explanation(against=Contrast("(a b)", "(c d)", 1.0, "actions", Consequence("no-closer")))
-    assert found.text() == "If you do (c d) now, you are no closer to the goal: 1 more step."
-    assert found.in_words({"(c d)": "See D"}).text() == "If you see D now, you are no closer to the goal: 1 more step."
+    assert found.text() == "If you do (c d) now, that brings you no closer to the goal: 1 more step."
+    found = found.in_words({"(c d)": "See D"})
+    assert found.text() == "If you see D now, that brings you no closer to the goal: 1 more step."
 
 
 def test_data_without_other_peoples_names() -> None:
