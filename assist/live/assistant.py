@@ -32,7 +32,7 @@ from planner import CostToGo
 
 from ..explain.explanation import Explanation
 from ..people.decision import NOTHING, Floats
-from ..people.goals import Goals, goal_shares
+from ..people.goals import Goals
 from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..person.joint_belief import same_suggestions
@@ -45,7 +45,18 @@ from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from ..team.travel import Travel
 from .advice import Advice, PersonState, Question
-from .beliefs import believe, believe_again, correct, goals_of, is_uncertain, reason_of, tell, worth_of_asking
+from .beliefs import (
+    begin_task,
+    believe,
+    believe_again,
+    correct,
+    goals_of,
+    is_uncertain,
+    likeliest_cost_to_go,
+    reason_of,
+    tell,
+    worth_of_asking,
+)  # fmt: skip
 from .decision_point import DecisionPoint
 from .events import InvalidError
 from .live_questions import LiveQuestions
@@ -231,12 +242,8 @@ class Assistant:
                 f"{person}: the next task has {part.choices.goal_count} goals; expected {before.choices.goal_count}"
             )
         record.past.add(record.problem, record.steps, record.told)
-        belief = self._team.belief[record.place]
-        if part.choices.goals is not None and part.choices.goal_count > 1:  # the next task has a goal of its own
-            person_alone = belief.reshape(-1, *there.shape).sum(axis=0)
-            belief[:] = np.concatenate([share * person_alone for share in part.choices.goals.values()])
-        record.problem, record.before, record.steps, record.told = problem, belief.copy(), [], []
-        record.joint = record.earlier = None
+        record.problem, record.steps, record.told = problem, [], []
+        begin_task(self._team, record, part)
         self._acted(record)
         self._team.put(record, part, row)
         self._advice = None
@@ -670,10 +677,7 @@ class Assistant:
 
         If they pursue one of several goals, it is that of the most probable one.
         """
-        record = self._team.by_name.get(person) or self._team.known(person)
-        part, row = self._team.part(record)
-        share = goal_shares(self._team.belief[record.place], part.choices.goal_count)
-        return float(part.choices.h[part.choices.of_goals(np.array([row]))[share.argmax(), 0]])
+        return likeliest_cost_to_go(self._team, self._team.by_name.get(person) or self._team.known(person))
 
     @property
     def step(self) -> int:

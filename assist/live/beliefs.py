@@ -25,7 +25,7 @@ from ..team.questions import answered, likelihood_of
 from ..team.settings import Setting
 from ..team.state import worth_of_actions
 from .advice import Reason
-from .live_task import InapplicableError
+from .live_task import InapplicableError, TaskPart
 from .roster import Roster, RosterEntry, Step, Told
 from .uncertain_actions import after_answers, joint_after
 
@@ -33,6 +33,15 @@ from .uncertain_actions import after_answers, joint_after
 def is_uncertain(record: RosterEntry, model: ObservationModel | None) -> bool:
     """Return whether the state of a person's task is uncertain."""
     return record.joint is not None or model is not None
+
+
+def begin_task(team: Roster, record: RosterEntry, part: TaskPart) -> None:
+    """Keep the belief in a person who begins a task, but for the goal, which each task has of its own."""
+    belief, goals = team.belief[record.place], part.choices.goals
+    if goals is not None and part.choices.goal_count > 1:
+        person_alone = belief.reshape(-1, *part.policy.pomdp.grid.shape).sum(axis=0)
+        belief[:] = np.concatenate([share * person_alone for share in goals.values()])
+    record.before, record.joint, record.earlier = belief.copy(), None, None
 
 
 def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> bool:
@@ -149,6 +158,13 @@ def goals_of(team: Roster, k: int) -> dict[str, float]:
     if choices.goals is None or choices.goal_count == 1:
         return {}
     return dict(zip(choices.goals, goal_shares(team.belief[k], choices.goal_count).tolist(), strict=True))
+
+
+def likeliest_cost_to_go(team: Roster, record: RosterEntry) -> float:
+    """Return the cost-to-go of a person's present state, in cost units, for the most probable goal."""
+    part, row = team.part(record)
+    share = goal_shares(team.belief[record.place], part.choices.goal_count)
+    return float(part.choices.h[part.choices.of_goals(np.array([row]))[share.argmax(), 0]])
 
 
 def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.0) -> Reason:
