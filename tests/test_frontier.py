@@ -259,8 +259,8 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_the_only_way_up_of_a_task_is_found_in_every_state() -> None:
     corridor = [(node, node - 1, 1) for node in range(1, 5)]
-    for node in range(1, 4):
-        table = sweep(graph_task([*corridor, (node, node + 1, 1)], start=4))
+    for node in range(1, 5):
+        table = sweep(graph_task([*corridor, (node, 5, 1), (5, node, 1)], start=4))
         assert truncated_task._Survey.of(table, Choices.of(table)).rise == 1
         assert truncated_task._Survey.of(table, Choices.of(table), rows_at_a_time=1).rise == 1
     done = sweep(graph_task([(1, 0, 1)], start=0))  # a task without anything to do

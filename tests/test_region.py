@@ -21,6 +21,7 @@ from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import Misconception
 from assist.people.mixture import Mixture
+from assist.people.trust_rules import Reliability
 from assist.person.archive import ArchiveError
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
@@ -126,6 +127,13 @@ def test_a_part_looks_at_the_states_that_are_met_most_likely() -> None:
     assert looked_at(sweep(graph_task(edges))) == [1, 2, 3, 4, 5]
 
 
+def test_states_that_are_looked_at_together_have_optimal_choices_of_their_own() -> None:
+    """From 3, the step to 5 is the best of nine (0.9 * 0.9), and that from 2 to 4 the second of two (0.9 * 0.27)."""
+    others = [edge for node in range(6, 14) for edge in ((3, node, 1), (node, 0, 3))]
+    edges = [(1, 2, 3), (1, 3, 1), (2, 0, 1), (2, 4, 1), (4, 0, 1), (3, 5, 1), (5, 0, 2), *others]
+    assert looked_at(sweep(graph_task(edges)))[:5] == [1, 2, 3, 5, 4]
+
+
 @pytest.mark.usefixtures("one_by_one")
 def test_a_part_is_where_somebodys_mistakes_lead() -> None:
     """Four wrong steps cost the same, except to a person who is mistaken about where they lead."""
@@ -193,6 +201,13 @@ def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
         assert ours.frontier is not None
         assert ours.frontier.lower.shape == (len(part.frontier), len(ours.grid.theta))
+    rule = Reliability(2, 0.1, 2)
+    ours = part.problem(grid=mine, trust=rule)
+    theirs = AssistPOMDP.of(HumanModel.exact(part.choices), grid=mine.with_counts(2), trust=rule)
+    assert ours.grid.shape == theirs.grid.shape == (3, 12)
+    np.testing.assert_array_equal(
+        ours.low[part.choices.optimal.any(axis=1)], theirs.low[part.choices.optimal.any(axis=1)]
+    )
 
 
 def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
