@@ -205,6 +205,8 @@ def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
     ours = part.problem(grid=mine, trust=rule)
     theirs = AssistPOMDP.of(HumanModel.exact(part.choices), grid=mine.with_counts(2), trust=rule)
     assert ours.grid.shape == theirs.grid.shape == (3, 12)
+    assert ours.frontier is not None
+    assert ours.frontier.lower.shape == (len(part.frontier), 12)
     np.testing.assert_array_equal(
         ours.low[part.choices.optimal.any(axis=1)], theirs.low[part.choices.optimal.any(axis=1)]
     )
