@@ -69,8 +69,8 @@ ROOMS = {
     "assist.study": "study protocol tasks cells runner",
     "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file study_events codes
         participant_team participants places groups erasing cohort session tables export""",
-    "assist.reports": """statistics effects hypothesis_tests repeated_measures wording html_page study_summary
-        study_claims study_figures study_report userstudy_summary preregistration userstudy_report""",
+    "assist.reports": """statistics effects hypothesis_tests repeated_measures wording templates html_page
+        study_summary study_claims study_figures study_report userstudy_summary preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures service schemas authorization request_limits task_drawings routes
         metrics websocket openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",

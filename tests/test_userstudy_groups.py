@@ -14,7 +14,7 @@ from test_live_pages import CHROMIUM, chromium, violations
 from userstudies import PLAN, Part, written
 
 from assist.live.live_task import InapplicableError
-from assist.reports.userstudy_report import _sections
+from assist.reports.userstudy_report import report_text
 from assist.reports.userstudy_summary import measures, summarise
 from assist.texts import Catalogue, catalogue, languages
 from assist.userstudy.plan_file import read
@@ -220,7 +220,7 @@ def test_the_unit_of_analysis_is_the_group(opened: Open) -> None:
     assert [cell["n"] for cell in row["cells"]] == [3, 3]
     values = [list(own.values()) for own in measure.values.values()]
     assert row["differences"][0]["p"] == pytest.approx(stats.ttest_ind(*values, equal_var=False).pvalue)
-    text = "\n".join(_sections(study, summary, {}))
+    text = report_text(study, summary, {})
     assert "**The unit of analysis is the group**" in text
     assert "Groups: none 3, attention 3." in text
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import io
 import json
 import math
@@ -21,7 +22,7 @@ from scipy import stats
 from userstudies import PLAN, written
 
 from assist.cli import main
-from assist.reports import userstudy_report
+from assist.reports import study_report, userstudy_report
 from assist.reports.effects import (
     cronbach_alpha,
     detectable,
@@ -34,7 +35,7 @@ from assist.reports.effects import (
 from assist.userstudy.tables import COLUMNS
 from assist.userstudy.tables import written as written_rows
 from assist.web.user_study import rehearsal, server
-from planner.system.errors import DamagedFileError
+from planner.system.errors import DamagedFileError, MissingExtraError
 
 
 def run(*words: object) -> Any:
@@ -149,6 +150,27 @@ def test_a_study_in_which_hardly_anybody_took_part_says_so(tmp_path: Path) -> No
     assert "Conditions with fewer than two participants cannot be compared." in text
     assert "rehearsal" not in text
     assert "](figures/" not in text
+
+
+def test_what_people_typed_breaks_neither_the_page_nor_a_table(tmp_path: Path) -> None:
+    away = [
+        {"participant": f"P{number}", "status": "gone", "stage": "consent", "excluded": "left | <ran>"}
+        for number in range(2)
+    ]
+    folder = exported(tmp_path / "data", participants=away)
+    written(folder / "study.toml", PLAN.replace("A small study", "Kits </title> & 'trays'"))
+    run("study-report", folder)
+    assert r"| excluded by the researchers: left \| <ran> | 2 |" in (folder / "report" / "report.md").read_text()
+    assert "<title>Kits &lt;/title&gt; &amp; &#39;trays&#39;</title>" in (folder / "report" / "report.html").read_text()
+
+
+@pytest.mark.parametrize("package", ["jinja2", "markdown"])
+@pytest.mark.parametrize("report", [study_report, userstudy_report])
+def test_without_a_package_the_extra_is_named(report: Any, package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == package else found(name))
+    with pytest.raises(MissingExtraError, match=rf"reports need {package}: .*\[study\]"):
+        report.require()
 
 
 def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:

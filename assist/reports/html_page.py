@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-import html
 import importlib.util
 import re
 
 from planner.system.errors import MissingExtraError
 
-PAGE = """<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<meta name="color-scheme" content="{schemes}">
-<title>{title}</title>
-<style>
-body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }}
-table {{ border-collapse: collapse; font-size: 0.85rem; display: block; overflow-x: auto; }}
-th, td {{ padding: 0.2rem 0.7rem; border-bottom: 1px solid #8886; text-align: left; }}
-img {{ max-width: 100%; }}
-</style>
-{body}
-</html>
-"""
+from .templates import rendered
+
 IMAGE = re.compile(r'<img alt="([^"]*)" src="([^"]*)\.png" />')
 
 
@@ -51,7 +37,7 @@ def html_page(title: str, text: str, *, dark: bool) -> str:
 
     body = markdown.markdown(text, extensions=["tables"])
     body = IMAGE.sub(_for_both_backgrounds, body) if dark else body
-    return PAGE.format(title=html.escape(title), body=body, schemes="light dark" if dark else "light")
+    return rendered("page.html.jinja", title=title, body=body, dark=dark)
 
 
 def _for_both_backgrounds(image: re.Match[str]) -> str:

@@ -37,10 +37,10 @@ def require() -> None:
     Raises
     ------
     MissingExtraError
-        pandas, Markdown or matplotlib is not installed.
+        pandas, Jinja2, Markdown or matplotlib is not installed.
     """
     style.require()
-    require_packages("pandas", "markdown")
+    require_packages("pandas", "jinja2", "markdown")
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,30 @@ Record = dict[str, Any]
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a Markdown table without the columns that are empty in every row."""
-    lines = [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
+    lines = [[cell(each) for each in row] for row in rows]
     kept = [place for place in range(len(head)) if not lines or any(line[place] for line in lines)]
     shown = [[line[place] for place in kept] for line in ([*head], ["---"] * len(head), *lines)]
     return "\n".join("| " + " | ".join(line) + " |" for line in shown)
+
+
+def cell(content: object) -> str:
+    """Return the text of a cell of a Markdown table."""
+    return str(content).replace("|", "\\|")
+
+
+def short(text: str, most: int = 48) -> str:
+    """Return the beginning of a text if it is long."""
+    return text if len(text) <= most else f"{text[: most - 1].rstrip()}…"
+
+
+def number(estimate: float | None, missing: str = "undefined") -> str:
+    """Return a number with two decimals, or what stands for a missing one."""
+    return missing if estimate is None else f"{estimate:.2f}"
+
+
+def p_value(p: float | None) -> str:
+    """Return a p-value as journals print it."""
+    return "undefined" if p is None else "< .001" if p < 0.001 else f"{p:.3f}"
 
 
 def interval(estimate: Record, digits: int = 1) -> str:
@@ -24,6 +44,11 @@ def interval(estimate: Record, digits: int = 1) -> str:
     if estimate["low"] is None:
         return text
     return f"{text} ({estimate['low']:.{digits}f} to {estimate['high']:.{digits}f})"
+
+
+def value(cell: Record) -> str:
+    """Return the mean of a cell with its interval, or a dash for a cell without values."""
+    return interval(cell) if cell["n"] else "-"
 
 
 def with_deviation(cell: Record) -> str:

@@ -1,0 +1,24 @@
+"""Templates of reports in Jinja2. What stands in one of HTML is escaped, and Markdown is taken as it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from . import wording
+
+
+def rendered(template: str, **content: Any) -> str:
+    """Return the text that a template of this folder makes of the content."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=jinja2.select_autoescape(["html.jinja"], default=False),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    words = (wording.cell, wording.number, wording.short, wording.table, wording.value)
+    environment.filters |= {word.__name__: word for word in words}
+    return environment.get_template(template).render(content).rstrip() + "\n"
