@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from ..study.study import OWN, Contrast, Study
+from ..study.study import Contrast, Study
 from .study_summary import BASELINES
-from .wording import Record, beside, interval, named, sign, table
+from .wording import Record, beside, interval, named, prior, sign, table
 
 
-def claims(study: Study, summary: Record) -> Iterator[str]:
-    """Yield a table of the reference's claims with verdicts, and the interpretations under which contrasts hold."""
+def claims(study: Study, summary: Record) -> str:
+    """Return the table of the reference's claims with verdicts; empty without claims."""
     reference = study.reference
     if reference is None:
-        return
-    yield f"## Which of the claims of {reference.name} hold"
+        return ""
     rows = []
     for key, published in reference.headline:
         for instance, found in summary["headline"]["instances"].items():
@@ -27,60 +26,36 @@ def claims(study: Study, summary: Record) -> Iterator[str]:
             verdict = {"yes": "holds", "not shown": "is not shown"}.get(sign(r), "the opposite holds")
             claim = f"saves fewer {r['measure']} against {r['against']} in large teams"
             rows.append([claim, r["instance"], verdict, interval(r)])
-    if rows:
-        yield table([f"claim: {study.focus} ...", "instance", "verdict", "percent, or percentage points"], rows)
+    head = [f"claim: {study.focus} ...", "instance", "verdict", "percent, or percentage points"]
+    return table(head, rows) if rows else ""
+
+
+def contrasts(study: Study, summary: Record) -> Iterator[tuple[Contrast, dict[str, list[str]]]]:
+    """Yield the contrasts that the reference claims, with the interpretations under which each holds or does not."""
     for contrast in study.contrasts:
-        if contrast.name in reference.contrasts:
-            yield from _of_contrast(contrast, summary)
+        if study.reference is None or contrast.name not in study.reference.contrasts:
+            continue
+        found: dict[str, list[str]] = {"yes": [], "not shown": [], "no, the opposite": []}
+        for c in summary["contrasts"]:
+            if c["contrast"] == contrast.name and c["policy"] not in BASELINES:
+                name = ", ".join([c["instance"], c["policy"], c["setting"] or "default", f"prior {prior(c['prior'])}"])
+                if name not in found[sign(c, 1.0)]:
+                    found[sign(c, 1.0)].append(name)
+        if any(found.values()):
+            yield contrast, found
 
 
-def _of_contrast(contrast: Contrast, summary: Record) -> Iterator[str]:
-    readings: dict[str, list[str]] = {"yes": [], "not shown": [], "no, the opposite": []}
-    for c in summary["contrasts"]:
-        if c["contrast"] == contrast.name and c["policy"] not in BASELINES:
-            name = ", ".join([c["instance"], c["policy"], c["setting"] or "default", f"prior {prior(c['prior'])}"])
-            if name not in readings[sign(c, 1.0)]:
-                readings[sign(c, 1.0)].append(name)
-    if any(readings.values()):
-        more, fewer = (" and ".join(f"*{name}*" for name in side) for side in (contrast.of, contrast.to))
-        yield (
-            f"More interventions for {more} than for {fewer}: shown under {len(readings['yes'])} interpretations, "
-            f"undecided under {len(readings['not shown'])}, the opposite under {len(readings['no, the opposite'])}. "
-            f"Shown under: {'; '.join(readings['yes']) or 'none'}."
-        )
-
-
-def prior(name: str) -> str:
-    """Return the description of the robot's prior."""
-    return "its population" if name == OWN else name
-
-
-def readings(study: Study, summary: Record) -> Iterator[str]:
-    """Yield the interpretations of unspecified details that fit the reference's interventions best."""
-    found, reference = summary["readings"], study.reference
-    if not found or reference is None:
-        return
-    targets, shown = reference.interventions, found[:8]
-    yield f"## Which interpretation fits the interventions of {reference.name} best"
-    yield (
-        f"{reference.source} reports that "
-        + "; ".join(f"{' and '.join(f'*{name}*' for name in names)} got {mean:g}" for names, mean in targets)
-        + f". It leaves open how they are counted, and some settings. Of {len(found)} interpretations, "
-        f"these {len(shown)} fit best (all are in `summary.json`). *Off* is the mean absolute "
-        "difference in interventions."
-    )
+def readings(study: Study, found: Sequence[Record]) -> str:
+    """Return a table of interpretations of unspecified details, compared with the reference."""
+    targets = study.reference.interventions if study.reference else ()
     head = [
         "policy", "setting", "robot's prior", "instance", "counted", *(f"published {m:g}" for _, m in targets), "off",
     ]  # fmt: skip
-
-    def row(r: Record) -> list[object]:
-        return [
+    rows = [
+        [
             r["policy"], r["setting"] or "default", prior(r["prior"]), r["instance"], r["counted"],
             *(interval(estimate) for estimate in r["interventions"]), f"{r['off']:.1f}",
-        ]  # fmt: skip
-
-    yield table(head, map(row, shown))
-    default = [r for r in found if r["setting"] == "" and r["policy"] == study.focus and r["prior"] != OWN]
-    if default:
-        yield "With the study's own setting and a prior other than the population:"
-        yield table(head, map(row, default))
+        ]
+        for r in found
+    ]  # fmt: skip
+    return table(head, rows)

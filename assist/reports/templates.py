@@ -1,4 +1,4 @@
-"""Templates of reports in Jinja2. What stands in one of HTML is escaped, and Markdown is taken as it is."""
+"""Templates of reports in Jinja2: of HTML, in which content is escaped, and of Markdown, in which it is not."""
 
 from __future__ import annotations
 
@@ -19,6 +19,6 @@ def rendered(template: str, **content: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    words = (wording.cell, wording.number, wording.short, wording.table, wording.value)
+    words = (wording.cell, wording.number, wording.prior, wording.short, wording.table, wording.value)
     environment.filters |= {word.__name__: word for word in words}
     return environment.get_template(template).render(content).rstrip() + "\n"

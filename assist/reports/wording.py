@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from ..study.study import OWN
+
 Record = dict[str, Any]
 
 
@@ -83,6 +85,11 @@ def beside(estimate: Record, published: float) -> str:
 def named(key: str) -> str:
     """Return the name of a saving in words: `actions_vs_none` is "actions against none"."""
     return key.replace("_vs_", " against ").replace("_", " ")
+
+
+def prior(name: str) -> str:
+    """Return the description of the robot's prior."""
+    return "its population" if name == OWN else name
 
 
 def varying(rows: Sequence[Record], columns: Iterable[str]) -> list[str]:
