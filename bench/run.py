@@ -29,7 +29,7 @@ CASES = {
     "crosscheck": ("20", "3"),
     "endurance": (
         "--people 10 --minutes 1 --kills 1",
-        "--instance domains/kitting/tiny.pddl --people 2 --minutes 0.1 --kills 1 --every 1",
+        "--through mqtt --instance domains/kitting/tiny.pddl --people 2 --minutes 0.05 --kills 1 --every 1",
     ),
     "explanations": ("", "--pairs 5 --texts 2"),
     "environments": ("--steps 40 --repeat 1", "--instance kitting/tiny --teams 8 --steps 5 --repeat 1"),
@@ -94,14 +94,14 @@ CASES = {
     "study": ("--humans 2 --people 4", "--check"),
     "userstudy_intervals": ("", "--studies 2 --people 12"),
     "team latency": ("--repeat 11", "--repeat 1 --instance tiny"),
-    "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1 --people 4000"),
+    "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1 --people 400"),
     "team gap": (
         "--instance paper-fixed --gamma .95 --humans 2 --humans 100 --time-limit 10",
         "--instance tiny --gamma .95 --humans 2 --time-limit 1",
     ),
     "team prices": (
         "--humans 12 --time-limit 60",
-        "--instance tiny --humans 3 --gamma .95 --time-limit 2 --episodes 40",
+        "--instance tiny --humans 3 --gamma .95 --time-limit 1 --episodes 40",
     ),
     "team settings": ("--seeds 1 --episodes 500", "--instance tiny --seeds 1 --episodes 10"),
     "team fluid": ("--episodes 4000 --time-limit 20", "--instance tiny --per-robot 2 --episodes 40 --time-limit 1"),
