@@ -34,7 +34,8 @@ def conforms(service: Served, folder: Path, parameters: dict[str, str], *only: s
     command = [
         str(Path(sys.executable).with_name("schemathesis")), "--config-file", str(folder / "schemathesis.toml"),
         "run", f"{service.url}/openapi.json", "--checks", "all", "--exclude-checks", "positive_data_acceptance",
-        "--max-examples", "3", "--request-timeout", "120", "--phases", "examples,coverage,fuzzing",
+        "--max-examples", "3", "--request-timeout", "120", "--max-response-time", "120",
+        "--phases", "examples,coverage,fuzzing",
         "--no-color", "--seed", "1", "--header", f"Authorization: Bearer {service.token()}", *only,
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=900, cwd=folder)
