@@ -45,9 +45,9 @@ ROOMS = {
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
         fit joint_states goals goal_fit comparison rule_families trust_log posterior_sample influence_population
         rule_search trust_fit trust_comparison""",
-    "assist.team": """by_policy robots travel state hidden_states action_check settings assignment attention questions
-        time_expansion
-        memory_needed subproblem_frontier attention_subproblem priority whittle rollout policies""",
+    "assist.team": """by_policy robots travel state hidden_states action_check settings setting_table assignment
+        attention questions time_expansion memory_needed subproblem_frontier attention_subproblem priority whittle
+        rollout policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
     "assist.simulation": """memory_needed pool schedule common_random_numbers trace episodes model_group
@@ -74,7 +74,7 @@ ROOMS = {
     "assist.web": """tokens cookies log_lines measures service schemas authorization request_limits task_drawings routes
         metrics websocket openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
-    "assist.bridges": """messages ordering session_client team_watch mqtt_settings mqtt opcua_settings opcua
+    "assist.bridges": """messages ordering session_client tasks team_watch mqtt_settings mqtt opcua_settings opcua
         opcua_server ros2_settings ros2 behaviour_tree""",
     "assist.cli.terminal": "interrupts console",
     "assist.cli.options": "common config task population person travel team policies help goals live log trust",

@@ -31,7 +31,8 @@ from .messages import LONGEST_ID, MessageError, Report, fields_of
 from .mqtt_settings import MqttSettings
 from .ordering import Acknowledgements, InOrder
 from .session_client import SessionClient
-from .team_watch import Tasks, TeamWatch
+from .tasks import Tasks, together
+from .team_watch import TeamWatch
 
 if TYPE_CHECKING:
     import aiomqtt
@@ -139,13 +140,9 @@ class MqttBridge:
             A file of the TLS settings cannot be read.
         """
         context = await asyncio.to_thread(self.settings.context)
-        tasks = [asyncio.create_task(one) for one in (self._watch.run(), self._broker(context))]
         try:
-            await asyncio.gather(*tasks)
+            await together(self._watch.run(), self._broker(context))
         finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
             await self._tasks.cancel()
             for sender in self._senders.values():
                 if sender.timer is not None:

@@ -27,6 +27,7 @@ from ..web.client import RefusedError
 from .messages import MessageError, fields_of_value
 from .opcua_settings import Observed, OpcUaSettings, password
 from .session_client import SessionClient
+from .tasks import together
 
 LOG = logging.getLogger(__name__)
 
@@ -107,13 +108,9 @@ class OpcUaBridge:
         """Work until cancelled. Lost connections to the server and to the service are restored."""
         people = {person for _, person in self.settings.advice}
         work = [self._server(), self._deliver(), *map(self._advise, sorted(people))]
-        tasks = [asyncio.create_task(one) for one in work]
         try:
-            await asyncio.gather(*tasks)
+            await together(*work)
         finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
             await self._session.close()
 
     async def _server(self) -> None:

@@ -28,7 +28,8 @@ from .messages import LONGEST_ID, MessageError, Report, fields_of_value
 from .opcua import library
 from .opcua_settings import OwnServerSettings, password
 from .session_client import SessionClient
-from .team_watch import Tasks, TeamWatch
+from .tasks import Tasks, together
+from .team_watch import TeamWatch
 
 LOG = logging.getLogger(__name__)
 
@@ -121,16 +122,10 @@ class OpcUaServer:
         """
         self._server = await self._listening()
         try:
-            tasks = [asyncio.create_task(one) for one in (self._watch.run(), self._change())]
-            try:
-                await asyncio.gather(*tasks)
-            finally:
-                for task in tasks:
-                    task.cancel()
-                await asyncio.gather(*tasks, return_exceptions=True)
-                await self._tasks.cancel()
+            await together(self._watch.run(), self._change())
         finally:
             self.connected = False
+            await self._tasks.cancel()
             await self._session.close()
             await self._server.stop()
 

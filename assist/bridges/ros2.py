@@ -31,7 +31,8 @@ from ..web.client import RefusedError, robot_path
 from .messages import MessageError, Report
 from .ros2_settings import STRING, Observed, Output, Ros2Settings
 from .session_client import SessionClient
-from .team_watch import Tasks, TeamWatch
+from .tasks import Tasks, together
+from .team_watch import TeamWatch
 
 LOG = logging.getLogger(__name__)
 
@@ -113,13 +114,9 @@ class Ros2Bridge:
         RefusedError
             The service does not accept the link.
         """
-        tasks = [asyncio.create_task(one) for one in (self._watch.run(), self._server(), self._repeat())]
         try:
-            await asyncio.gather(*tasks)
+            await together(self._watch.run(), self._server(), self._repeat())
         finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
             await self._tasks.cancel()
             await self._session.close()
 

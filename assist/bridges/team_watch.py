@@ -3,40 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import logging
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from typing import Any
 
 from ..web.client import robot_path
 from .session_client import SessionClient
-
-LOG = logging.getLogger(__name__)
-
-
-class Tasks:
-    """Coroutines that run at the same time; the failure of one is logged."""
-
-    def __init__(self) -> None:
-        self._tasks: set[asyncio.Task[None]] = set()
-
-    def start(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Run a coroutine at the same time as the others."""
-        task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._ended)
-        return task
-
-    def _ended(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            LOG.error("a part of the bridge failed", exc_info=error)
-
-    async def cancel(self) -> None:
-        """Cancel all, and wait until they have ended."""
-        tasks = list(self._tasks)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+from .tasks import Tasks, together
 
 
 class TeamWatch:
@@ -77,13 +49,9 @@ class TeamWatch:
         RefusedError
             The service does not accept the link.
         """
-        tasks = [asyncio.create_task(one) for one in (self._team(), self._robot())]
         try:
-            await asyncio.gather(*tasks)
+            await together(self._team(), self._robot())
         finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
             await self._tasks.cancel()
 
     async def _team(self) -> None:

@@ -18,7 +18,7 @@ def without(person: str, label: str) -> Change:
 
     def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
         nonlocal time, here
-        advices = [unnamed(advice, person, label) for advice in advised(record)]
+        advices = [_unnamed(advice, person, label) for advice in advised(record)]
         advice: dict[str, Any] = {}
         if advices:
             advice = {"advices": advices} if "advices" in record else {"advice": advices[0]}
@@ -47,7 +47,7 @@ def without(person: str, label: str) -> Change:
     return removed
 
 
-def unnamed(advice: dict[str, Any], person: str, label: str) -> dict[str, Any]:
+def _unnamed(advice: dict[str, Any], person: str, label: str) -> dict[str, Any]:
     """Return a recorded advice without what concerns a person; the label stands for them."""
     if "question" in advice and advice["question"]["person"] == person:
         advice = {name: value for name, value in advice.items() if name != "question"}

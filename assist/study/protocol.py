@@ -27,7 +27,6 @@ from planner.system.typed_toml import (
     Texts,
     Truth,
     Whole,
-    WholeOrTables,
     Wholes,
     convert,
     fault,
@@ -35,7 +34,6 @@ from planner.system.typed_toml import (
     label,
     load,
     located,
-    partial_of,
     shown,
 )
 
@@ -45,6 +43,7 @@ from ..people.mixture import Mixture, advice_takers
 from ..people.terms import TERMS
 from ..people.user_code import UserChoiceModel, UserCodeError, parse
 from ..team.policies import POLICIES
+from ..team.setting_table import SettingTable
 from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study
 
@@ -121,16 +120,6 @@ class StudyTable(Struct, forbid_unknown_fields=True):
     conditions: list[ConditionTable] | None = None
     contrasts: list[ContrastTable] = []
     reference: ReferenceTable | None = None
-
-
-SettingTable = partial_of(
-    Setting,
-    trust=str | AnyTable,
-    believed_trust=str | AnyTable,
-    observation=AnyTable,
-    c_ask=float,
-    robots=WholeOrTables,
-)
 
 
 def shipped() -> list[str]:

@@ -27,19 +27,18 @@ from planner.system.typed_toml import (
     Texts,
     Truth,
     Whole,
-    WholeOrTables,
     convert,
     fault,
     given,
     load,
     located,
-    partial_of,
 )
 
 from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..people.user_code import parse
 from ..team.policies import POLICIES
+from ..team.setting_table import SettingTable
 from ..team.settings import Setting
 from ..texts.catalogue import FIRST, Catalogue, catalogue
 from .plan import BETWEEN, OUTCOMES, WITHIN, Condition, Grouping, UserStudy
@@ -108,16 +107,6 @@ class FileTable(Struct, forbid_unknown_fields=True):
     population: PopulationTable = PopulationTable()
     group: GroupTable | None = None
     questionnaires: list[QuestionnaireTable] = []
-
-
-SettingTable = partial_of(
-    Setting,
-    trust=str | AnyTable,
-    believed_trust=str | AnyTable,
-    observation=AnyTable,
-    c_ask=float,
-    robots=WholeOrTables,
-)
 
 
 def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
