@@ -19,6 +19,7 @@ from assist.explain import (
     Prospect,
     WhyNothing,
     WhyPerson,
+    WhyQuestion,
     WhyStep,
     contrast,
 )
@@ -562,9 +563,12 @@ def explanations() -> list[Explanation]:
     found.append(Explanation(WhyStep("(a)", 0.5, Contrast("(a)", "(b)", 0.0, "actions", None, 0.5)), now))
     found.append(Explanation(WhyStep("(a)", 0.6, some)).in_state(0.8))
     for reason in get_args(Cause):
-        if reason == "cost":
+        if reason in ("cost", "asked"):
             continue
         found += [Explanation(nothing=WhyNothing(reason, "reactive", about=one)) for one in (None, "ann")]
+    for asked in (WhyQuestion("ann", None, 0.5), WhyQuestion("ann", "kit-a", 0.001)):
+        asking = [WhyNothing("asked", "attention", about=one, question=asked) for one in (None, "ann")]
+        found += [Explanation(nothing=one) for one in asking]
     return found
 
 

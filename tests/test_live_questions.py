@@ -119,6 +119,23 @@ def test_answers_are_kept_when_actions_are_taken_back_and_saved(setting: Setting
     assert json.loads(again.to_json()) == json.loads(team.to_json())
 
 
+@pytest.mark.parametrize("setting", [ASKS, BOTH])
+def test_the_robot_says_why_it_asks_before_it_suggests(setting: Setting) -> None:
+    team = desk(setting)
+    question = asked(team)
+    why = team.explain("ann")
+    assert why.nothing is not None
+    assert why.nothing.question is not None
+    assert (why.nothing.reason, why.nothing.question.worth) == ("asked", question.worth)
+    assert why.sentences() == [
+        f"First I would like to know whether your goal is {question.goal}, as my hint depends on it.",
+        f"On average, the answer should save about {question.worth:.2g} more than the question costs.",
+    ]
+    assert team.recommend().explanation.sentences()[0] == "I have asked ann a question, and wait for the answer."
+    team.answer("ann", None)
+    assert "question" not in team.explain("ann").text()
+
+
 def test_an_impossible_answer_changes_nothing() -> None:
     team = desk(Setting(c_suggest=0.0, c_move=0.0, c_ask=0.0))
     for _ in range(2):  # until one goal is left

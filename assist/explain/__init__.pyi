@@ -5,4 +5,5 @@ from .explanation import Explanation as Explanation
 from .explanation import Prospect as Prospect
 from .explanation import WhyNothing as WhyNothing
 from .explanation import WhyPerson as WhyPerson
+from .explanation import WhyQuestion as WhyQuestion
 from .explanation import WhyStep as WhyStep

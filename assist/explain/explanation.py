@@ -15,8 +15,8 @@ from ..texts.catalogue import FIRST, Catalogue, catalogue
 from .contrast import Contrast
 
 Cause = Literal[
-    "paused", "never", "finished", "probably-finished", "nobody", "waiting", "no-mistake", "mistake-elsewhere",
-    "no-step", "cost",
+    "paused", "never", "finished", "probably-finished", "nobody", "waiting", "asked", "no-mistake",
+    "mistake-elsewhere", "no-step", "cost",
 ]  # fmt: skip
 """Why nothing is suggested; see `WhyNothing`."""
 
@@ -107,6 +107,24 @@ class WhyPerson:
 
 
 @dataclass(frozen=True, slots=True)
+class WhyQuestion:
+    """Why a question is asked before anything is suggested.
+
+    Attributes
+    ----------
+    person : str
+    goal : str or None
+        The goal that is asked about; None for the last action.
+    worth : float
+        Expected worth of the answer minus the cost of the question, in cost units.
+    """
+
+    person: str
+    goal: str | None
+    worth: float
+
+
+@dataclass(frozen=True, slots=True)
 class WhyNothing:
     """Why nothing is suggested, and what would have to change.
 
@@ -115,8 +133,8 @@ class WhyNothing:
     reason : str
         "paused": suggestions are paused. "never": the team's policy makes none. "finished", "probably-finished": the
         person has reached the goal, or probably has. "nobody": no one is at work. "waiting": everybody at work has a
-        suggestion. "no-mistake", "mistake-elsewhere": the policy "reactive" helps after mistakes, and there was none,
-        or the robot is with another person. "no-step": there is no step to suggest.
+        suggestion. "asked": a question is open. "no-mistake", "mistake-elsewhere": the policy "reactive" helps after
+        mistakes, and there was none, or the robot is with another person. "no-step": there is no step to suggest.
         "cost": the suggestion is expected to save less than it costs, or the policy considers more than that.
     rule : str
         Name of the team's policy.
@@ -128,6 +146,8 @@ class WhyNothing:
         Whether the robot's attention is with another person.
     about : str or None
         The person who is asked about; None for the whole team.
+    question : WhyQuestion or None
+        The open question, if the reason is "asked".
     """
 
     reason: Cause
@@ -136,6 +156,7 @@ class WhyNothing:
     exact: bool = False
     elsewhere: bool = False
     about: str | None = None
+    question: WhyQuestion | None = None
 
 
 @dataclass(frozen=True)
@@ -195,6 +216,8 @@ class Explanation:
         }  # fmt: skip
         if self.step is not None and self.step.goal is None:
             del plain["step"]["goal"], plain["step"]["goal_probability"]
+        if self.nothing is not None and self.nothing.question is None:
+            del plain["nothing"]["question"]
         if self.state_probability < 1:
             plain["state_probability"] = self.state_probability
         for one in (plain["against"], (plain["step"] or {}).get("likely")):
@@ -286,6 +309,8 @@ class Explanation:
     def _nothing(self, say: Catalogue, why: WhyNothing) -> Iterator[str]:
         if why.reason == "no-mistake":
             yield say("nothing.no_mistake" if why.about is None else "nothing.no_mistake_of_yours")
+        elif why.question is not None:
+            yield from _asks(say, why.question, why.about)
         elif why.prospect is None:
             yield say(f"nothing.{why.reason.replace('-', '_')}")
         else:
@@ -311,6 +336,17 @@ class Explanation:
             yield say("nothing.threshold", threshold=say.below(best.threshold))
         else:
             yield say("nothing.not_for_free")
+
+
+def _asks(say: Catalogue, why: WhyQuestion, about: str | None) -> Iterator[str]:
+    """Yield sentences on an open question, to the person who is asked, or else about them."""
+    if about is None:
+        yield say("nothing.asked", person=why.person)
+    elif why.goal is None:
+        yield say("nothing.asked_action")
+    else:
+        yield say("nothing.asked_goal", goal=why.goal)
+    yield say("nothing.asked_worth", worth=say.about(why.worth))
 
 
 def _brings(say: Catalogue, table: str, one: Prospect, *, here: bool) -> str:

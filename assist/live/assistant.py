@@ -581,6 +581,9 @@ class Assistant:
         for number, location in enumerate(self._locations):
             if self._under_way[number] and not self._team.present[location]:
                 self._under_way[number] = False  # it counts as being there, because its position on the way is unknown
+        active, question = self._team.present & ~self._team.ended & (self._team.robot == 0), None
+        if not all(self._under_way) and active.any():
+            active, question = self._asking(active)
         points = [self._decision_point(number) for number in range(self.setting.robot_count)]
         advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all) for point in points]
         for number, location in enumerate(self._locations):
@@ -590,11 +593,7 @@ class Assistant:
                 on_its_way = Advice(going_to.name, None, reason, arrived=False)
                 source = partial(points[number].suggested, going_to.place, 0, arrived=False)
                 advice[number] = on_its_way.explained_by(source)
-        active = self._team.present & ~self._team.ended & (self._team.robot == 0)
         if all(self._under_way) or not active.any():
-            return tuple(advice)
-        active, question = self._asking(active)
-        if not active.any():
             return (advice[0].asking(question), *advice[1:])
         team = self._as_policies_see_it(active)
         action = self._policy()(team)

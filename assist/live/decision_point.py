@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from planner import CostToGo
 
 from ..explain.contrast import Contrast, contrast
-from ..explain.explanation import Explanation, Prospect, WhyNothing, WhyPerson, WhyStep
+from ..explain.explanation import Cause, Explanation, Prospect, WhyNothing, WhyPerson, WhyQuestion, WhyStep
 from ..people.choices import Choices
 from ..people.decision import Floats
 from ..people.goals import goal_shares
@@ -24,6 +24,7 @@ from ..person.joint_belief import JointBelief, is_certain
 from ..person.policy import Policy
 from ..team.hidden_states import expected_answers
 from ..team.state import by_model, worth_of_actions
+from .advice import Question
 from .live_task import InapplicableError, LiveTask, TaskPart
 from .roster import Roster
 
@@ -47,6 +48,8 @@ class DecisionPoint:
     belief : float array, shape (P, B, T)
     joint : tuple of JointBelief or None
         The belief over task states, too, of each person whose actions were uncertain.
+    questions : tuple of WhyQuestion or None
+        The open question to each person.
     here : int
         Place of the robot before the decision; -1 for its base.
     moving : float array, shape (P,)
@@ -68,6 +71,7 @@ class DecisionPoint:
     erred: NDArray[np.bool_]
     belief: Floats
     joint: tuple[JointBelief | None, ...]
+    questions: tuple[WhyQuestion | None, ...]
     here: int
     moving: Floats
     rule: str
@@ -84,8 +88,8 @@ class DecisionPoint:
         return cls(
             tuple(team.by_name), tuple([record.problem for record in team.records]), list(team.parts),
             copy(team.x), copy(team.model), copy(team.robot), copy(team.present), copy(team.ended), copy(team.erred),
-            copy(team.belief), tuple([record.joint for record in team.records]), here, moving[:count], rule,
-            extra,
+            copy(team.belief), tuple([record.joint for record in team.records]),
+            tuple([_why(record.question) for record in team.records]), here, moving[:count], rule, extra,
         )  # fmt: skip
 
     def explanation(
@@ -166,6 +170,8 @@ class DecisionPoint:
             return Explanation(nothing=WhyNothing("finished" if certain else "probably-finished", rule, about=name))
         if rule == "none":
             return Explanation(nothing=WhyNothing("never", rule, about=name))
+        if (asked := self.questions[place]) is not None:
+            return Explanation(nothing=WhyNothing("asked", rule, about=name, question=asked))
         if rule == "reactive":
             nothing = WhyNothing("mistake-elsewhere" if self.erred[place] else "no-mistake", rule, about=name)
             return Explanation(nothing=nothing)
@@ -187,8 +193,10 @@ class DecisionPoint:
             return Explanation(nothing=WhyNothing("nobody", self.rule))
         if self.rule == "none":
             return Explanation(nothing=WhyNothing("never", self.rule))
-        if not (working & (self.robot == 0)).any():
-            return Explanation(nothing=WhyNothing("waiting", self.rule))
+        if not self._free.any():
+            asked = [one for one, there in zip(self.questions, working, strict=True) if there and one is not None]
+            cause: Cause = "asked" if asked else "waiting"
+            return Explanation(nothing=WhyNothing(cause, self.rule, question=asked[0] if asked else None))
         if self.rule == "reactive":
             return Explanation(nothing=WhyNothing("no-mistake", self.rule))
         if not self._prospects:
@@ -296,10 +304,16 @@ class DecisionPoint:
         known = [one or JointBelief.at(int(at), own) for one, at, own in zip(joint, x, belief, strict=True)]
         return expected_answers(worth_of_actions, policy, x, known)
 
+    @property
+    def _free(self) -> NDArray[np.bool_]:
+        """Who is at work, and has neither a suggestion nor an open question."""
+        unasked = np.array([one is None for one in self.questions], dtype=bool)
+        return self.present & ~self.ended & (self.robot == 0) & unasked
+
     @cached_property
     def _prospects(self) -> dict[int, Prospect]:
-        """The best suggestion to each person who is at work, has no suggestion, and could get one."""
-        rows = np.flatnonzero(self.present & ~self.ended & (self.robot == 0))
+        """The best suggestion to each person who is free to get one, if there is one."""
+        rows = np.flatnonzero(self._free)
         found = {}
         for number, mine in by_model(self.model, rows, len(self.parts)):
             values = self._values(self.parts[number].policy, mine)
@@ -307,3 +321,7 @@ class DecisionPoint:
                 if len(q) > 1 and np.isfinite(q[1:].max()):
                     found[place] = self._of_action(place, q, 1 + int(q[1:].argmax()))
         return dict(sorted(found.items()))
+
+
+def _why(question: Question | None) -> WhyQuestion | None:
+    return None if question is None else WhyQuestion(question.person, question.goal, question.worth)

@@ -65,7 +65,7 @@ class TraceReasons:
         point = DecisionPoint(
             tuple(names), tuple(self._problem(int(model[one])) for one in own), parts, team.x[row], own,
             np.zeros(count, dtype=np.int64), team.active[row], ~team.active[row], team.erred[row], team.belief[row],
-            tuple(joint[row * count : (row + 1) * count]), here, way.c_move * way.distance[here], rule,
+            tuple(joint[row * count : (row + 1) * count]), (None,) * count, here, way.c_move * way.distance[here], rule,
             0.0 if team.extra is None else float(team.extra.suggesting[number]),
         )  # fmt: skip
         found = point.suggested(place, robot, arrived=True)

@@ -97,6 +97,7 @@ function showAdvice() {
   at("advice").classList.toggle("open", suggestion !== null || Boolean(view.question));
   at("offer").hidden = suggestion === null;
   at("paused").hidden = !view.paused || suggestion !== null;
+  at("advice-title").textContent = text(view.question ? "task.asks" : "task.suggests");
   at("nothing").hidden = view.paused || suggestion !== null || Boolean(view.question);
   showQuestion(view.question);
   showReasons(suggestion);
