@@ -132,10 +132,10 @@ def test_without_chance_samples_give_the_optimum(seed: int, count: int, M: float
 
 
 @pytest.mark.slow
-def test_no_policy_exceeds_the_bounds_in_two_hundred_problems() -> None:
-    """Samples take more than a third of what prices lose."""
+def test_no_policy_exceeds_the_bounds_in_sixty_problems() -> None:
+    """Samples take more than a third of what prices lose. `bench/coupled_bounds.py` checks 200 problems."""
     by_prices, by_samples = [], []
-    for seed in range(200):
+    for seed in range(60):
         agents = problem(seed, 2 + seed % 3, 2 + seed % 2)
         best, solved = joint_optimum(agents, 1), bound(agents, 1)
         assert solved.upper >= best - 1e-9, seed

@@ -16,8 +16,8 @@ REFUSED = 0.02
 """The share of comparisons that the program may refuse by design."""
 
 
-SETTINGS = [number for number in range(9, 210, 2) if number != 193]
-"""A hundred settings. Number 193 takes half a minute; `bench/crosscheck.py 200` checks it and those between."""
+SETTINGS = [number for number in range(9, 210, 4) if number != 193]
+"""Fifty settings. Number 193 takes half a minute; `bench/crosscheck.py 200` checks it and those between."""
 
 
 def assert_no_violation(numbers: Sequence[int]) -> list[Outcome]:
@@ -41,7 +41,7 @@ def test_no_policy_exceeds_a_bound() -> None:
     assert len(near) >= len(outcomes) / 2
 
 
-def test_a_hundred_settings_have_all_features() -> None:
+def test_fifty_settings_have_all_features() -> None:
     cases = [Case.of(number) for number in SETTINGS]
     for has in (
         lambda case: case.part is not None, lambda case: case.part is None, lambda case: case.paths > 0,
@@ -53,12 +53,12 @@ def test_a_hundred_settings_have_all_features() -> None:
         lambda case: case.setting.trust != "paper", lambda case: case.setting.robot_count > 1,
         lambda case: case.goals > 1, lambda case: case.goals > 1 and case.late,
     ):  # fmt: skip
-        assert sum(bool(has(case)) for case in cases) >= 5
+        assert sum(bool(has(case)) for case in cases) >= 3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(0, 100, 20))
-def test_no_policy_exceeds_a_bound_in_a_hundred_settings(first: int) -> None:
-    outcomes = assert_no_violation(SETTINGS[first : first + 20])
+@pytest.mark.parametrize("first", range(0, 50, 10))
+def test_no_policy_exceeds_a_bound_in_fifty_settings(first: int) -> None:
+    outcomes = assert_no_violation(SETTINGS[first : first + 10])
     compared = sum(len(outcome.kinds) for outcome in outcomes)
     assert sum(outcome.refused for outcome in outcomes) <= 2 * REFUSED * compared

@@ -305,15 +305,15 @@ def test_each_action_happens_once_although_messages_and_the_broker_are_lost(brok
 
 
 @pytest.mark.slow
-def test_fifty_people_and_five_kills_of_the_broker(broker: Broker, tmp_path: Path) -> None:
+def test_twenty_people_and_five_kills_of_the_broker(broker: Broker, tmp_path: Path) -> None:
     """Every action happens once and in order, and the beliefs equal those of the same events over HTTP, bit for bit.
 
-    Of fifty people with equal pasts, many are equally worth a suggestion. So another last bit of one belief would alter
-    suggestions, and with them other beliefs.
+    Of twenty people with equal pasts, many are equally worth a suggestion. So another last bit of one belief would
+    alter suggestions, and with them other beliefs.
     """
-    walks = plans(kit("tiny"), 50, 12, seed=3)
-    options = ("--humans", 50, "--tick", 3600, "--c-suggest", 0.1)
-    # Fifty stations that repeat everything three times a second would keep a small machine busy with repetitions.
+    walks = plans(kit("tiny"), 20, 12, seed=3)
+    options = ("--humans", 20, "--tick", 3600, "--c-suggest", 0.1)
+    # Stations that repeat everything three times a second would keep a small machine busy with repetitions.
     stations = Stations(broker, walks, seed=4, again=1.0)
     with served(*options, "--bridge", settings_file(tmp_path, broker)) as mqtt, served(*options) as http:
         asyncio.run(with_kills(broker, stations, 5))
