@@ -112,7 +112,7 @@ def test_what_is_believed_does_not_depend_on_where_regions_end(tiny: Table, monk
         replayed = Assistant(tiny, ["ann"], setting=Setting(c_suggest=0.05))
         record = replayed._team.by_name["ann"]
         for step, action in enumerate(MANY_MISTAKES):
-            replayed._suggest(record, silent[step])
+            replayed._team.suggest(record, silent[step])
             replayed.observe("ann", action)
         for desk in (parts, told):
             assert (desk.person("ann").belief == replayed.person("ann").belief).all()

@@ -38,7 +38,6 @@ from ..people.mixture import Mixture, advice_takers
 from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..team.action_check import check
-from ..team.assignment import placed
 from ..team.policies import POLICIES, named, prepare
 from ..team.robots import Robot
 from ..team.settings import Setting
@@ -51,17 +50,19 @@ from .beliefs import (
     believe_again,
     correct,
     goals_of,
+    hear,
     is_uncertain,
     likeliest_cost_to_go,
     reason_of,
-    tell,
     worth_of_asking,
 )  # fmt: skip
 from .decision_point import DecisionPoint
 from .events import InvalidError
 from .live_questions import LiveQuestions
-from .live_task import InapplicableError, LiveTask, UnknownError, digest, population_of
-from .roster import Roster, RosterEntry, Step, Told
+from .live_task import InapplicableError, LiveTask, digest, population_of
+from .robot_places import RobotPlaces
+from .roster import Roster, Step, Told
+from .saved_team import people_as_dicts, restore_people, restore_robots, robots_as_dict
 from .uncertain_actions import seen_of
 
 FORMAT = "kitassist team 1"
@@ -131,7 +132,6 @@ class Assistant:
         if policy == "rollout":
             self.setting.require_all_seen("policy 'rollout'")
         self._task = task
-        self._distance = None if distance is None else np.array(distance, dtype=float)
         self._problems: dict[tuple[int, Population | Mixture], LiveTask] = {}
         self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
         self._asks: LiveQuestions | None = None
@@ -139,11 +139,9 @@ class Assistant:
             named(policy, (), self.setting.travel(1))  # raises an error that lists the names
         self._advice: tuple[Advice, ...] | None = None
         self._step = 0
-        self._locations, self._under_way = [BASE] * self.setting.robot_count, [False] * self.setting.robot_count
         names = list(people)
-        places = len(names) if self._distance is None else len(self._distance) - 1
-        self._travel = self.setting.travel(max(1, places), self._distance)
-        self._team = Roster(len(self._travel))
+        self._places = RobotPlaces(self.setting, len(names), distance)
+        self._team = Roster(len(self._places.travel))
         for name in names:
             self.join(name, people[name] if isinstance(people, Mapping) else None)
         if names:
@@ -194,13 +192,13 @@ class Assistant:
             team.present[place] = True
         else:
             place = len(team.records)
-            if place == len(team) and self._distance is not None:
+            if place == len(team) and self._places.distance is not None:
                 raise ValueError(
                     f"{person}: there is a place for {place} people; expected a larger matrix of distances"
                 )
             problem = self._problem(task, population)
             if place == len(team):
-                self._travel = self.setting.travel(2 * place)
+                self._places.grow(2 * place)
                 team.resize(2 * place)
             team.add(person, problem, belief)
         self._advice = None
@@ -244,7 +242,7 @@ class Assistant:
         record.past.add(record.problem, record.steps, record.told)
         record.problem, record.steps, record.told = problem, [], []
         begin_task(self._team, record, part)
-        self._acted(record)
+        record.close_questions()
         self._team.put(record, part, row)
         self._advice = None
 
@@ -328,7 +326,7 @@ class Assistant:
                 still = int(same_suggestions(part.policy.pomdp, np.array([row]), np.array([likeliest]))[0, robot])
             to = problem.at(likeliest)
         record.steps.append(step)
-        self._acted(record)
+        record.close_questions()
         self._team.put(record, *to, erred=erred, robot=still)
         self._advice = None
 
@@ -337,12 +335,6 @@ class Assistant:
     ) -> dict[str, Any]:
         """Return what `observe` records of an uncertain action, after checking it; arguments and errors as there."""
         return seen_of(self._team.known(person).problem, self.setting, action, likelihoods, missed) or {}
-
-    @staticmethod
-    def _acted(record: RosterEntry) -> None:
-        """Close the open question to a person, who has acted."""
-        record.question = None
-        record.asked.clear()
 
     def worth_of_asking(self, person: str) -> float:
         """Return what it is worth to learn what a person's last action was, in cost units, if they answer truthfully.
@@ -386,17 +378,9 @@ class Assistant:
             if question is None or (answer is not None and question.goal is None):
                 raise InapplicableError(f"{person} has no open question" + (" about the goal" if question else ""))
             if answer is not None:
-                self._tell(record, [Told(len(record.steps), str(question.goal), answer)])
+                hear(self._team, record, [Told(len(record.steps), str(question.goal), answer)], self.setting)
         record.question = None
         self._advice = None
-
-    def _tell(self, record: RosterEntry, told: list[Told]) -> None:
-        """Record answers of a person about their goal."""
-        k, robot = record.place, int(self._team.robot[record.place])
-        tell(self._team, record, told, self.setting)
-        record.told += told
-        to = self._team.part(record) if record.joint is None else record.problem.at(record.joint.likeliest)
-        self._team.put(record, *to, erred=bool(self._team.erred[k]), robot=robot)
 
     def undo(self, person: str) -> str | None:
         """Take back a person's last action, as if it had not been observed, and return it.
@@ -419,7 +403,7 @@ class Assistant:
         last = record.steps.pop()
         record.told[:] = [told._replace(steps=min(told.steps, len(record.steps))) for told in record.told]
         erred = believe_again(self._team, record, self.setting)
-        self._acted(record)
+        record.close_questions()
         self._team.put(record, *record.problem.at(last.place), erred=erred, robot=last.robot)
         self._advice = None
         return last.action
@@ -440,7 +424,7 @@ class Assistant:
         robot : int
             Number of the robot, from 1.
         """
-        return self.recommend_all()[self._number(robot)]
+        return self.recommend_all()[self._places.number(robot)]
 
     def recommend_all(self) -> tuple[Advice, ...]:
         """Return what each robot does next."""
@@ -452,23 +436,15 @@ class Assistant:
     def follow(self, advice: Sequence[Advice], step: int) -> None:
         """Apply the advice of each robot from a record, in place of `recommend`; `step` is the team's step after it."""
         self._advice, self._step = tuple(advice), step
-        if self.setting.differ:
-            sent = [NOBODY if one.person is None else self._team.by_name[one.person].place for one in advice]
-            self._locations = placed(np.array([self._locations]), np.array([sent]))[0].tolist()
+        places = self._team.by_name
+        self._places.make_room([NOBODY if one.person is None else places[one.person].place for one in advice])
         for number, one in enumerate(advice):
-            self._ask(one.question)
+            self._team.ask(one.question)
             if one.person is not None:
                 record = self._team.by_name[one.person]  # who may have left while the robot was under way
-                self._locations[number], self._under_way[number] = record.place, not one.arrived
+                self._places.put(number, record.place, under_way=not one.arrived)
                 if one.arrived:
-                    self._suggest(record, one.suggestion)
-
-    def _ask(self, question: Question | None) -> None:
-        """Open a question."""
-        record = None if question is None else self._team.by_name.get(question.person)
-        if question is not None and record is not None:
-            record.question = question
-            record.asked.add(question.kind)
+                    self._team.suggest(record, one.suggestion)
 
     def elapse(self) -> None:
         """Record that time has passed without an action, so that `recommend` decides again."""
@@ -487,26 +463,20 @@ class Assistant:
         ValueError
             The matrix is invalid, or too small for the people who have joined.
         """
-        self._travel = self.other_travel(distance)
-        self._distance = np.array(distance, dtype=float)
-        self._team.resize(len(self._travel))
+        self._places.rearrange(distance, len(self._team.records))
+        self._team.resize(len(self._places.travel))
         if isinstance(self.policy, str):  # the team policy is then built again
             self._made = None
         self._advice = None
 
     def other_travel(self, distance: ArrayLike) -> Travel:
         """Return the travel over other distances; arguments and errors as in `rearrange`."""
-        found = np.array(distance, dtype=float)
-        travel = self.setting.travel(max(1, len(found) - 1), found)
-        if len(travel) < len(self._team.records):
-            people = len(self._team.records)
-            raise ValueError(f"distance: {len(travel)} places; expected one for each of {people} people and the base")
-        return travel
+        return self._places.other_travel(distance, len(self._team.records))
 
     @property
     def distance(self) -> list[list[float]] | None:
         """The given distances; None if all are 1."""
-        return None if self._distance is None else self._distance.tolist()
+        return None if self._places.distance is None else self._places.distance.tolist()
 
     def arrived(self, person: str | None = None, *, robot: int = 1) -> None:
         """Record where the robot is: at a person, at the place of a person who has left, or at its base (None).
@@ -517,17 +487,11 @@ class Assistant:
         robot : int
             Number of the robot, from 1.
         """
-        number, place = self._number(robot), BASE
+        number, place = self._places.number(robot), BASE
         if person is not None:
             place = (self._team.by_name.get(person) or self._team.known(person)).place
-        self._locations[number], self._under_way[number] = place, False
+        self._places.put(number, place)
         self._advice = None
-
-    def _number(self, robot: int) -> int:
-        """Return the index of a robot."""
-        if isinstance(robot, bool) or not isinstance(robot, int) or not 1 <= robot <= self.setting.robot_count:
-            raise UnknownError(f"robot {robot!r}: expected a number from 1 to {self.setting.robot_count}")
-        return robot - 1
 
     def explain(self, person: str | None = None, *, against: str | None = None) -> Explanation:
         """Return why a person has the present suggestion, or none, by the present beliefs.
@@ -557,19 +521,18 @@ class Assistant:
         """
         place = None if person is None else self._team.known(person).place
         # The robot that attends to the person explains, or else the first one.
-        number = self._locations.index(place) if place in self._locations else 0
-        location = self._locations[number]
+        number = self._places.at.index(place) if place in self._places.at else 0
+        location = self._places.at[number]
         return partial(
             self._decision_point(number).explanation, place, None if location == BASE else location,
-            arrived=not self._under_way[number], against=against,
+            arrived=not self._places.under_way[number], against=against,
         )  # fmt: skip
 
     def _decision_point(self, number: int = 0) -> DecisionPoint:
         policy: Any = self.policy
         rule = policy if isinstance(policy, str) else getattr(policy, "name", getattr(policy, "__name__", "your own"))
-        location = self._locations[number]
-        travel = self._travel.of_robot(number)
-        moving = travel.c_move * travel.distance[location]
+        location = self._places.at[number]
+        moving = self._places.cost(number, location)
         return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number))
 
     def _extra(self, number: int) -> float:
@@ -578,29 +541,27 @@ class Assistant:
         return 0.0 if extra is None else float(extra.suggesting[number])
 
     def _decide(self) -> tuple[Advice, ...]:
-        for number, location in enumerate(self._locations):
-            if self._under_way[number] and not self._team.present[location]:
-                self._under_way[number] = False  # it counts as being there, because its position on the way is unknown
+        places = self._places
+        places.stop_for_absent(self._team.present)
         active, question = self._team.present & ~self._team.ended & (self._team.robot == 0), None
-        if not all(self._under_way) and active.any():
+        if not all(places.under_way) and active.any():
             active, question = self._asking(active)
         points = [self._decision_point(number) for number in range(self.setting.robot_count)]
         advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all) for point in points]
-        for number, location in enumerate(self._locations):
-            if self._under_way[number]:
+        for number, location in enumerate(places.at):
+            if places.under_way[number]:
                 going_to = self._team.records[location]
                 reason = reason_of(self._team, going_to.place, 0, 0.0, self._extra(number))
                 on_its_way = Advice(going_to.name, None, reason, arrived=False)
                 source = partial(points[number].suggested, going_to.place, 0, arrived=False)
                 advice[number] = on_its_way.explained_by(source)
-        if all(self._under_way) or not active.any():
+        if all(places.under_way) or not active.any():
             return (advice[0].asking(question), *advice[1:])
         team = self._as_policies_see_it(active)
         action = self._policy()(team)
         check(team, action)
-        origins = list(self._locations)
-        if team.extra is not None:
-            self._locations = placed(team.location, action.person)[0].tolist()
+        origins = list(places.at)
+        places.make_room(action.person)
         chosen = zip(action.person.reshape(-1).tolist(), action.robot.reshape(-1).tolist(), strict=True)
         for number, (k, robot) in enumerate(chosen):
             if k != NOBODY:
@@ -617,42 +578,39 @@ class Assistant:
         active = active & ~np.pad(asked, (0, len(active) - len(asked)))
         question = self._asks.best(self._team, active)
         if question is not None:
-            self._ask(question)
+            self._team.ask(question)
             active[self._team.by_name[question.person].place] = False
         return active, question
 
     def _sent(self, number: int, origin: int, k: int, robot: int, point: DecisionPoint) -> Advice:
         """Send a robot from its place to a person's, and return its advice there."""
-        travel = self._travel.of_robot(number)
-        moving = travel.c_move * float(travel.distance[origin, k])
-        self._under_way[number] = bool(travel.steps[origin, k] > 0)
-        self._locations[number], self._team.robot[k] = k, robot
-        reason, record = reason_of(self._team, k, robot, moving, self._extra(number)), self._team.records[k]
-        advice = Advice(record.name, self._suggestion(record), reason, arrived=not self._under_way[number])
-        return advice.explained_by(partial(point.suggested, k, robot, arrived=advice.arrived))
+        self._team.robot[k] = robot
+        there = self._places.send(number, origin, k)
+        reason, record = (
+            reason_of(self._team, k, robot, float(point.moving[k]), self._extra(number)),
+            self._team.records[k],
+        )
+        advice = Advice(record.name, self._team.suggestion(record), reason, arrived=there)
+        return advice.explained_by(partial(point.suggested, k, robot, arrived=there))
 
     def _as_policies_see_it(self, active: NDArray[np.bool_]) -> TeamState:
         t, several = self._team, self.setting.robot_count > 1
-        location = np.array([self._locations] if several else self._locations)
+        location = np.array([self._places.at] if several else self._places.at)
         return _LiveTeam(
             self._step, t.x[None], active[None], t.erred[None], location, t.model[None], t.belief[None],
-            [part.policy for part in t.parts], self._travel, t,
-            free=~np.array([self._under_way]) if several else None, extra=self.setting.extra_costs,
+            [part.policy for part in t.parts], self._places.travel, t,
+            free=~np.array([self._places.under_way]) if several else None, extra=self.setting.extra_costs,
         )  # fmt: skip
 
     def _policy(self) -> TeamPolicy:
         if self._made is None:
             assert isinstance(self.policy, str)
             # Without given distances all places are equally far, so that two represent any number.
-            travel = self._travel if self._distance is not None else self.setting.travel(2)
+            travel = self._places.travel if self._places.distance is not None else self.setting.travel(2)
             policies = [problem.policy for problem in self._problems.values()]
             prepare(made := named(self.policy, policies, travel), policies)
             self._made = made
         return self._made
-
-    def _suggestion(self, record: RosterEntry) -> str | None:
-        part, row = self._team.part(record)
-        return part.policy.pomdp.suggestion(row, int(self._team.robot[record.place]))
 
     # Views.
 
@@ -666,7 +624,7 @@ class Assistant:
         )  # fmt: skip
         return PersonState(
             person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names,
-            self._suggestion(record), self.cost_to_go(person), len(record.steps), part.policy.pomdp.grid,
+            self._team.suggestion(record), self.cost_to_go(person), len(record.steps), part.policy.pomdp.grid,
             self._team.belief[k].copy(), goals_of(self._team, k),
             {} if record.joint is None else record.joint.states(choices), record.question,
         )  # fmt: skip
@@ -691,7 +649,7 @@ class Assistant:
     @property
     def robots(self) -> tuple[str | None, ...]:
         """For each robot, the person at whom it is, or to whom it is under way; None at its base."""
-        return tuple(None if place == BASE else self._team.records[place].name for place in self._locations)
+        return tuple(None if place == BASE else self._team.records[place].name for place in self._places.at)
 
     def log(self, *, missed: bool = False) -> list[dict[str, Any]]:
         """Return all actions as `fit` reads them: one dictionary each, for each person in order.
@@ -719,27 +677,6 @@ class Assistant:
 
         `from_json` computes the beliefs again from the observations.
         """
-        people = [
-            {
-                "person": record.name,
-                "present": bool(self._team.present[record.place]),
-                "belief": None if record.carried is None else record.carried.tolist(),
-                "episodes": [
-                    {"task": digest(p.task), "population": p.prior.as_dict(), "steps": steps}
-                    | ({"told": [one._asdict() for one in told]} if told else {})
-                    for p, steps, told in record.episodes()
-                ],
-                "suggestion": self._suggestion(record),
-                **({} if record.question is None else {"question": record.question.as_dict()}),
-                **({"asked": sorted(record.asked)} if record.asked else {}),
-            }
-            for record in self._team.records
-        ]
-        # A team of one robot has no lists of robots, as in all versions.
-        one, advice = (
-            self.setting.robot_count == 1,
-            None if self._advice is None else [each.as_dict() for each in self._advice],
-        )
         return json.dumps(
             {
                 "format": FORMAT,
@@ -748,10 +685,8 @@ class Assistant:
                 "population": self.population.as_dict(),
                 "distance": self.distance,
                 "step": self._step,
-                "robot": self.robot if one else self.robots,
-                "under_way": self._under_way[0] if one else self._under_way,
-                "advice": advice[0] if one and advice else advice,
-                "people": people,
+                **robots_as_dict(self._team, self._places, self._advice),
+                "people": people_as_dicts(self._team),
             }
         )
 
@@ -784,40 +719,8 @@ class Assistant:
                 setting=Setting(**{"trust": "paper"} | saved["setting"]),
                 population=population_of(saved["population"]), distance=saved["distance"],
             )  # fmt: skip
-            team._restore(saved, {digest(task): task for task in tasks})
+            restore_people(team, team._team, saved["people"], {digest(task): task for task in tasks})
+            team._step, team._advice = saved["step"], restore_robots(team._team, team._places, saved)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"this is no saved team that can be restored: {error}") from error
         return team
-
-    def _restore(self, saved: dict[str, Any], tasks: Mapping[str, CostToGo | Goals | Policy]) -> None:
-        for one in saved["people"]:
-            for number, episode in enumerate(one["episodes"]):
-                task = tasks.get(episode["task"])
-                if task is None:
-                    raise ValueError(f"the task of {one['person']} is not among the {len(tasks)} that were given")
-                population = population_of(episode["population"])
-                if number:
-                    self.begin(one["person"], task, population=population)
-                else:
-                    self.join(one["person"], task, population=population, belief=one.get("belief"))
-                record = self._team.by_name[one["person"]]
-                told = [Told(**one) for one in episode.get("told", ())]
-                for count, step in enumerate(episode["steps"]):
-                    self._tell(record, [one for one in told if one.steps == count])
-                    self._suggest(record, step["suggestion"])
-                    seen = {kind: step[kind] for kind in ("likelihoods", "missed") if kind in step}
-                    self.observe(record.name, None if seen else step["action"], **seen)
-                self._tell(record, [one for one in told if one.steps == len(episode["steps"])])
-            self._ask(Question.of(one["question"]) if "question" in one else None)
-            record.asked |= set(one.get("asked", ()))
-            self._suggest(record, one["suggestion"])
-            self._team.present[record.place] = one["present"]
-        one, advice = self.setting.robot_count == 1, saved["advice"]
-        self._step, self._under_way = saved["step"], [saved["under_way"]] if one else saved["under_way"]
-        names = [saved["robot"]] if one else saved["robot"]
-        self._locations = [BASE if name is None else self._team.by_name[name].place for name in names]
-        if advice is not None:
-            self._advice = tuple(map(Advice.of, [advice] if one else advice))
-
-    def _suggest(self, record: RosterEntry, suggestion: str | None) -> None:
-        self._team.robot[record.place] = record.problem.robot(*self._team.part(record), suggestion)

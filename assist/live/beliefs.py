@@ -89,6 +89,15 @@ def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Se
     record.joint, team.belief[record.place] = joint, belief
 
 
+def hear(team: Roster, record: RosterEntry, answers: list[Told], setting: Setting) -> None:
+    """Record answers of a person about their goal; errors as in `tell`."""
+    k, robot = record.place, int(team.robot[record.place])
+    tell(team, record, answers, setting)
+    record.told += answers
+    to = team.part(record) if record.joint is None else record.problem.at(record.joint.likeliest)
+    team.put(record, *to, erred=bool(team.erred[k]), robot=robot)
+
+
 def believe_again(team: Roster, record: RosterEntry, setting: Setting) -> bool:
     """Compute the belief in a person from the beginning of the task; return as `believe` does for the last step."""
     team.belief[record.place], record.joint, record.earlier, erred = record.before, None, None, False

@@ -126,6 +126,11 @@ class RosterEntry:
         """Return all tasks of the person, with their steps and the answers about their goals."""
         return [*self.past, (self.problem, [step.named() for step in self.steps], self.told)]
 
+    def close_questions(self) -> None:
+        """Close the open question, because the person has acted."""
+        self.question = None
+        self.asked.clear()
+
 
 @dataclass
 class _Answers:
@@ -217,6 +222,22 @@ class Roster:
     def part(self, record: RosterEntry) -> tuple[TaskPart, int]:
         """Return the part of the task in which a person is, and their row there."""
         return self.parts[self.model[record.place]], int(self.x[record.place])
+
+    def suggestion(self, record: RosterEntry) -> str | None:
+        """Return the open suggestion to a person, in PDDL notation."""
+        part, row = self.part(record)
+        return part.policy.pomdp.suggestion(row, int(self.robot[record.place]))
+
+    def suggest(self, record: RosterEntry, suggestion: str | None) -> None:
+        """Open a suggestion to a person, or none."""
+        self.robot[record.place] = record.problem.robot(*self.part(record), suggestion)
+
+    def ask(self, question: Question | None) -> None:
+        """Open a question, if there is one and its person is known."""
+        record = None if question is None else self.by_name.get(question.person)
+        if question is not None and record is not None:
+            record.question = question
+            record.asked.add(question.kind)
 
     def resize(self, places: int) -> None:
         """Change the number of places, of which those without people are at the end."""
