@@ -22,8 +22,10 @@ import click
 import numpy as np
 from tables import cell, record_option, write_record
 
+from assist.learning.advice_fit import fit_model, fold_of, held_out, mean_and_error
 from assist.learning.advice_log import AdviceLog, read_advice
-from assist.learning.advice_model import BASES, RULES, AdviceModel, fold_of, held_out, mean_and_error
+from assist.learning.advice_model import BASES, AdviceModel
+from assist.learning.advice_rules import RULES
 from planner.system.files import atomic
 
 VARIABLE = "KITASSIST_ADVICE"
@@ -128,9 +130,9 @@ def elsewhere(known: dict[str, AdviceLog], others: dict[str, AdviceLog], rules: 
     """Print how well rules fitted to the known people predict others."""
     for name, log in others.items():
         base = "EA" if name == "cards" else "E"
-        constant = -AdviceModel.of(base, "none").fit(known[name]).predictions(log)
+        constant = -fit_model(AdviceModel.of(base, "none"), known[name]).predictions(log)
         for rule in rules:
-            found = -AdviceModel.of(base, rule).fit(known[name]).predictions(log)
+            found = -fit_model(AdviceModel.of(base, rule), known[name]).predictions(log)
             (nats, se), (difference, its_se) = mean_and_error(log, found), mean_and_error(log, found - constant)
             click.echo(f"{name:10} {base:2} {rule:45} {nats:.4f} ({se:.4f})  {difference:+.4f} ({its_se:.4f})")
 

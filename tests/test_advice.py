@@ -12,18 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from assist.learning.advice_fit import fit_model, fold_of, held_out, mean_and_error
 from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
-from assist.learning.advice_model import (
-    BASES,
-    LAPSE,
-    NODES,
-    RULES,
-    AdviceModel,
-    _update,
-    fold_of,
-    held_out,
-    mean_and_error,
-)
+from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
+from assist.learning.advice_rules import RULES, moved_by
 from assist.people.trust_rules import LEAST, Event, LogitSteps
 from planner.system.errors import InputFileError
 
@@ -50,7 +42,7 @@ def after(
     theta: float, good: float, bad: float, start: float, kind: int, logit: bool, numbers: np.ndarray, *seen: object
 ) -> tuple[float, float, float]:
     """Return theta and the counts after a judgement."""
-    of_start, a, b, c, d, good, bad = _update(good, bad, kind, logit, numbers, *seen)
+    of_start, a, b, c, d, good, bad = moved_by(good, bad, kind, logit, numbers, *seen)
     t = start if of_start else theta
     return min(max((a * t + b) / (c * t + d), LEAST), 1 - LEAST), good, bad
 
@@ -126,7 +118,7 @@ def test_theta_goes_the_way_of_the_outcomes(rule: object) -> None:
 
 
 def test_parameters_of_simulated_people_are_found() -> None:
-    fitted = AdviceModel.of("E", "none").fit(simulated(150, 25, 1)).parameters
+    fitted = fit_model(AdviceModel.of("E", "none"), simulated(150, 25, 1)).parameters
     assert fitted["mu"] == pytest.approx(0.5, abs=0.4)
     assert fitted["sigma"] == pytest.approx(1.5, rel=0.25)
     assert fitted["b1"] == pytest.approx(1.5, abs=0.5)

@@ -41,10 +41,10 @@ ROOMS = {
         memory_needed
         further_beliefs solver
         suggestion_threshold""",
-    "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
-        profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
-        fit joint_states goals goal_fit comparison rule_families trust_log posterior_sample influence_population
-        rule_search trust_fit trust_comparison""",
+    "assist.learning": """log_files log advice_log trust_scores advice_rules advice_model advice_fit replay
+        observations likelihood choosing profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
+        diagnostics population person_estimate fit joint_states goals goal_fit comparison rule_families trust_log
+        posterior_sample influence_population rule_search trust_fit trust_comparison""",
     "assist.team": """by_policy robots travel state hidden_states action_check settings setting_table assignment
         attention questions time_expansion memory_needed subproblem_frontier attention_subproblem priority whittle
         rollout policies""",

@@ -55,6 +55,7 @@ def people() -> None:
     import test_upper_bound
 
     from assist import fit
+    from assist.learning.advice_fit import fit_model
     from assist.learning.advice_model import AdviceModel
     from assist.learning.log import Log
     from assist.team.settings import Setting
@@ -71,7 +72,7 @@ def people() -> None:
     )
     test_refusals.learned(kit("tiny"), test_refusals.ACTIONS, terms=True)
     test_bounded.test_nobody_gets_more("sealed", 4, Setting(c_suggest=0.2), test_bounded.somebody())
-    AdviceModel.of("E", "L outcome at disagreement gain/loss").fit(test_advice.simulated(4, 4, 0))
+    fit_model(AdviceModel.of("E", "L outcome at disagreement gain/loss"), test_advice.simulated(4, 4, 0))
     rows = people_at_work(Choices.of(kit("tiny")), [0.5], np.random.default_rng(0), suggest=0.4, episodes=2)
     fit(kit("tiny"), Log.of(rows), chooses=test_fit_own.same)
     test_trust_fit.test_held_out_people_are_predicted_from_the_others()

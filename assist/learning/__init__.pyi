@@ -1,7 +1,7 @@
+from .advice_fit import compare_advice as compare_advice
+from .advice_fit import fit_advice as fit_advice
 from .advice_log import AdviceLog as AdviceLog
 from .advice_log import read_advice as read_advice
-from .advice_model import compare_advice as compare_advice
-from .advice_model import fit_advice as fit_advice
 from .comparison import Comparison as Comparison
 from .comparison import Predictions as Predictions
 from .comparison import compare as compare

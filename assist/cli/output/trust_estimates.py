@@ -51,8 +51,8 @@ def show_trust(
 
 def show_advice(wanted: TrustOptions, folds: int, level: float, out: Path | None, *, as_json: bool) -> None:
     """Fit a trust rule to judgements with advice, or compare all rules."""
+    from ...learning.advice_fit import compare_advice, fit_advice
     from ...learning.advice_log import read_advice
-    from ...learning.advice_model import compare_advice, fit_advice
 
     assert wanted.advice is not None
     if not 0 < level < 1:

@@ -1,0 +1,198 @@
+"""Fits of trust rules to logs of advice, and how well they predict people who were left out.
+
+A fit is one of largest marginal likelihood (`advice_model`). `fit_advice` is what `kitassist fit --advice` does, and
+`compare_advice` compares rules on held-out people.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from ..people.decision import Floats
+from .advice_log import AdviceLog
+from .advice_model import BASES, AdviceModel
+from .advice_rules import OF_NAMES, STEPS
+from .trust_scores import TrustComparison
+
+POSITIVE = {"sigma", "slope", "n0", "w", "ws", "wf"}
+UNIT = {"gam", "r0"}
+
+
+def fit_model(start: AdviceModel, log: AdviceLog) -> AdviceModel:
+    """Return the model of largest marginal likelihood, found from the values of `start`.
+
+    Where these are the values of `of`, smaller steps are a second start. Where theta moves by steps and is clipped,
+    the likelihood has several local maxima, so that the fit has more starts.
+    """
+    names = (*BASES[start.base], *start.rule.parameters)
+    free = [name != "sigma" or not start.rule.shared for name in names]
+
+    def inner(values: Sequence[float]) -> Floats:
+        return np.array([_to(name, value) for name, value in zip(names, values, strict=True)])[free]
+
+    def model(point: Floats) -> AdviceModel:
+        found = iter(point.tolist())
+        return replace(
+            start,
+            values=tuple(
+                _from(name, next(found)) if one else value
+                for name, one, value in zip(names, free, start.values, strict=True)
+            ),
+        )
+
+    def people(point: Floats) -> Floats:
+        with np.errstate(over="ignore"):
+            values = model(point).log_likelihoods(log)
+        return values if np.isfinite(values).all() else np.full(len(values), -1e6)
+
+    def loss(point: Floats) -> float:
+        return -float(people(point).sum())
+
+    initial = AdviceModel.of(start.base, start.rule.name).values
+    common, rest = initial[: len(BASES[start.base])], initial[len(BASES[start.base]) :]
+    cold, starts = start.values == initial, [inner(start.values)]
+    kinks = start.rule.kind == STEPS and not start.rule.logit and any(start.rule.coefficients(*rest))  # of the clips
+    if start.rule.kind == STEPS and rest and (cold or kinks):
+        starts.append(inner((*common, *(0.3 * value for value in rest))))
+    if kinks:
+        starts += [inner(initial), inner((0.0, 2.0, *initial[2:]))]
+    found = sorted((_scoring(people, one) for one in starts), key=loss)
+    best = found[0]
+    if kinks:  # derivatives mislead at the clips
+        refined = [
+            minimize(
+                loss, one, method="Nelder-Mead",
+                options={"maxiter": 200 * len(one), "xatol": 1e-3, "fatol": 1e-3, "adaptive": True},
+            ).x
+            for one in found[:3]
+        ]  # fmt: skip
+        best = min(refined, key=loss)
+    return model(best)
+
+
+def _scoring(people: Callable[[Floats], Floats], point: Floats, enough: float = 1e-3) -> Floats:
+    """Return the point near a start at which the sum of people's log likelihoods is largest.
+
+    The information is estimated by people's scores (the method of Berndt, Hall, Hall and Hausman), with damping, until
+    a step is expected to gain less than `enough` nats. A start needs a few steps, and each the likelihood once for
+    each parameter.
+    """
+    delta, damping, unit = 1e-4, 1e-3, np.eye(len(point))
+    values = people(point)
+    for _ in range(100):
+        scores = np.array([(people(point + delta * one) - values) / delta for one in unit])
+        gradient, information = scores.sum(axis=1), scores @ scores.T
+        scale = np.diag(np.diag(information) + 1e-6)
+        while True:
+            step = np.linalg.solve(information + damping * scale, gradient)
+            if gradient @ step < enough:
+                return point
+            moved = people(point + step)
+            if moved.sum() > values.sum():
+                break
+            damping *= 10
+        point, values, damping = point + step, moved, max(damping / 10, 1e-6)
+    return point
+
+
+def _to(name: str, value: float) -> float:
+    if name in POSITIVE:
+        return math.log(max(value, 1e-6))
+    return math.log(value / (1 - value)) if name in UNIT else value
+
+
+def _from(name: str, value: float) -> float:
+    if name in POSITIVE:
+        return math.exp(min(max(value, -15.0), 15.0))
+    return 1 / (1 + math.exp(-min(max(value, -30.0), 30.0))) if name in UNIT else value
+
+
+def fold_of(person: NDArray[np.str_], folds: int = 8) -> NDArray[np.int64]:
+    """Return the fold of each row's person, shape (N,): the number in their name, modulo the number of folds.
+
+    Where that leaves all people in one fold, as with names without numbers, it is the person's place in the log.
+    """
+    found = np.array([int("".join(filter(str.isdecimal, name)) or 0) % folds for name in person.tolist()])
+    return found if (found != found[0]).any() else np.unique(person, return_inverse=True)[1].astype(np.int64) % folds
+
+
+def held_out(log: AdviceLog, base: str, rule: str, folds: int = 8) -> Floats:
+    """Return the log probability of each answer, shape (N,), with parameters fitted to the people of other folds."""
+    fold, found = fold_of(log.person, folds), np.empty(len(log))
+    start = AdviceModel.of(base, rule)
+    for each in range(folds):
+        inside = fold == each
+        if inside.any():
+            start = fit_model(start, log.of(~inside))  # the fit of the fold before is a good start
+            found[inside] = start.predictions(log.of(inside))
+    return found
+
+
+def mean_and_error(log: AdviceLog, values: Floats) -> tuple[float, float]:
+    """Return the mean of values per row, shape (N,), and its standard error over people (ratio estimator)."""
+    begins = np.flatnonzero(log.first)
+    sums, counts = np.add.reduceat(values, begins), np.diff(np.append(begins, len(log)))
+    mean = sums.sum() / counts.sum()
+    people = len(begins)
+    return float(mean), float(math.sqrt(((sums - mean * counts) ** 2).sum() * people / (people - 1)) / counts.sum())
+
+
+def compare_advice(log: AdviceLog, *, folds: int = 8, level: float = 0.95) -> TrustComparison:
+    """Compare the trust rules of `OF_NAMES` on held-out people.
+
+    Parameters
+    ----------
+    log : AdviceLog
+    folds : int
+        Groups of people that are left out in turn.
+    level : float
+        Level of the intervals.
+
+    Raises
+    ------
+    ValueError
+        There are fewer than two people.
+    """
+    begins = np.flatnonzero(log.first)
+    if len(begins) < 2:
+        raise ValueError("one person; a comparison needs two or more, to learn from some about others")
+    base = base_of(log)
+    scores = {name: np.add.reduceat(held_out(log, base, rule, folds), begins) for name, rule in OF_NAMES.items()}
+    estimates = {name: fit_model(AdviceModel.of(base, rule), log).parameters for name, rule in OF_NAMES.items()}
+    counts = np.diff(np.append(begins, len(log))).astype(float)
+    return TrustComparison.of(scores, counts, estimates, level)
+
+
+def fit_advice(log: AdviceLog, rule: str) -> dict[str, Any]:
+    """Return the parameters of a trust rule that fit a log of advice best, as plain data.
+
+    Parameters
+    ----------
+    log
+        People's choices before and after advice.
+    rule
+        A name of `OF_NAMES`.
+
+    Returns
+    -------
+    dict
+        The rule, its base, its parameters, the log likelihood in nats, and the numbers of people and choices.
+    """
+    base = base_of(log)
+    model = fit_model(AdviceModel.of(base, OF_NAMES[rule]), log)
+    return {
+        "rule": rule, "base": base, "parameters": model.parameters, "log_likelihood": model.log_likelihood(log),
+        "people": int(log.first.sum()), "choices": len(log),
+    }  # fmt: skip
+
+
+def base_of(log: AdviceLog) -> str:
+    """Return the base for a log: "EA" where the advisor's confidence differs between rows, else "E"."""
+    return "EA" if np.ptp(log.advice_confidence) > 0 else "E"
