@@ -67,8 +67,8 @@ def _measured(table: Any, policy: str, count: int, steps: int, before: int) -> d
     rng = np.random.default_rng(0)
     for _ in range(before):
         for number in range(count):
-            desk.observe(*_act(desk, str(number), rng))
-    times = np.array([_step(desk, str(rng.integers(count)), rng) for _ in range(steps)])[steps // 10 :]
+            desk.observe(*act(desk, str(number), rng))
+    times = np.array([step(desk, str(rng.integers(count)), rng) for _ in range(steps)])[steps // 10 :]
     both = times[:, :2].sum(axis=1)
     begun = time.perf_counter()
     desk.join("another")
@@ -92,7 +92,7 @@ def _measured(table: Any, policy: str, count: int, steps: int, before: int) -> d
     }  # fmt: skip
 
 
-def _act(desk: Assistant, name: str, rng: np.random.Generator) -> tuple[str, str]:
+def act(desk: Assistant, name: str, rng: np.random.Generator) -> tuple[str, str]:
     """Return a person's name and next action."""
     person = desk.person(name)
     if person.finished:
@@ -101,10 +101,10 @@ def _act(desk: Assistant, name: str, rng: np.random.Generator) -> tuple[str, str
     return name, person.suggestion or person.applicable[rng.integers(len(person.applicable))]
 
 
-def _step(desk: Assistant, name: str, rng: np.random.Generator) -> tuple[float, float, float]:
-    act = _act(desk, name, rng)
+def step(desk: Assistant, name: str, rng: np.random.Generator) -> tuple[float, float, float]:
+    action = act(desk, name, rng)
     begun, worked = time.perf_counter(), time.process_time()
-    desk.observe(*act)
+    desk.observe(*action)
     observed = time.perf_counter()
     desk.recommend()
     return observed - begun, time.perf_counter() - observed, time.process_time() - worked
