@@ -487,6 +487,19 @@ def test_people_and_the_operator_see_and_answer_questions_about_probable_goals(c
         seat.click('#answers button:has-text("Yes")')
         seat.wait_for_selector("#question", state="hidden")
         page.wait_for_selector('.plot[aria-label="Goal: travel 100 %, mend 0 %, mount 0 %"]')
+        assert seat.inner_text("#told-text") == "Your answer: the goal is travel."
+        assert seat.inner_text("#advice-title") == "The assistant suggests"
+        assert violations(seat) == []
+        assert violations(page) == []
+        seat.click("#retract")
+        seat.locator('#asked:has-text("Is your goal travel?")').wait_for()
+        assert seat.locator("#told").is_hidden()
+        assert seat.inner_text("#advice-title") == "The assistant asks"
+        seat.click("#reasons summary")
+        seat.locator('#why:has-text("First I would like to know whether your goal is travel")').wait_for()
+        seat.click('#answers button:has-text("No"):not(:has-text("answer"))')
+        page.get_by_label("Take back the answer of person-1").click()
+        seat.locator('#asked:has-text("Is your goal travel?")').wait_for()
         asked = page.locator('.card:has-text("person-2") p:has-text("Asked: is the goal travel?")')
         asked.wait_for()
         assert violations(page) == []
@@ -498,6 +511,32 @@ def test_people_and_the_operator_see_and_answer_questions_about_probable_goals(c
         seat.locator('#done-text:has-text("You have probably reached your goal: was that all?")').wait_for()
         assert seat.locator("#actions button").count() > 0
         assert violations(seat) == []
+
+
+@pytest.mark.slow
+def test_a_person_says_what_they_did_last_when_it_was_seen_badly(chromium: Any, tmp_path: Path) -> None:
+    from serving import served
+
+    asks = ("--suggestions", "all", "--ask", 0, "--c-suggest", 0.01, "--c-move", 0, "--data", tmp_path)
+    with served("--humans", 1, *asks, "--language", "de", instance=PAPER) as running:
+        seat = chromium.new_page(viewport={"width": 390, "height": 844})
+        seat.goto(running.links["person-1"])
+        seat.wait_for_selector("#actions button")
+        options = running.ask("GET", "/api/people/person-1").json()["applicable"]
+        doubt = {"likelihoods": dict.fromkeys(options, 1.0)}
+        seen = running.ask("POST", "/api/people/person-1/actions", json=doubt).json()
+        asked = seen["question"]
+        assert (asked["goal"], set(asked["options"])) == (None, set(options))
+        seat.locator('#asked:has-text("Was haben Sie zuletzt getan?")').wait_for()
+        assert seat.inner_text("#advice-title") == "Der Assistent fragt"
+        assert violations(seat) == []
+        told = asked["options"].index("(fetch box-b)")
+        seat.locator("#answers button").nth(told).click()
+        seat.wait_for_selector("#question", state="hidden")
+        seat.locator('#actions button[data-action="(return box-b)"]').wait_for()
+        assert "question" not in running.ask("GET", "/api/people/person-1").json()
+        assert json.loads(running.ask("GET", "/api/log").text)["action"] == "(fetch box-b)"
+        seat.close()
 
 
 EVERYTHING_SHOWN = """() => {

@@ -136,6 +136,37 @@ def test_the_robot_says_why_it_asks_before_it_suggests(setting: Setting) -> None
     assert "question" not in team.explain("ann").text()
 
 
+@pytest.mark.parametrize("setting", [ASKS, BOTH])
+def test_an_answer_that_is_taken_back_leaves_no_trace(setting: Setting) -> None:
+    team, silent = desk(setting), desk(setting)
+    question = asked(team)
+    team.answer("ann", True)
+    assert team.person("ann").answered == (question.goal, True)
+    action = team.person("ann").applicable[0]
+    for one in (team, silent):
+        one.observe("ann", action)
+    team.recommend()
+    assert team.retract("ann") is True
+    seen = team.person("ann")
+    np.testing.assert_array_equal(seen.belief, silent.person("ann").belief)
+    assert (seen.answered, seen.suggestion, seen.question, len(team.log())) == (None, None, None, 1)
+    assert (seen.state, seen.states) == (silent.person("ann").state, silent.person("ann").states)
+    assert team.recommend().question == silent.recommend().question is not None
+    with pytest.raises(InapplicableError, match="ann has given no answer about the goal that could be taken back"):
+        team.retract("ann")
+
+
+def test_who_has_named_another_goal_by_mistake_can_finish_their_own() -> None:
+    team = desk()
+    wrong = str(asked(team).goal)
+    team.answer("ann", True)
+    for action in TINY.tables[wrong].optimal_plan():
+        team.observe("ann", action)
+    assert (team.finished, team.person("ann").applicable) == (True, ())
+    team.retract("ann")
+    assert team.person("ann").applicable
+
+
 def test_an_impossible_answer_changes_nothing() -> None:
     team = desk(Setting(c_suggest=0.0, c_move=0.0, c_ask=0.0))
     for _ in range(2):  # until one goal is left
@@ -173,7 +204,7 @@ def test_a_policy_that_never_suggests_never_asks() -> None:
     assert Assistant(TINY, ["ann"], setting=ASKS, policy="none").recommend().question is None
 
 
-EVENTS = st.lists(st.tuples(st.sampled_from("adlmuqnb"), st.integers(0, 5), st.floats(0, 1)), max_size=8)
+EVENTS = st.lists(st.tuples(st.sampled_from("adlmuqnbr"), st.integers(0, 5), st.floats(0, 1)), max_size=8)
 
 
 @settings(max_examples=8, deadline=None)
@@ -191,7 +222,7 @@ def test_a_session_of_doubtful_actions_and_answers_resumes_to_the_bit(tmp_path_f
             "l": Event("acted", "ann", likelihoods=dict.fromkeys(seen["applicable"], 1.0 + share)),
             "m": Event("acted", "ann", missed=share), "u": Event("undone", "ann"),
             "q": Event("answered", "ann", answer=option), "n": Event("answered", "ann", answer=share > 0.5),
-            "b": Event("began", "ann"),
+            "b": Event("began", "ann"), "r": Event("retracted", "ann"),
         }[kind]  # fmt: skip
         session.report([event])
     before = session.beliefs(), session.entry("ann"), session.entry("bob"), session.log(), session.outlook()

@@ -243,6 +243,8 @@ class PersonState:
         Probability of each possible task state, if actions are uncertain; `state` is then the most probable one.
     question : Question or None
         The open question to the person.
+    answered : pair of str and bool, or None
+        The last answer about the goal of this task: the goal, and whether it is the person's.
     """
 
     person: str
@@ -258,6 +260,7 @@ class PersonState:
     goals: Mapping[str, float] = field(default_factory=dict)
     states: Mapping[int, float] = field(default_factory=dict)
     question: Question | None = None
+    answered: tuple[str, bool] | None = None
 
     def __post_init__(self) -> None:
         self.belief.flags.writeable = False

@@ -382,6 +382,28 @@ class Assistant:
         record.question = None
         self._advice = None
 
+    def retract(self, person: str) -> bool:
+        """Take back a person's last answer about the goal of their task, as if it had not been given, and return it.
+
+        Actions since then stay. An open suggestion, which may rest on the answer, is withdrawn, and the question may be
+        asked again.
+
+        Raises
+        ------
+        InapplicableError
+            There is no answer about the goal of this task.
+        """
+        record = self._team.known(person)
+        if not record.told:
+            raise InapplicableError(f"{person} has given no answer about the goal that could be taken back")
+        taken = record.told.pop()
+        erred = believe_again(self._team, record, self.setting)
+        record.close_questions()
+        to = self._team.part(record) if record.joint is None else record.problem.at(record.joint.likeliest)
+        self._team.put(record, *to, erred=erred)
+        self._advice = None
+        return taken.yes
+
     def undo(self, person: str) -> str | None:
         """Take back a person's last action, as if it had not been observed, and return it.
 
@@ -627,6 +649,7 @@ class Assistant:
             self._team.suggestion(record), self.cost_to_go(person), len(record.steps), part.policy.pomdp.grid,
             self._team.belief[k].copy(), goals_of(self._team, k),
             {} if record.joint is None else record.joint.states(choices), record.question,
+            (record.told[-1].goal, record.told[-1].yes) if record.told else None,
         )  # fmt: skip
 
     def cost_to_go(self, person: str) -> float:

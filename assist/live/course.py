@@ -267,6 +267,9 @@ class Course:
                 note.reason = note.reasons.pop()
             case "answered":
                 desk.answer(person or "", record.get("answer"))
+            case "retracted":
+                desk.retract(person or "")
+                self._notes[person or ""].reason = None
             case "arrived":
                 desk.arrived(person, robot=record.get("robot", 1))
             case "elapsed":
@@ -375,6 +378,7 @@ class Course:
             "cost_to_go": _finite(known.cost_to_go), "steps": known.steps, "finished": known.finished,
             "explained": True, "seq": note.seq,
             **({} if known.question is None else {"question": known.question.as_dict()}),
+            **({} if known.answered is None else {"answered": dict(zip(("goal", "yes"), known.answered, strict=True))}),
         }  # fmt: skip
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:

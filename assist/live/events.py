@@ -17,7 +17,7 @@ FIELDS: Mapping[str, type | tuple[type, ...]] = {
 }  # fmt: skip
 """Fields of an event's record, and their types."""
 
-BY_PEOPLE = frozenset({"joined", "left", "began", "acted", "undone", "answered"})
+BY_PEOPLE = frozenset({"joined", "left", "began", "acted", "undone", "answered", "retracted"})
 """Kinds of events of one person."""
 
 KINDS = BY_PEOPLE | {"arrived", "elapsed", "paused", "resumed", "rearranged"}
@@ -48,8 +48,8 @@ class Event:
     Attributes
     ----------
     kind : str
-        "joined", "left", "began", "acted", "undone", "answered", "arrived", "elapsed", "paused", "resumed" or
-        "rearranged".
+        "joined", "left", "began", "acted", "undone", "answered", "retracted", "arrived", "elapsed", "paused", "resumed"
+        or "rearranged".
     person : str or None
         The person who acted, joined or left, or at whom the robot has arrived; None for other events.
     action : str or None

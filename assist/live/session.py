@@ -384,6 +384,10 @@ class Session:
         """Record a person's answer to a question of the robot, as `Assistant.answer` does."""
         return self._one(Event("answered", person, answer=answer, seen=seen, id=id))
 
+    def retract(self, person: str, *, id: str | None = None) -> dict[str, Any]:
+        """Take back a person's last answer about the goal of their task."""
+        return self._one(Event("retracted", person, id=id))
+
     def undo(self, person: str, *, id: str | None = None) -> dict[str, Any]:
         """Take back a person's last action, as if it had not been observed."""
         return self._one(Event("undone", person, id=id))

@@ -130,6 +130,11 @@ class Client:
         seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/answer", body)
         return seen
 
+    def retract(self, person: str | None = None) -> dict[str, Any]:
+        """Take back a person's last answer about the goal; return the person's new view."""
+        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/retract", {"id": uuid.uuid4().hex})
+        return seen
+
     def undo(self, person: str | None = None) -> dict[str, Any]:
         """Undo a person's last action; return the person's new view."""
         seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/undo", {"id": uuid.uuid4().hex})

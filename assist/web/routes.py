@@ -146,6 +146,12 @@ async def answer(name: Own, answered: Answered, service: Desk) -> Response:
     )
 
 
+@router.post("/api/people/{name}/retract", tags=["people"], response_model=Person, responses=WRITE)
+async def retract(name: Own, service: Desk, once: Once | None = None) -> Response:
+    """Take back the last answer about the goal; an open suggestion is withdrawn. 409 if there is no answer."""
+    return plain(await service.report(Event("retracted", name, id=None if once is None else once.id)))
+
+
 @router.post("/api/people/{name}/undo", tags=["people"], response_model=Person, responses=WRITE)
 async def undo(name: Own, service: Desk, once: Once | None = None) -> Response:
     """Undo the person's last action, as if it had not been observed."""

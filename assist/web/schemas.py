@@ -123,6 +123,13 @@ class Asked(BaseModel):
     worth: float = Field(description="Expected worth of the answer minus the cost of the question, in cost units.")
 
 
+class GoalAnswer(BaseModel):
+    """A person's answer to "is this your goal?"."""
+
+    goal: str
+    yes: bool
+
+
 class Person(BaseModel):
     """A person's view. `seq` increases with every change; `cost_to_go` is null in a dead end."""
 
@@ -139,6 +146,7 @@ class Person(BaseModel):
     explained: bool = Field(description="Whether the explanation can be asked for.")
     seq: int
     question: Asked | None = Field(None, description="The open question to the person, if there is one.")
+    answered: GoalAnswer | None = Field(None, description="The last answer about the goal of this task, if any.")
 
 
 class Wanted(BaseModel):

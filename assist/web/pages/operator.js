@@ -12,6 +12,7 @@ let team = null;
 const links = {};
 
 const one = (value) => (Math.abs(value) < 0.05 ? "0" : value.toFixed(1).replace(/\.0$/, ""));
+const two = (value) => (Math.abs(value) < 0.005 ? "0" : String(Number(value.toPrecision(2))));
 const spread = (mean, ends) => `${mean.toFixed(2)} (${ends.map((end) => end.toFixed(2)).join(" to ")})`;
 const plain = (action) => (action ? action.slice(1, -1) : "");
 
@@ -104,6 +105,16 @@ function questionTo({ person, seq }, { goal, options }) {
     }, said)));
 }
 
+/** What a person said about their goal, which the operator may take back. */
+function answerOf({ person }, { goal, yes }) {
+  return element("p", { class: "buttons" },
+    `Said: the goal is ${yes ? "" : "not "}${goal}. `,
+    element("button", {
+      type: "button", "data-key": `retract ${person}`, "aria-label": `Take back the answer of ${person}`,
+      click: () => tell(pathOf(person, "/retract"), { method: "POST", body: { id: newId() } }, `The answer of ${person} is taken back.`),
+    }, "Take back"));
+}
+
 function figureOf(drawn, caption) {
   return element("figure", {}, drawn, element("figcaption", {}, caption));
 }
@@ -126,6 +137,7 @@ function card(person) {
     element("p", {}, `${team.tasks.length > 1 ? `${person.task}: ` : ""}${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${remaining(person)}`),
     person.suggestion ? element("p", {}, `Suggested: ${plain(person.suggestion)}`) : null,
     person.question ? questionTo(person, person.question) : null,
+    person.answered ? answerOf(person, person.answered) : null,
     figureOf(progressOf(person), "Remaining cost over time"),
     element("div", { class: "pair" },
       figureOf(betas, `Expertise β: ${betaMean.toFixed(2)}`),
@@ -151,7 +163,7 @@ function robotOf(robot, name) {
     : !robot.suggestion ? `${robot.arrived ? "Stays with" : "Goes to"} ${robot.person}.`
     : `${robot.arrived === false ? "On the way to" : "Serves"} ${robot.person}: ${plain(robot.suggestion)}`;
   const why = !robot.reason || team.paused ? "" :
-    `Expected to save a cost of ${one(robot.reason.saving)}, minus ${one(robot.reason.moving)} for moving: ${one(robot.reason.score)}. ` +
+    `Expected to save a cost of ${two(robot.reason.saving)}, minus ${two(robot.reason.moving)} for moving: ${two(robot.reason.score)}. ` +
     `Expertise ${spread(robot.reason.beta, robot.reason.beta_interval)}, ` +
     `influence ${spread(robot.reason.theta, robot.reason.theta_interval)}.`;
   return [

@@ -100,6 +100,7 @@ function showAdvice() {
   at("advice-title").textContent = text(view.question ? "task.asks" : "task.suggests");
   at("nothing").hidden = view.paused || suggestion !== null || Boolean(view.question);
   showQuestion(view.question);
+  showAnswer(view.answered);
   showReasons(suggestion);
   if (suggestion === null) {
     at("suggestion").textContent = "";
@@ -128,6 +129,13 @@ function showQuestion(question) {
   fill(at("answers"), [...answers, [text("task.no_answer"), null]].map(([words, answer]) => {
     return element("button", { type: "button", disabled: outbox.busy, click: () => reply(answer) }, words);
   }));
+}
+
+/** What the person said about their goal, which they may take back. */
+function showAnswer(answered) {
+  at("told").hidden = !answered;
+  at("retract").disabled = outbox.busy;
+  at("told-text").textContent = answered ? text(answered.yes ? "task.told_yes" : "task.told_no", { goal: answered.goal }) : "";
 }
 
 function reply(answer) {
@@ -439,6 +447,11 @@ at("ignore").addEventListener("click", () => {
 });
 at("reasons").addEventListener("toggle", explain);
 at("against").addEventListener("change", compare);
+at("retract").addEventListener("click", () => {
+  complain(null);
+  if (outbox.send(pathOf(person, "/retract"), {})) show();
+  at("choices-title").focus({ preventScroll: true });
+});
 at("undo").addEventListener("click", () => {
   complain(null);
   if (outbox.send(pathOf(person, "/undo"), {})) show();
