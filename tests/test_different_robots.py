@@ -21,7 +21,6 @@ from assist.certify.options import BoundOptions
 from assist.certify.team_bound import upper_bound
 from assist.cli.options.config import read_config
 from assist.cli.serve import serve
-from assist.interop.teams import Teams
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
 from assist.people.human import Population
@@ -278,9 +277,7 @@ def test_robots_that_cannot_be(robots: Any, message: str) -> None:
 
 def test_where_robots_have_to_be_alike() -> None:
     pool = people((Robot(execute=True), Robot()))
-    with pytest.raises(ValueError, match="expected a number, as an environment has robots that are alike"):
-        Teams(pool, 1, 2)
-    with pytest.raises(ValueError, match="expected a number, as priced has robots that are alike"):
+    with pytest.raises(ValueError, match="robots: they differ; expected robots that are alike, which have one cost"):
         pool.priced(1.0)
     with pytest.raises(ValueError, match="joined: c_suggest is"):
         Pool.joined([pool, people((Robot(execute=True), Robot()), c_suggest=0.1)])

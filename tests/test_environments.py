@@ -22,6 +22,7 @@ from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.people.trust_rules import outcome_at_disagreement
 from assist.team.policies import POLICIES
+from assist.team.robots import Robot
 from assist.team.settings import Setting
 
 EPISODES = 4
@@ -219,6 +220,37 @@ def test_an_episode_of_two_robots_is_the_simulators(tiny_choices: Choices, trave
     pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
     found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5)
     assert total(TeamEnv(pool, 3), "priority") == pytest.approx(found.discounted_return.tolist())
+
+
+@pytest.mark.parametrize("policy", ["priority", "attention"])
+def test_an_episode_of_robots_that_differ_is_the_simulators(tiny_choices: Choices, policy: str) -> None:
+    """One robot executes actions, one is slow and cheap; each pays its own costs, and what it cannot do is masked."""
+    robots = (Robot(execute=True, c_execute=0.1, c_move=0.4), Robot(c_suggest=0.05, travel_time=1.0))
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(c_suggest=0.1, robots=robots, max_steps=30))
+    found = simulate(pool, policy, humans=3, episodes=EPISODES, seed=5)
+    assert found.executed.any()
+    env = TeamEnv(pool, 3)
+    assert total(env, policy) == pytest.approx(found.discounted_return.tolist())
+    _, info = env.reset(seed=1)
+    first, second = info["action_mask"]
+    assert first.sum() > second.sum() > 1
+
+
+def test_robots_that_differ_and_act_at_random_never_attend_to_the_same_person(tiny_choices: Choices) -> None:
+    robots = (Robot(execute=True), Robot(c_move=0.1), Robot(travel_time=1.0))
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(robots=robots, max_steps=30))
+    env = RobotsEnv(pool, 3)
+    rng, made_room = np.random.default_rng(0), False
+    for episode in range(20):
+        _, info = env.reset(seed=episode)
+        while env.agents:
+            before = env.team.location[0].copy()
+            wanted = {agent: int(rng.choice(np.flatnonzero(info[agent]["action_mask"]))) for agent in env.agents}
+            *_, info = env.step(wanted)
+            there = env.team.location[0]
+            assert len(set(there[there >= 0].tolist())) == (there >= 0).sum()
+            made_room |= bool(((there < 0) & (before >= 0)).any())
+    assert made_room
 
 
 def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None:

@@ -84,7 +84,9 @@ class _Desk:
         possible = self.sight.mask() * ~teams.finished[:, :, None]
         if teams.location.ndim > 1:
             possible = np.repeat(possible[:, None], teams.location.shape[1], axis=1)
-        possible[..., 1:] *= (teams.travel.steps[teams.location][..., :-1] == 0)[..., None]  # the robot acts on arrival
+        possible[..., 1:] *= (teams.travel.steps_from(teams.location) == 0)[..., None]  # the robot acts on arrival
+        if teams.extra is not None:
+            possible *= np.isfinite(teams.state().extra_costs(self.sight.robots))  # not all can execute
         possible *= teams.reachable()[..., None]
         flat = possible.reshape(*possible.shape[:-2], -1).astype(np.int8)
         return np.concatenate([np.ones((*flat.shape[:-1], 1), dtype=np.int8), flat], axis=-1)
@@ -150,7 +152,7 @@ class TeamEnv(gymnasium.Env):
 
     With M robots, M > 1 (`setting.robots`), an action is M such numbers, one for each robot. `location`, `free`,
     `action_mask` and `illegal` then have an entry for each robot. A robot that is sent to a person with whom another
-    one is, or to whom one with a lower number goes, stays where it is.
+    one is, or to whom one with a lower number goes, stays where it is. If robots differ, one without a task makes room.
 
     After `reset(seed=s)` the episodes are episodes 0, 1, ... of `simulate(pool, ..., humans=K, episodes=n, seed=s)`,
     with the same random numbers. The same actions therefore have the same outcome. `team` is the state that team

@@ -185,8 +185,8 @@ class RobotsEnv(pettingzoo.ParallelEnv):
     An agent's action is a number as in `TeamEnv`, for its robot. Its observation is that of the team, with the mask of
     its own actions. In `location` and `free`, its own entry is the first, and the others follow in their order. A robot
     that is sent to a person with whom another one is, or to whom one with a lower number goes, stays where it is; its
-    `info["illegal"]` says so. Every agent receives the team's reward. All terminate when all people have finished, and
-    are truncated after `setting.max_steps` steps.
+    `info["illegal"]` says so. If robots differ, one without a task makes room. Every agent receives the team's reward.
+    All terminate when all people have finished, and are truncated after `setting.max_steps` steps.
 
     Parameters
     ----------

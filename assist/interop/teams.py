@@ -23,6 +23,7 @@ from ..person.dynamics import PeopleArrays
 from ..simulation.common_random_numbers import from_the_prior
 from ..simulation.model_group import ModelGroup, World
 from ..simulation.pool import MAX_ENUMERATED, Pool
+from ..team.assignment import placed
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
 
@@ -73,12 +74,11 @@ class Teams:
         filters: bool = True,
     ) -> None:
         pool.setting.require_all_seen("an environment")
-        pool.setting.require_alike("an environment")
         for policy in pool.policies:
             policy.require_enumerated("pool")
             policy.pomdp.model.choices.require_one_goal("an environment")
         self.pool, self.on_grid = pool, world == "model"
-        self.travel = pool.setting.travel(places, distance)
+        self.travel, self.extra = pool.setting.travel(places, distance), pool.setting.extra_costs
         self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}
         self._row = np.sum([group.row for group in self.groups.values()], axis=0)
         choices = [pool.choices(number) for number in range(len(pool.people))]
@@ -138,17 +138,24 @@ class Teams:
         return TeamState(
             step=int(self.clock.max()), x=self.x, active=~self.finished, erred=self.erred, location=self.location,
             model=self.model, belief=self.belief, policies=self.pool.policies, travel=self.travel,
-            free=self.free() if self.location.ndim > 1 else None,
+            free=self.free() if self.location.ndim > 1 else None, extra=self.extra,
         )  # fmt: skip
 
     def send(self, action: TeamAction) -> tuple[NDArray[np.int64], Floats]:
-        """Send the robots; return their action on each person and the cost of moving (cost units), shape (N, K)."""
+        """Send the robots; return their action on each person and the costs, both of shape (N, K).
+
+        They are the costs of moving and, if robots differ, what an action of each costs more, in cost units.
+        """
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
         sent = np.nonzero(action.person != NOBODY)
         rows, to, origin = sent[0], action.person[sent], self.location[sent]
-        robot[rows, to] = action.robot[sent]
-        charged[rows, to] = self.travel.c_move * self.travel.distance[origin, to]
-        self.busy_until[sent] = self.clock[rows] + self.travel.steps[origin, to]
+        number, does = self.state().robot_numbers()[sent], action.robot[sent]
+        robot[rows, to] = does
+        charged[rows, to] = self.travel.costs_between(number, origin, to)
+        self.busy_until[sent] = self.clock[rows] + self.travel.steps_between(number, origin, to)
+        if self.extra is not None:
+            charged[rows, to] += self.state().extra_costs(int(does.max(initial=0)) + 1)[rows, number, to, does]
+            self.location[:] = placed(self.location, action.person)
         self.location[sent] = to
         return robot, charged
 
@@ -156,15 +163,16 @@ class Teams:
         """Return which of several robots are sent to where another one is or goes, shape (N, M).
 
         Of two robots that are sent to a person, the first one goes there. A robot that is not sent stays, so that
-        nobody else can come to its place.
+        nobody else can come to its place; but if robots differ, it makes room for another one.
         """
         refused = np.zeros(person.shape, dtype=bool)
         while True:
             after = np.where((person == NOBODY) | refused, self.location, person)
             moves = after != self.location
+            stays = ~moves if self.extra is None else ~moves & (person != NOBODY) & ~refused
             same = (after[:, :, None] == after[:, None]) & (after != BASE)[:, :, None]
             before = np.tri(person.shape[1], k=-1, dtype=bool)  # [m, l]: l is before m
-            wrong = moves & (same & (before | ~moves[:, None])).any(axis=2)
+            wrong = moves & (same & (before & moves[:, None] | stays[:, None])).any(axis=2)
             if not wrong.any():
                 return refused
             refused |= wrong

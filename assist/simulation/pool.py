@@ -209,7 +209,8 @@ class Pool:
 
     def priced(self, c_suggest: float) -> Pool:
         """Return the same people with another cost of a suggestion; the task must be enumerated, and robots alike."""
-        self.setting.require_alike("priced")
+        if self.setting.differ:
+            raise ValueError("robots: they differ; expected robots that are alike, which have one cost of a suggestion")
         for policy in self.policies:
             policy.require_enumerated("priced")
         policies = tuple(

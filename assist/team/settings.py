@@ -252,17 +252,6 @@ class Setting:
         if self.robot_count > 1:
             raise ValueError(f"robots {self.robot_count}: expected 1, as {what} has one robot")
 
-    def require_alike(self, what: str) -> None:
-        """Raise an error if a team's robots differ, where they must be alike.
-
-        Raises
-        ------
-        ValueError
-            It names `what` needs robots that are alike.
-        """
-        if self.differ:
-            raise ValueError(f"robots: they differ; expected a number, as {what} has robots that are alike")
-
     def require_all_seen(self, what: str) -> None:
         """Raise an error if actions may be missed or confused, where they must be seen as they are.
 
