@@ -134,7 +134,6 @@ slow = pytest.mark.slow
     ("command", "other"),
     [
         pytest.param(["solve", LARGE], "planner.pddl.validation_process", id="solve one"),
-        pytest.param(["solve", LARGE], "spawn_main", id="solve one, begun", marks=slow),
         pytest.param(
             ["solve", LARGE, str(TINY), "--jobs", "2"], "planner.pddl.validation_process", id="solve two", marks=slow
         ),

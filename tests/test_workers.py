@@ -48,6 +48,8 @@ if __name__ == "__main__":
     assert set(found) == set(DEATHS)
     for what, death in found.items():
         assert isinstance(death, WorkerDiedError), (what, death)
+    (_, (own, _)), (_, fault) = outcomes(work, ["answers", "fails"], jobs=0)
+    assert own == os.getpid() and repr(fault) == "ValueError('fails')"
     ((_, late),) = outcomes(work, ["waits"], timeout=0.2)
     assert isinstance(late, TimeoutError), late
     assert threading.active_count() == 1

@@ -53,6 +53,8 @@ def solve(
         raise click.UsageError("--resume needs --out")
     with one_line_errors("interrupted; finished results are saved, --resume continues" if out else "interrupted"):
         found = find_instances(instances, domain)
+        if len(found) == 1 and options["time_limit"] is None and options["memory_limit"] is None:
+            jobs = 0  # starting a worker takes longer than solving most tasks
         answers = Answers(alone=len(found) == 1, as_json=as_json)
         try:
             with solving(len(found), answers.add) as (solved, stage):

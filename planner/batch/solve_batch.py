@@ -45,9 +45,10 @@ def solve_batch(
 
     The folder `out` receives tables, plans and `results.jsonl`, to which each record is added at once. With `resume`,
     its valid records of solved and unsolvable instances are kept, and only the others are run; without it, results in
-    the folder raise a `ResultsExistError`. At most `jobs` worker processes share the machine's memory and processors.
-    Instead, the workers of the Dask `scheduler` at an address can solve the instances. They must see the same files at
-    the same paths, and run one thread each.
+    the folder raise a `ResultsExistError`. At most `jobs` worker processes share the machine's memory and processors;
+    with `jobs=0`, this process solves the instances, and cannot survive a lack of memory. Instead, the workers of the
+    Dask `scheduler` at an address can solve the instances. They must see the same files at the same paths, and run one
+    thread each.
 
     `progress` is called with each final record. In other threads, `stages` is called with an instance and the
     arguments of `progress` in `solve_instance`, and `tell` with each new intermediate record of an unfinished

@@ -14,8 +14,7 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -241,19 +240,25 @@ def _out_of_memory(instance: Instance, options: SolveOptions) -> SolveRecord:
 
 
 def _grounded(reading: Reading, checker: ValidationProcess, phases: _Phases, until_solved: ExitStack) -> Task:
-    """Ground an instance. Meanwhile, load the compiled code that the search needs."""
-    with phases.phase("translate", "reading"), ThreadPoolExecutor(1) as thread:
-        grounding = thread.submit(ground, reading, checker, phases.limits())
-        from ..system.jit import compiling
+    """Ground an instance. Meanwhile, a thread loads the compiled code that the search needs."""
+    with phases.phase("translate", "reading"):
+        loading = threading.Thread(target=_load_search, args=(reading.instance, phases, until_solved), daemon=True)
+        loading.start()
+        task = ground(reading, checker, phases.limits())
+        loading.join()
+        return task
 
-        until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
-        from ..costtogo.sweep import sweep
 
-        # Solving the smallest task, a switch, loads the compiled code while the translator runs. Of a small instance,
-        # this saves 0.1 of 1.1 seconds.
-        switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
-        sweep(Task(reading.instance, switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
-        return grounding.result()
+def _load_search(instance: Instance, phases: _Phases, until_solved: ExitStack) -> None:
+    """Load the compiled code by solving the smallest task, a switch. This saves 0.1 of 1.1 seconds."""
+    from ..system.jit import compiling
+
+    until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
+    from ..costtogo.sweep import sweep
+
+    switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
+    with suppress(MemoryError, RuntimeError):  # the search that follows will report them
+        sweep(Task(instance, switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)), progress=False)
 
 
 class _Swept(NamedTuple):

@@ -12,6 +12,7 @@ import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import closing, contextmanager, nullcontext
+from functools import partial
 from multiprocessing import active_children, get_context, resource_tracker
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -46,14 +47,29 @@ def outcomes(
     The work is a module-level function, so that other processes can import it; items and arguments are picklable. It
     is done by `jobs` processes of this machine, each a new interpreter, or by the workers of a Dask `scheduler` at an
     address. These must see the same files at the same paths, and run one thread each. After `timeout` seconds, a
-    process of this machine is stopped, and its item is yielded with a `TimeoutError`.
+    process of this machine is stopped, and its item is yielded with a `TimeoutError`. With `jobs=0`, this process does
+    the work, without a timeout.
 
     `hear` is called in a thread with an item and the values that its work reports. The work then receives a `Reporter`
     as an additional last argument. Workers of a cluster do not report.
     """
     if scheduler is not None:
         return _on_cluster(work, items, arguments if hear is None else (*arguments, Reporter(None, 0)), scheduler)
+    if jobs == 0:
+        return _here(work, items, arguments, hear)
     return _in_a_pool(work, items, arguments, jobs, timeout, hear)
+
+
+def _here(
+    work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], hear: Callable[..., None] | None
+) -> Generator[tuple[Item, Result | Exception]]:
+    for item in items:
+        outcome: Any
+        try:
+            outcome = work(item, *arguments, *([] if hear is None else [partial(hear, item)]))
+        except Exception as error:  # noqa: BLE001  as in a pool
+            outcome = error
+        yield item, outcome
 
 
 def _in_a_pool(
