@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
     "planner.system": """lazy_imports errors arrays files machine processes threads progress_reports progress jit
-        limits workers typed_toml""",
+        limits workers""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations fragment formulas reader writer
         validation validation_process built_problems""",
     "planner.grounding": "fast_downward cross_check task load semantics",
@@ -33,6 +33,7 @@ ROOMS = {
         on_demand portfolio""",
     "planner.batch": "solve_instance results_folder solve_batch",
     "planner": "engine",
+    "assist.texts": "typed_toml catalogue",
     "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model human
         mixture
         spread belief influence_kernels trust_rules user_code action_names signals""",
@@ -53,7 +54,6 @@ ROOMS = {
     "assist.simulation": """memory_needed pool schedule common_random_numbers trace episodes model_group
         observed_people task_parts task_view run traced_run requested suggestion_search simulate belief_trace
         illustration""",
-    "assist.texts": "catalogue",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.explain": "continuations contrast explanation",
     "assist.live": """live_task events advice roster uncertain_actions beliefs live_questions decision_point

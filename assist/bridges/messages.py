@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from planner.system.typed_toml import fault, regular_expression
+from assist.texts.typed_toml import fault, regular_expression
 
 from ..people.action_names import wrong_form
 

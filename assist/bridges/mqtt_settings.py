@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct, field
 
-from planner.system import typed_toml
-from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
+from assist.texts import typed_toml
+from assist.texts.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
 
 from .messages import Source, Topic, source_of
 

@@ -10,8 +10,8 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from planner.system import typed_toml
-from planner.system.typed_toml import Text, Truth, convert, fault, located
+from assist.texts import typed_toml
+from assist.texts.typed_toml import Text, Truth, convert, fault, located
 
 from .messages import Source, Topic, source_of
 

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from planner.system import typed_toml
-from planner.system.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
+from assist.texts import typed_toml
+from assist.texts.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
 
 from .messages import FIELD, Fields, MessageError, Source, Topic, fields_of, source_of, texts_of
 from .mqtt_settings import ADVICE, VIEW

@@ -13,11 +13,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from planner import Instance, InstanceError, find_instances
-from planner.pddl import bundled
-from planner.system.errors import InputFileError
-from planner.system.errors import expected as meant
-from planner.system.typed_toml import (
+from assist.texts.typed_toml import (
     AnyTable,
     Number,
     Pair,
@@ -36,6 +32,10 @@ from planner.system.typed_toml import (
     located,
     shown,
 )
+from planner import Instance, InstanceError, find_instances
+from planner.pddl import bundled
+from planner.system.errors import InputFileError
+from planner.system.errors import expected as meant
 
 from ..learning import population as populations
 from ..people.human import Population

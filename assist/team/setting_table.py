@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planner.system.typed_toml import AnyTable, WholeOrTables, partial_of
+from assist.texts.typed_toml import AnyTable, WholeOrTables, partial_of
 
 from .settings import Setting
 

@@ -1,4 +1,4 @@
-"""Texts that people read, in each language: pages, questionnaires, refusals, and explanations."""
+"""TOML files: typed tables, and the texts that people read in each language."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -14,11 +14,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from planner import Instance, InstanceError, find_instances
-from planner.pddl import bundled
-from planner.system.errors import InputFileError
-from planner.system.errors import expected as meant
-from planner.system.typed_toml import (
+from assist.texts.typed_toml import (
     AnyTable,
     Number,
     Pair,
@@ -33,6 +29,10 @@ from planner.system.typed_toml import (
     load,
     located,
 )
+from planner import Instance, InstanceError, find_instances
+from planner.pddl import bundled
+from planner.system.errors import InputFileError
+from planner.system.errors import expected as meant
 
 from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers

@@ -14,8 +14,8 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
+from assist.texts.typed_toml import Number, Text, Texts, Truth, fault, shown
 from planner.system.errors import expected as meant
-from planner.system.typed_toml import Number, Text, Texts, Truth, fault, shown
 
 from ..texts.catalogue import Catalogue
 from .questionnaires import (

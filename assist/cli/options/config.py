@@ -65,7 +65,7 @@ def read_config(file: Path, options: Sequence[click.Parameter], tables: Sequence
         The library for typed tables is not installed.
     """
     try:
-        from planner.system import typed_toml
+        from assist.texts import typed_toml
     except ImportError as error:
         raise MissingExtraError("a configuration file needs", str(error.name), "web") from None
     known = {_name(option): option for option in options if option.name != "config"}
@@ -112,7 +112,7 @@ def _kinds(options: dict[str, click.Parameter], tables: Sequence[str]) -> type[S
     import msgspec
     from msgspec import UNSET, UnsetType
 
-    from planner.system.typed_toml import Text
+    from assist.texts.typed_toml import Text
 
     texts = Annotated[dict[str, Text], msgspec.Meta(description="a table of texts")]
     kinds = {name: _kind(option) for name, option in options.items()} | dict.fromkeys(tables, texts)
@@ -124,7 +124,7 @@ def _kind(option: click.Parameter) -> Any:
     """Return the type that an option's value has in a file."""
     from msgspec import Meta
 
-    from planner.system.typed_toml import Pair, Text, Texts, Truth, WholeOrTables
+    from assist.texts.typed_toml import Pair, Text, Texts, Truth, WholeOrTables
 
     if getattr(option, "is_flag", False):
         return Truth

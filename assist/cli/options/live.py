@@ -215,7 +215,7 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
         The settings are faulty, or a file of the TLS settings cannot be read.
     """
     try:
-        from planner.system import typed_toml
+        from assist.texts import typed_toml
 
         from ...bridges import mqtt, opcua, opcua_server
         from ...bridges.mqtt_settings import MqttSettings

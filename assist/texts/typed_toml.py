@@ -17,8 +17,8 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType
 
-from .errors import InputFileError
-from .errors import expected as meant
+from planner.system.errors import InputFileError
+from planner.system.errors import expected as meant
 
 T = TypeVar("T")
 
