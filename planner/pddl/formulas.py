@@ -15,6 +15,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 from .declarations import Names, Symbol, Typed, meant, parameters, refuse, shown
 from .s_expressions import Expression, Place
@@ -80,6 +81,10 @@ class Formulas:
         self._used: set[str] = set()
         self._bound: set[str] = set()
 
+    def refuse(self, at: Expression, message: str) -> NoReturn:
+        """Raise a `PDDLError` with the place of the fault."""
+        refuse(self.file, at, message)
+
     def scope(self, variables: Iterable[Typed], whole: Expression) -> Scope:
         """Return the scope of an action's or a rule's parameters, and start a new set of unique names for `whole`."""
         found = {each.name: each for each in variables}
@@ -111,7 +116,7 @@ class Formulas:
     def _quantified(self, part: Expression, scope: Scope) -> tuple[Expression, Scope]:
         """Read the variables of a quantifier. Return them as a typed list, with the scope inside the quantifier."""
         if part.word:
-            refuse(self.file, part, f"'{part}' is not a list of variables; expected (?VARIABLE - TYPE ...)")
+            self.refuse(part, f"'{part}' is not a list of variables; expected (?VARIABLE - TYPE ...)")
         inner, written = dict(scope), []
         for each in parameters(self.file, part.parts, self.names.types):
             name, number = each.name, 2
@@ -126,14 +131,14 @@ class Formulas:
     def _expect(self, formula: Expression, number: int, syntax: str) -> None:
         if len(formula.parts) != number + 1:
             much = {1: "exactly one argument", 2: "exactly two arguments"}[number]
-            refuse(self.file, formula, f"'{formula.head}' expects {much}; expected {syntax}")
+            self.refuse(formula, f"'{formula.head}' expects {much}; expected {syntax}")
 
     def _headed(self, formula: Expression, what: str, heads: Iterable[str]) -> None:
         if formula.word:
-            refuse(self.file, formula, f"'{formula}' is not expected here: expected {what}")
+            self.refuse(formula, f"'{formula}' is not expected here: expected {what}")
         if formula.parts and not formula.head:
             near = ", ".join(heads)
-            refuse(self.file, formula, f"'{shown(formula)}' is no {what}: expected a predicate, or one of {near}")
+            self.refuse(formula, f"'{shown(formula)}' is no {what}: expected a predicate, or one of {near}")
 
     def condition(self, formula: Expression, scope: Scope) -> Expression:
         """Check a condition, and return it in normalised form."""
@@ -153,7 +158,7 @@ class Formulas:
             body = self.condition(parts[1], inner)
             return listed(formula.parts[0], variables, body) if variables.parts else body
         if head in COMPARISONS or (head == "=" and any(self._is_number(part) for part in parts)):
-            refuse(self.file, formula, f"numeric conditions are not supported: {shown(formula)}")
+            self.refuse(formula, f"numeric conditions are not supported: {shown(formula)}")
         if head == "=":
             self._expect(formula, 2, "(= TERM TERM)")
             return listed(formula.parts[0], *(self._term(part, scope)[0] for part in parts))
@@ -166,29 +171,29 @@ class Formulas:
         """Check a predicate with its arguments, and return it in normalised form."""
         symbol = self.names.predicates.get(formula.head)
         if symbol is None and formula.head == "preference":
-            refuse(self.file, formula, "preferences are not supported")
+            self.refuse(formula, "preferences are not supported")
         if symbol is None:
             near = meant(formula.head, {*self.names.predicates, *besides})
-            refuse(self.file, formula, f"unknown predicate '{formula.head}'{near}")
+            self.refuse(formula, f"unknown predicate '{formula.head}'{near}")
         return listed(formula.parts[0], *self.arguments(formula, symbol, scope))
 
     def _term(self, part: Expression, scope: Scope) -> tuple[Expression, Typed]:
         """Return an argument in normalised form, and its declaration."""
         if not part.word:
-            refuse(self.file, part, f"'{shown(part)}' is not expected here: expected an object or a variable")
+            self.refuse(part, f"'{shown(part)}' is not expected here: expected an object or a variable")
         if (known := scope.get(part.word)) is not None:
             return word(known.name), known
         if (known := self.names.objects.get(part.word)) is not None:
             return part, known
         what = "variable" if part.word.startswith("?") else "object"
         near = meant(part.word, scope if what == "variable" else self.names.objects)
-        refuse(self.file, part, f"unknown {what} '{part}'{near}")
+        self.refuse(part, f"unknown {what} '{part}'{near}")
 
     def arguments(self, formula: Expression, symbol: Symbol, scope: Scope) -> list[Expression]:
         """Check the arguments of a predicate or a function, and return them in normalised form."""
         wanted, given = len(symbol.parameters), len(formula.parts) - 1
         if wanted != given:
-            refuse(self.file, formula, f"'{symbol.name}' takes {wanted} argument{'s' * (wanted != 1)}, not {given}")
+            self.refuse(formula, f"'{symbol.name}' takes {wanted} argument{'s' * (wanted != 1)}, not {given}")
         written = []
         for part, parameter in zip(formula.parts[1:], symbol.parameters, strict=True):
             as_written, found = self._term(part, scope)
@@ -198,10 +203,11 @@ class Formulas:
             else:
                 fits = self.names.types.fits(found.kinds[0], parameter.kinds)
             if not fits:
-                refuse(
-                    self.file, part, f"{symbol.name} has an argument of the wrong type: '{part}' is of type "
+                self.refuse(
+                    part,
+                    f"{symbol.name} has an argument of the wrong type: '{part}' is of type "
                     f"{' or '.join(found.kinds)}, and {' or '.join(parameter.kinds)} is expected",
-                )  # fmt: skip
+                )
         return written
 
     def effect(self, formula: Expression, scope: Scope, action: str, costs: list[Cost]) -> Expression:
@@ -230,7 +236,7 @@ class Formulas:
             written, cost = self._cost(formula, scope, action, within)
             if costs:
                 other = costs[0].place.line
-                refuse(self.file, formula, f"action '{action}' has two costs, on line {other} as well; expected one")
+                self.refuse(formula, f"action '{action}' has two costs, on line {other} as well; expected one")
             costs.append(cost)
             return written
         changed = formula
@@ -239,33 +245,32 @@ class Formulas:
             changed = parts[0]
             self._headed(changed, "predicate", ())
         if changed.head in ("=", *CONDITIONS, *COMPARISONS):
-            refuse(
-                self.file, formula,
+            self.refuse(
+                formula,
                 f"'{shown(formula)}' is not an effect; expected (PREDICATE ARGUMENT ...) or {', '.join(EFFECTS)}",
-            )  # fmt: skip
+            )
         atom = self.atom(changed, scope, EFFECTS)
         if (rule := self.derived.get(changed.head)) is not None:
-            refuse(
-                self.file, formula, f"action '{action}' changes '{changed.head}', which is derived (line {rule.line})"
-            )
+            self.refuse(formula, f"action '{action}' changes '{changed.head}', which is derived (line {rule.line})")
         return listed(formula.parts[0], atom) if head == "not" else atom
 
     def _cost(self, formula: Expression, scope: Scope, action: str, within: str) -> tuple[Expression, Cost]:
         parts = formula.parts[1:]
         changed = parts[0].head or str(parts[0]) if parts else "nothing"
         if formula.head != "increase" or changed != "total-cost":
-            refuse(
-                self.file, formula, f"numeric fluents are not supported: action '{action}' changes '{changed}' "
+            self.refuse(
+                formula,
+                f"numeric fluents are not supported: action '{action}' changes '{changed}' "
                 f"({formula.head}); only (increase (total-cost) ...) may be used",
-            )  # fmt: skip
+            )
         if within == "when":
-            refuse(self.file, formula, f"action '{action}' has a conditional cost; costs depend on arguments only")
+            self.refuse(formula, f"action '{action}' has a conditional cost; costs depend on arguments only")
         if within:
-            refuse(self.file, formula, f"action '{action}' has a cost within (forall ...); expected it outside, once")
+            self.refuse(formula, f"action '{action}' has a cost within (forall ...); expected it outside, once")
         if len(parts) != 2 or not parts[0].parts:
-            refuse(self.file, formula, f"action '{action}': expected (increase (total-cost) COST)")
+            self.refuse(formula, f"action '{action}': expected (increase (total-cost) COST)")
         if len(parts[0].parts) > 1:
-            refuse(self.file, formula, f"'total-cost' takes 0 arguments, not {len(parts[0].parts) - 1}")
+            self.refuse(formula, f"'total-cost' takes 0 arguments, not {len(parts[0].parts) - 1}")
         amount = parts[1]
         written = self._amount(amount, scope, action)
         cost = Cost(whole_number(written), tuple(written.words), formula.place)
@@ -274,7 +279,7 @@ class Formulas:
     def limited(self, at: Expression, number: int) -> None:
         """Refuse a cost above `LARGEST_COST`."""
         if number > LARGEST_COST:
-            refuse(self.file, at, f"a cost of {shown(at)} is too large; expected at most {LARGEST_COST}")
+            self.refuse(at, f"a cost of {shown(at)} is too large; expected at most {LARGEST_COST}")
 
     def _amount(self, amount: Expression, scope: Scope, action: str) -> Expression:
         """Check the cost of an action: a whole number, or a declared function with the right number of arguments."""
@@ -282,26 +287,21 @@ class Formulas:
             self.limited(amount, number)
             return word(str(number))
         if re.fullmatch(r"-[\d.]+", amount.word) or (amount.head == "-" and len(amount.parts) == 2):
-            refuse(self.file, amount, f"action '{action}' costs '{amount}'; costs may not be negative")
+            self.refuse(amount, f"action '{action}' costs '{amount}'; costs may not be negative")
         if not amount.head:
-            refuse(
-                self.file, amount,
-                f"action '{action}' costs '{amount}'; expected a whole number, or (FUNCTION ARGUMENT ...)",
-            )  # fmt: skip
+            self.refuse(
+                amount, f"action '{action}' costs '{amount}'; expected a whole number, or (FUNCTION ARGUMENT ...)"
+            )
         if amount.head in ("+", "-", "*", "/"):
-            refuse(
-                self.file, amount,
-                f"action '{action}' costs a sum or product, which is not supported: {shown(amount)}",
-            )  # fmt: skip
+            self.refuse(amount, f"action '{action}' costs a sum or product, which is not supported: {shown(amount)}")
         function = self.names.functions.get(amount.head)
         if amount.head == "total-cost":
-            refuse(self.file, amount, f"action '{action}' costs '{amount}', which changes; expected another function")
+            self.refuse(amount, f"action '{action}' costs '{amount}', which changes; expected another function")
         if function is None:
             near = meant(amount.head, self.names.functions)
-            refuse(
-                self.file, amount,
-                f"action '{action}' costs '{shown(amount)}': no such function in (:functions ...){near}",
-            )  # fmt: skip
+            self.refuse(
+                amount, f"action '{action}' costs '{shown(amount)}': no such function in (:functions ...){near}"
+            )
         return listed(amount.parts[0], *self.arguments(amount, function, scope))
 
 
