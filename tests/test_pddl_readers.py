@@ -4,12 +4,17 @@ correctly.
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 
 import pytest
 from conftest import write_instance
 
-from planner import PDDLError, load, sweep
+from planner import PDDLError, instance, load, sweep
+from planner.pddl.reader import read
+from planner.pddl.validation import InvalidPlanError
+from planner.pddl.validation_process import ValidationProcess
 
 DOMAIN = """(define (domain sorting)
   (:requirements :strips :typing :action-costs)
@@ -135,3 +140,16 @@ def test_faults_of_a_problem_that_would_change_the_answer(
     with pytest.raises(PDDLError, match=words) as error:
         load(write_instance(tmp_path, domain, PROBLEM.replace(old, new, 1)))
     assert (error.value.file.name, error.value.line) == ("problem.pddl", line)
+
+
+def test_a_validation_that_dies_or_hangs_gives_a_reason() -> None:
+    reading = read(instance("kitting/tiny"))
+    for number, reason in ((signal.SIGKILL, "its process died"), (signal.SIGSTOP, "it takes more than 0 s")):
+        with ValidationProcess(reading) as checker:
+            assert checker.refusal() is None
+            os.kill(checker._process._popen.pid, number)
+            assert checker.check(["(fetch box-a)"], seconds=0.2) == reason
+    with ValidationProcess(reading) as checker:
+        assert checker.refusal() is None
+        with pytest.raises(InvalidPlanError):
+            checker.check([])

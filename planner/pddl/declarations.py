@@ -71,16 +71,7 @@ class Types:
     @cached_property
     def ordered(self) -> tuple[str, ...]:
         """All types, each after its supertypes."""
-        found: dict[str, None] = {}
-        for name in self.parents:
-            waiting = [name]
-            while waiting:
-                missing = [parent for parent in self.parents[waiting[-1]] if parent not in found]
-                if missing:
-                    waiting += missing
-                else:
-                    found[waiting.pop()] = None
-        return tuple(found)
+        return tuple(TopologicalSorter(self.parents).static_order())
 
     def fits(self, kind: str, wanted: Iterable[str]) -> bool:
         """Whether a type is a subtype of, or equal to, one of the wanted types."""

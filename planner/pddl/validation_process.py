@@ -8,17 +8,16 @@ process. The process is reused for the next instance, and ends with the process 
 from __future__ import annotations
 
 import atexit
-import contextlib
-import json
 import os
-import queue
 import subprocess
 import sys
-import threading
 import types
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
-from typing import IO, Any
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any
 
 from ..system.limits import NO_LIMITS, Limits, limit_process
 from ..system.processes import guarded_group, python
@@ -68,27 +67,26 @@ class ValidationProcess:
 
 
 class _Process:
-    """A process that answers questions in order."""
+    """A process that answers questions in order, over a connection."""
 
     waiting: tuple[int, list[_Process]] = (0, [])  # process id, since a fork inherits this, and its idle processes
 
     def __init__(self, limits: Limits) -> None:
         mapped_mb = 1000.0  # megabytes that imported libraries map without using them, added to the limit of memory
-        self._popen = subprocess.Popen(
-            python("planner.pddl.validation_process"),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            encoding="utf-8",
-            process_group=guarded_group(),
-        )
+        self._connection, other = Pipe()
+        with other:
+            self._popen = subprocess.Popen(
+                python("planner.pddl.validation_process", str(other.fileno())),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=[other.fileno()],
+                process_group=guarded_group(),
+            )
         self._limited = limits.memory_mb is not None
         limit_process(self._popen.pid, None if limits.memory_mb is None else limits.memory_mb + mapped_mb)
-        self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._open = 0  # questions without an answer
         self._instances = 0
-        threading.Thread(target=self._listen, daemon=True).start()
 
     @classmethod
     def idle(cls, limits: Limits) -> _Process:
@@ -120,82 +118,53 @@ class _Process:
             self._close()
 
     def _close(self) -> None:
-        self._popen.terminate()
-        try:
-            self._popen.wait(1.0)
-        except subprocess.TimeoutExpired:  # SIGTERM may be ignored, as this process was started
-            self._popen.kill()
-            self._popen.wait()
-        for pipe in (self._popen.stdin, self._popen.stdout):
-            if pipe is not None:
-                with contextlib.suppress(BrokenPipeError):
-                    pipe.close()
-
-    def _listen(self) -> None:
-        stream = self._popen.stdout
-        assert stream is not None
-        with contextlib.suppress(ValueError):  # closed
-            for line in stream:
-                self._answers.put(line)
-        self._answers.put("")
+        self._popen.kill()
+        self._popen.wait()
+        self._connection.close()
 
     def ask(self, question: Mapping[str, Any]) -> None:
         """Send a question. Each question has one answer."""
-        stream = self._popen.stdin
-        assert stream is not None
         self._open += 1
-        with contextlib.suppress(BrokenPipeError):  # the process has died, which `answer` reports
-            stream.write(json.dumps(question) + "\n")
-            stream.flush()
+        with suppress(BrokenPipeError):  # the process has died, which `answer` reports
+            self._connection.send(question)
 
     def answer(self, seconds: float) -> dict[str, Any] | None:
         """Wait for the next answer. If none arrives, the result contains the reason under "failed"."""
-        try:
-            line = self._answers.get(timeout=seconds)
-        except queue.Empty:
+        if not self._connection.poll(seconds):
             self._popen.kill()
             return {"failed": f"it takes more than {seconds:.0f} s"}
-        if not line:
+        try:
+            found: dict[str, Any] | None = self._connection.recv()
+        except (EOFError, ConnectionResetError):
             return {"failed": "its process died"}
         self._open -= 1
-        return json.loads(line)
+        return found
 
 
-def _serve(questions: IO[str], answers: IO[str]) -> None:
-    """Answer questions about files, and about plans for the latest instance, until the input is closed."""
-    asked: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-
-    def listen() -> None:
-        for line in questions:
-            asked.put(json.loads(line))
-        os._exit(0)  # even while the library is working
-
-    threading.Thread(target=listen, daemon=True).start()
-
+def _serve(connection: Connection) -> None:
+    """Answer questions about files, and about plans for the latest instance, until the connection is closed."""
     for package, name in ANNOTATIONS.items():
         stand_in = types.ModuleType(package)
         setattr(stand_in, name, object)
         sys.modules.setdefault(package, stand_in)
 
     problem, known = None, lru_cache(8)(parsed)  # the same few instances are often loaded again
-    while True:
-        question, said = asked.get(), None
-        try:
-            if "plan" in question:
-                validate(problem, question["plan"])
-            else:
-                problem = known(question["domain"], question["problem"])
-        except InstanceRefusedError as error:
-            said = {"failed": str(error)}
-        except InvalidPlanError as error:
-            said = {"rejected": str(error)}
-        except Exception as error:  # noqa: BLE001  the library's own internal errors
-            said = {"failed": f"it fails at it ({type(error).__name__})"}
-        answers.write(json.dumps(said) + "\n")
-        answers.flush()
+    with suppress(EOFError):
+        while True:
+            question, said = connection.recv(), None
+            try:
+                if "plan" in question:
+                    validate(problem, question["plan"])
+                else:
+                    problem = known(question["domain"], question["problem"])
+            except InstanceRefusedError as error:
+                said = {"failed": str(error)}
+            except InvalidPlanError as error:
+                said = {"rejected": str(error)}
+            except Exception as error:  # noqa: BLE001  the library's own internal errors
+                said = {"failed": f"it fails at it ({type(error).__name__})"}
+            connection.send(said)
 
 
 if __name__ == "__main__":
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
-        os.dup2(2, 1)  # output of libraries must not mix with the answers
-        _serve(sys.stdin, answers)
+    _serve(Connection(int(sys.argv[1])))
