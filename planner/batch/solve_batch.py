@@ -161,11 +161,11 @@ class _Ongoing:
             latest = self.latest(instance)
             if latest is None or key(instance) in self._records or latest[0] == self._heard.get(key(instance)):
                 return
-            self._heard[key(instance)] = latest[0]
             if self._results is not None:
                 self._results.add(latest[0], lasting=latest[1])
         if self._tell is not None:
             self._tell(latest[0])
+        self._heard[key(instance)] = latest[0]  # last: if Ctrl-C comes before, the record is reported once more
 
     def end(self, instance: Instance, record: SolveRecord) -> None:
         """Store the final record of an instance."""
