@@ -417,8 +417,8 @@ def test_asking_about_another_action() -> None:
         "out of slot-2 later, even on the shortest way: 2 more steps."
     )
     assert found.sentences("de")[1] == (
-        "Nach „Put hammer into slot-2“ gehört auch zum kürzesten Weg später „Take hammer out of slot-2“: "
-        "2 Schritte mehr."
+        "Nach „Put hammer into slot-2“ kommt später noch „Take hammer out of slot-2“ dazu, auch auf dem kürzesten "
+        "Weg: 2 Schritte mehr."
     )
     with pytest.raises(InapplicableError, match="not applicable here"):
         assistant.explain("ann", against="(fetch box-a)")
