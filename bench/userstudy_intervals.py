@@ -2,10 +2,11 @@
 
     python bench/userstudy_intervals.py [--studies N] [--people N] [--record FILE]
 
-Studies with three conditions are simulated and summarised as in the report. People differ in level. In designs within
-participants they are faster by 1.5 actions in each period, and every fifth attempt is missing; in designs between them,
-conditions have different variances. The last measure is skewed (a gamma distribution) or, for tests, an answer from 1
-to 7. Intervals have to contain the true differences; without any differences, no test has to be significant.
+Studies with three conditions are simulated and summarised as in the report. People differ in level, and in designs
+within participants they are faster by 1.5 actions in each period. Some do not finish. One condition has a larger
+variance, unless variances are equal. Seconds are skewed (a gamma distribution). Intervals have to contain the true
+differences of each condition; without any differences, no test of actions and answers from 1 to 7 has to be
+significant.
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ items = [{{ name = "rely", text = "." }}]
 """
 EFFECTS = {"none": 0.0, "a": -2.0, "b": 1.0}
 """Differences of the conditions' mean actions and seconds from the reference."""
+FINISHING = {"none": 0.7, "a": 0.5, "b": 0.8}
+"""Probability of finishing in each condition."""
+CASES = {"between": "between", "within": "within", "within, equal variances": "within"}
 
 
 def _study(folder: Path, design: str) -> UserStudy:
@@ -48,8 +52,10 @@ def _study(folder: Path, design: str) -> UserStudy:
     return read(file)
 
 
-def _simulated(study: UserStudy, people: int, effects: dict[str, float], rng: np.random.Generator) -> Tables:
-    """Return the tables of a study in which conditions have these effects."""
+def _simulated(
+    study: UserStudy, people: int, effects: dict[str, float], rng: np.random.Generator, *, equal: bool
+) -> Tables:
+    """Return the tables of a study in which conditions have these effects, and perhaps equal variances."""
     found = Tables()
     assigned = rng.permutation([list(study.orders)[number % len(study.orders)] for number in range(people)])
     for number, name in enumerate(map(str, assigned)):
@@ -59,14 +65,13 @@ def _simulated(study: UserStudy, people: int, effects: dict[str, float], rng: np
             "failed_checks": 0,
         })  # fmt: skip
         for period, condition in enumerate(study.orders[name], start=1):
-            if study.is_within and rng.random() < 0.2:
-                continue
-            spread = 2.0 if study.is_within or condition != "a" else 5.0
+            spread = 2.0 if equal or condition != "a" else 5.0
             mean = 20 + own + effects[condition] - 1.5 * period
             where = {"participant": who, "condition": condition, "period": period}
             found.tasks.append(where | {
-                "task": "tiny", "position": 1, "finished": True, "actions": mean + rng.normal(0, spread),
-                "optimal_cost": 6.0, "suboptimal_actions": 0, "suggestions": 0, "followed": 0,
+                "task": "tiny", "position": 1, "finished": bool(rng.random() < FINISHING[condition]),
+                "actions": mean + rng.normal(0, spread), "optimal_cost": 6.0, "suboptimal_actions": 0,
+                "suggestions": 0, "followed": 0,
                 "seconds": mean + rng.gamma(2.0, spread / 2**0.5) - 2**0.5 * spread,
             })  # fmt: skip
             answer = int(np.clip(round(4 + own / 3 - effects[condition] / 4 + rng.normal(0, 1)), 1, 7))
@@ -88,31 +93,35 @@ def _differences(study: UserStudy, tables: Tables) -> dict[tuple[str, str], dict
 @record_option
 def main(studies: int, people: int, record: Path | None) -> None:
     """Print the coverage of each kind of interval and the family-wise error."""
-    held, all_, wrong = Counter[tuple[str, str]](), Counter[tuple[str, str]](), Counter[str]()
+    held, all_, wrong = Counter[tuple[str, str, str]](), Counter[tuple[str, str, str]](), Counter[str]()
+    true = {name: 100 * (share - FINISHING["none"]) for name, share in FINISHING.items()}
     with tempfile.TemporaryDirectory() as folder:
-        for design in ("between", "within"):
+        for case, design in CASES.items():
             study, rng = _study(Path(folder), design), np.random.default_rng(1)
+            equal = "equal" in case
             for _ in range(studies):
-                found = _differences(study, _simulated(study, people, EFFECTS, rng))
+                found = _differences(study, _simulated(study, people, EFFECTS, rng, equal=equal))
                 for (measure, condition), one in found.items():
-                    for kind in ("", "by_period", "mixed_model"):
-                        given = one if not kind else one.get(kind)
-                        if measure in ("actions", "seconds") and given is not None:
-                            key = f"{design}, {kind or 'difference'}", measure
+                    for kind, given in (("", one), (", mixed model", one.get("mixed_model"))):
+                        if measure in ("actions", "seconds", "completion") and given and given["low"] is not None:
+                            key, difference = (case + kind, measure, condition), EFFECTS[condition]
                             all_[key] += 1
-                            held[key] += given["low"] <= EFFECTS[condition] <= given["high"]
-                null = _differences(study, _simulated(study, people, dict.fromkeys(EFFECTS, 0.0), rng))
+                            low, high = given["low"], given["high"]
+                            held[key] += low <= (true[condition] if measure == "completion" else difference) <= high
+                null = _differences(study, _simulated(study, people, dict.fromkeys(EFFECTS, 0.0), rng, equal=equal))
                 tests = [one["p_holm"] for one in null.values() if one.get("p_holm") is not None]
-                wrong[design] += any(p < 0.05 for p in tests)
-    rows = [
-        {"what": f"{kind}, {measure}: intervals that hold the truth", "share": 100 * held[kind, measure] / n, "n": n}
-        for (kind, measure), n in all_.items()
-    ]  # fmt: skip
+                wrong[case] += any(p < 0.05 for p in tests)
+    rows = []
+    for kind, measure in dict.fromkeys((kind, measure) for kind, measure, _ in all_):
+        counts = [(held[key], n) for key, n in all_.items() if key[:2] == (kind, measure)]
+        shares = [f"{100 * count / n:.1f}" for count, n in counts]
+        what = f"{kind}, {measure}: intervals that hold the truth, of each condition"
+        rows.append({"what": what, "share": ", ".join(shares), "n": min(n for _, n in counts)})
     rows += [
-        {"what": f"{design}, actions and trust: studies with an error", "share": 100 * count / studies, "n": studies}
-        for design, count in wrong.items()
+        {"what": f"{case}, actions and trust: studies with an error", "share": f"{100 * n / studies:.1f}", "n": studies}
+        for case, n in wrong.items()
     ]
-    columns: Columns = {"what is counted": cell("what"), "%": cell("share", ".1f"), "of": cell("n", ",")}
+    columns: Columns = {"what is counted": cell("what"), "%": cell("share"), "of": cell("n", ",")}
     for row in rows:
         click.echo("  ".join(show(row) for show in columns.values()))
     write_record(record, columns, rows)

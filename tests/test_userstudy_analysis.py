@@ -19,19 +19,17 @@ from scipy import special, stats
 from userstudies import PLAN, SCORES, written
 
 from assist.cli import main
-from assist.reports.effects import difference, difference_within
+from assist.reports.effects import between_groups, within_participants
 from assist.reports.hypothesis_tests import (
     fisher_p,
     holm,
     mann_whitney,
     newcombe,
-    paired_p,
     sign_test,
     signed_rank,
-    welch_p,
 )
 from assist.reports.preregistration import REGISTERED
-from assist.reports.repeated_measures import adjusted_for_period, mixed_model
+from assist.reports.repeated_measures import mixed_model
 from assist.reports.userstudy_report import of_folder, write_report
 from assist.reports.userstudy_summary import _adjusted, _measure, measures, summarise
 from assist.userstudy.plan import OUTCOMES
@@ -77,14 +75,17 @@ def test_estimates_intervals_and_p_values_are_those_of_other_implementations(see
     a, b = rng.normal(10, 3, 14 + seed), rng.normal(12, 5, 11)
     near = {"rel": 1e-6, "abs": 1e-9}
     peer = stats.ttest_ind(a, b, equal_var=False)
-    assert welch_p(a, b) == pytest.approx(peer.pvalue, **near)
-    found = difference(a, b)
-    assert (found.low, found.high) == pytest.approx(tuple(peer.confidence_interval()), **near)
+    found = between_groups(a, b)
+    assert found.p == pytest.approx(peer.pvalue, **near)
+    assert (found.difference.low, found.difference.high) == pytest.approx(tuple(peer.confidence_interval()), **near)
     pairs = a[:11] - b
-    paired = stats.ttest_rel(a[:11], b)
-    assert paired_p(pairs) == pytest.approx(paired.pvalue, **near)
-    within = difference_within(pairs)
-    assert (within.low, within.high) == pytest.approx(tuple(paired.confidence_interval()), **near)
+    # Two orders of two conditions: the difference is the mean over the orders of their mean differences.
+    first = np.arange(11) % 2 == seed % 2
+    within = within_participants(pairs, np.where(first[:, None], [1, 2], [2, 1]))
+    crossed = stats.ttest_ind(pairs[first], -pairs[~first])
+    assert within.p == pytest.approx(crossed.pvalue, **near)
+    ends = crossed.confidence_interval()
+    assert (within.difference.low, within.difference.high) == pytest.approx((ends.low / 2, ends.high / 2), **near)
 
     # Ranks: every pair of people is compared, and the normal approximation computed by hand.
     x, y = rng.integers(1, 8, 20).astype(float), rng.integers(2, 8, 15).astype(float)
@@ -143,7 +144,7 @@ def test_holm_is_the_closed_test_of_all_subfamilies(p_values: list[float]) -> No
 
 def test_least_squares_removes_what_people_learn_from_one_condition_to_the_next() -> None:
     rng = np.random.default_rng(5)
-    names, values, periods = ("none", "a", "b"), {}, {}
+    names = ("none", "a", "b")
     rows = []
     for number in range(12):
         own = rng.normal(20, 5)
@@ -151,27 +152,30 @@ def test_least_squares_removes_what_people_learn_from_one_condition_to_the_next(
             value = own + {"none": 0, "a": -2, "b": 1}[str(name)] - 3 * period + rng.normal(0, 1)
             rows.append((f"P{number}", str(name), period, value))
     rows = [row for number, row in enumerate(rows) if number % 11]  # some left earlier
-    for who, name, period, value in rows:
-        values.setdefault(name, {})[who] = value
-        periods[who, name] = period
-    found = adjusted_for_period({name: values[name] for name in names}, periods, "none")
-
-    # The same by partialling out: residuals after participants and periods (Frisch, Waugh and Lovell).
-    people = sorted({row[0] for row in rows})
-    nuisance = np.array([[who == one for one in people] + [period == t for t in (2, 3)] for who, _, period, _ in rows])
-    left = np.eye(len(rows)) - nuisance @ np.linalg.pinv(nuisance.astype(float))
-    x = left @ np.array([[name == "a", name == "b"] for _, name, _, _ in rows], dtype=float)
-    y = left @ np.array([row[3] for row in rows])
-    slope, residual, *_ = np.linalg.lstsq(x, y, rcond=None)
-    freedom = len(rows) - len(people) - 4
-    errors = np.sqrt(residual[0] / freedom * np.diag(np.linalg.inv(x.T @ x)))
-    for name, value, error in zip(("a", "b"), slope, errors, strict=True):
-        half = stats.t.ppf(0.975, freedom) * error
-        assert (found[name].value, found[name].low, found[name].high) == pytest.approx(
-            (value, value - half, value + half), rel=1e-6
+    values = {(who, name): (value, period) for who, name, period, value in rows}
+    for name, truth in (("a", -2), ("b", 1)):
+        both = [who for who in dict.fromkeys(row[0] for row in rows) if {(who, name), (who, "none")} <= values.keys()]
+        found = within_participants(
+            [values[who, name][0] - values[who, "none"][0] for who in both],
+            [(values[who, name][1], values[who, "none"][1]) for who in both],
         )
-    assert found["a"].value == pytest.approx(-2, abs=1)
-    assert adjusted_for_period({"none": {"P1": 1.0}, "a": {}}, {("P1", "none"): 1}, "none") == {}
+        # The same by partialling out: residuals of both values after participants and periods (Frisch, Waugh, Lovell).
+        own = [row for row in rows if row[0] in both and row[1] in (name, "none")]
+        nuisance = np.array([[who == one for one in both] + [period == t for t in (2, 3)] for who, _, period, _ in own])
+        left = np.eye(len(own)) - nuisance @ np.linalg.pinv(nuisance.astype(float))
+        x, y = left @ np.array([row[1] == name for row in own], dtype=float), left @ np.array([row[3] for row in own])
+        slope, freedom = float(x @ y / (x @ x)), len(own) - len(both) - 3
+        half = stats.t.ppf(0.975, freedom) * math.sqrt(((y - slope * x) ** 2).sum() / freedom / (x @ x))
+        given = found.difference
+        assert (given.value, given.low, given.high) == pytest.approx((slope, slope - half, slope + half), rel=1e-6)
+        assert given.value == pytest.approx(truth, abs=1.5)
+
+
+def test_the_order_and_the_period_of_one_order_cannot_be_told_apart() -> None:
+    found = within_participants([1.0, 2.0, 4.0], [(2, 1)] * 3)
+    assert found.difference.value == pytest.approx(7 / 3)
+    assert math.isnan(found.difference.low)
+    assert math.isnan(found.p)
 
 
 MIXED = {
@@ -223,7 +227,9 @@ def test_a_mixed_model_has_the_estimates_and_intervals_of_lme4(seed: int) -> Non
         name: pytest.approx(peer, rel=1e-6) for name, peer in MIXED[seed].items()
     }
     if seed == 0:  # all data, two conditions: participants' own levels cancel
-        assert found["a"].record() == pytest.approx(adjusted_for_period(values, periods, "none")["a"].record())
+        pairs = [values["a"][who] - values["none"][who] for who in orders]
+        compared = within_participants(pairs, [(periods[who, "a"], periods[who, "none"]) for who in orders])
+        assert found["a"].record() == pytest.approx(compared.difference.record())
 
 
 def test_a_mixed_model_that_the_data_do_not_determine_is_none() -> None:
@@ -319,7 +325,7 @@ def test_the_report_separates_confirmatory_from_exploratory(
     assert "| all tasks finished, % | attention |" in exploratory
     assert "### Sensitivity: the unfinished as the worst" in exploratory
     assert "| trust: rely | attention | 12 |" in exploratory
-    assert ("by period | mixed model" in report) == (text == WITHIN)
+    assert ("### Sensitivity: a mixed model" in report) == (text == WITHIN)
     assert "The study was not preregistered." in report
     assert json.loads((tmp_path / "report" / "summary.json").read_text()) == summary
 
@@ -394,22 +400,26 @@ def test_an_export_of_an_earlier_version_is_read(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-FOUR = WITHIN.replace('design = "within"\n', "") + "".join(
-    f'[[conditions]]\nname = "{name}"\npolicy = "none"\n' for name in ("c", "d")
-)
+MORE = "".join(f'[[conditions]]\nname = "{name}"\npolicy = "none"\n' for name in ("c", "d"))
 
 
 @pytest.mark.slow
-def test_intervals_cover_the_truth_and_the_family_errs_rarely(tmp_path: Path) -> None:
-    """A thousand studies in which no condition has an effect, though people and variances differ."""
-    rng, study = np.random.default_rng(11), study_with(tmp_path, FOUR)
+@pytest.mark.parametrize("design", ["between", "within"])
+def test_intervals_cover_the_truth_and_the_family_errs_rarely(tmp_path: Path, design: str) -> None:
+    """A thousand studies in which no condition has an effect, though people, periods and variances differ."""
+    text = (WITHIN if design == "within" else CONFIRMED) + MORE
+    rng, study = np.random.default_rng(11), study_with(tmp_path, text)
     names, covered, compared, erring, studies = [one.name for one in study.conditions], 0, 0, 0, 1000
+    who = {"who": lambda n: f"P{n // 4}"} if study.is_within else {}
+    orders = list(study.orders) * (24 // len(study.orders)) if study.is_within else names * 12
     for _ in range(studies):
         rows = [
-            (name, name, 1, float(rng.normal(12, 2 + number)), float(np.clip(rng.normal(4, 1.5), 1, 7)))
-            for number, name in enumerate(names) for _ in range(12)
+            (order, name, period, float(rng.normal(20 + own - 2 * period, 2 + names.index(name))), answer)
+            for order in orders for own in [rng.normal(0, 3)]
+            for period, name in enumerate(study.orders[order], start=1)
+            for answer in [float(np.clip(rng.normal(4 + own / 4, 1.5), 1, 7))]
         ]  # fmt: skip
-        tables = rows_of(rows)
+        tables = rows_of(rows, **who)
         confirmed = [one for one in measures(study, tables) if one.name in study.confirmatory]
         compared_all = _adjusted(study, [_measure(study, one, tables) for one in confirmed])  # of the summary
         family = [one for measure in compared_all for one in measure["differences"]]

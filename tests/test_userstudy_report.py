@@ -24,13 +24,11 @@ from userstudies import PLAN, written
 from assist.cli import main
 from assist.reports import study_report, userstudy_report
 from assist.reports.effects import (
+    between_groups,
     cronbach_alpha,
     detectable,
     detectable_within,
-    difference,
-    difference_within,
-    hedges_g,
-    hedges_g_within,
+    within_participants,
 )
 from assist.userstudy.tables import COLUMNS
 from assist.userstudy.tables import written as written_rows
@@ -211,17 +209,19 @@ def test_what_the_command_refuses(tmp_path: Path) -> None:
 
 def test_statistics_are_those_worked_out_by_hand() -> None:
     a, b = [1.0, 2.0, 3.0], [2.0, 4.0, 6.0, 8.0]
-    found = difference(a, b)
-    peer = stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
+    compared = between_groups(a, b)
+    found, peer = compared.difference, stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
     assert (found.value, found.low, found.high) == pytest.approx((-3, peer.low, peer.high))
-    assert hedges_g(a, b) == pytest.approx(-3 / math.sqrt(4.4) * (1 - 3 / 19))
+    assert compared.hedges_g == pytest.approx(-3 / math.sqrt(4.4) * (1 - 3 / 19))
     assert cronbach_alpha([[1, 1], [2, 3], [3, 2]]) == pytest.approx(2 * (1 - 2 / 3))
     assert cronbach_alpha([[1, 2], [2, 3], [3, 4]]) == pytest.approx(1)
     assert detectable(64, 64) == pytest.approx(0.5, abs=0.005)  # Cohen (1988): 64 in each group for d = 0.5
     assert detectable_within(34) == pytest.approx(0.5, abs=0.01)  # as G*Power has it: 34 pairs for d = 0.5
+    crossed = [(1, 2), (2, 1)]
     for nothing in (
-        difference_within([1, 1]).low, hedges_g_within([1, 2]), detectable_within(1), difference([1], [2, 3]).low,
-        hedges_g([1], [2, 3]), cronbach_alpha([[1, 2]]), detectable(1, 5),
+        within_participants([1, 1], crossed).difference.low, within_participants([1, 2], crossed).hedges_g,
+        detectable_within(1), between_groups([1], [2, 3]).difference.low, between_groups([1], [2, 3]).hedges_g,
+        between_groups([1, 1], [2, 2]).p, cronbach_alpha([[1, 2]]), detectable(1, 5),
     ):  # fmt: skip
         assert math.isnan(nothing)
 

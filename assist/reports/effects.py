@@ -1,18 +1,47 @@
-"""Comparisons of conditions, between groups or within participants: differences, effect sizes and power."""
+"""Comparisons of conditions, between groups or within participants: differences, p-values, effect sizes and power."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import optimize, stats
 
-from .statistics import IntervalEstimate, mean
+from .statistics import IntervalEstimate
 
 
-def difference(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> IntervalEstimate:
-    """Return the difference of two groups' means, with Welch's interval for unequal variances.
+@dataclass(frozen=True)
+class Comparison:
+    """A condition compared with another one.
+
+    Attributes
+    ----------
+    difference : IntervalEstimate
+        Its ends are NaN if the data do not determine them.
+    p : float
+        Two-sided p-value of Student's t-test of the same difference; NaN without an interval.
+    hedges_g : float
+        The difference in standard deviations (Cohen's d) with Hedges' small-sample correction (1981), or NaN.
+    """
+
+    difference: IntervalEstimate
+    p: float = math.nan
+    hedges_g: float = math.nan
+
+    @classmethod
+    def of(cls, value: float, error: float, freedom: float, hedges_g: float, level: float) -> Comparison:
+        """Return the comparison with this standard error, whose distribution is Student's t."""
+        if not (error > 0 and freedom > 0):
+            return cls(IntervalEstimate(value, math.nan, math.nan))
+        half = float(stats.t.ppf((1 + level) / 2, freedom)) * error
+        p = float(2 * stats.t.sf(abs(value) / error, freedom))
+        return cls(IntervalEstimate(value, value - half, value + half), p, hedges_g)
+
+
+def between_groups(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Comparison:
+    """Compare the means of two groups with Welch's t-test for unequal variances.
 
     Parameters
     ----------
@@ -22,54 +51,47 @@ def difference(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> IntervalEstim
     x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     value = float(x.mean() - y.mean()) if len(x) and len(y) else math.nan
     if min(len(x), len(y)) < 2 or x.var() + y.var() == 0:
-        return IntervalEstimate(value, math.nan, math.nan)
+        return Comparison(IntervalEstimate(value, math.nan, math.nan))
     # Computed here, since scipy's test warns if all values of a group are equal, which is no fault.
     first, second = float(x.var(ddof=1)) / len(x), float(y.var(ddof=1)) / len(y)
     freedom = (first + second) ** 2 / (first**2 / (len(x) - 1) + second**2 / (len(y) - 1))
-    half = float(stats.t.ppf((1 + level) / 2, freedom)) * math.sqrt(first + second)
-    return IntervalEstimate(value, value - half, value + half)
+    together = len(x) + len(y) - 2
+    pooled = math.sqrt(((len(x) - 1) * x.var(ddof=1) + (len(y) - 1) * y.var(ddof=1)) / together)
+    return Comparison.of(value, math.sqrt(first + second), freedom, value / pooled * _small(together), level)
 
 
-def difference_within(pairs: ArrayLike, level: float = 0.95) -> IntervalEstimate:
-    """Return the mean difference between two conditions for the same participants, with Student's t interval.
+def within_participants(differences: ArrayLike, periods: ArrayLike, level: float = 0.95) -> Comparison:
+    """Compare two conditions of the same participants, adjusted for the periods in which they had them.
 
-    Parameters
-    ----------
-    pairs : float array, shape (n,)
-        The difference of each participant. There is no interval for fewer than two, or if the variance is 0.
-    """
-    x = np.asarray(pairs, dtype=float)
-    found = mean(x, level=level)
-    return found if x.var() > 0 else IntervalEstimate(found.value, math.nan, math.nan)
-
-
-def hedges_g(a: ArrayLike, b: ArrayLike) -> float:
-    """Return the standardised difference of two groups: Cohen's d with Hedges' small-sample correction (1981).
-
-    Parameters
-    ----------
-    a, b : float arrays, shapes (n,) and (m,)
-        A value for each participant. The result is NaN if a group has fewer than two, or if the variance is 0.
-    """
-    x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    freedom = len(x) + len(y) - 2
-    if min(len(x), len(y)) < 2:
-        return math.nan
-    pooled = math.sqrt(((len(x) - 1) * x.var(ddof=1) + (len(y) - 1) * y.var(ddof=1)) / freedom)
-    return float(x.mean() - y.mean()) / pooled * (1 - 3 / (4 * freedom - 1)) if pooled > 0 else math.nan
-
-
-def hedges_g_within(differences: ArrayLike) -> float:
-    """Return the standardised mean difference of pairs (d_z), with Hedges' small-sample correction.
+    Least squares explain each participant's difference by the conditions and the periods. So learning from one period
+    to the next is no part of the difference, also if orders are not balanced, and does not widen its interval. Other
+    conditions do not matter, so that variances of conditions may differ.
 
     Parameters
     ----------
     differences : float array, shape (n,)
-        The difference of each participant. The result is NaN for fewer than three, or if the variance is 0.
+        For each participant, the value in the condition minus that in the other one.
+    periods : int array, shape (n, 2)
+        The period of the condition and of the other one. If all participants had the same order, the effects of
+        condition and period are the same, and there is no interval.
     """
-    x = np.asarray(differences, dtype=float)
-    deviation = float(x.std(ddof=1)) if len(x) > 2 else 0.0
-    return float(x.mean()) / deviation * (1 - 3 / (4 * (len(x) - 1) - 1)) if deviation > 0 else math.nan
+    y, when = np.asarray(differences, dtype=float), np.asarray(periods, dtype=np.int64).reshape(-1, 2)
+    later = np.unique(when)[1:]
+    design = np.column_stack([np.ones(len(y)), *[(when == period) @ [1.0, -1.0] for period in later]])
+    inverse = np.linalg.pinv(design.T @ design)
+    determined = math.isclose(float(inverse[0] @ (design.T @ design)[:, 0]), 1.0, abs_tol=1e-9)
+    found = inverse @ design.T @ y
+    freedom, left = len(y) - int(np.linalg.matrix_rank(design)), float(((y - design @ found) ** 2).sum())
+    if not determined or freedom < 1 or left <= 1e-20 * float((y**2).sum()):
+        return Comparison(IntervalEstimate(float(found[0] if determined else y.mean()), math.nan, math.nan))
+    deviation = math.sqrt(left / freedom)
+    effect = float(found[0]) / deviation * _small(freedom) if freedom > 1 else math.nan
+    return Comparison.of(float(found[0]), deviation * math.sqrt(inverse[0, 0]), freedom, effect, level)
+
+
+def _small(freedom: int) -> float:
+    """Return Hedges' factor for small samples."""
+    return 1 - 3 / (4 * freedom - 1)
 
 
 def cronbach_alpha(scores: ArrayLike) -> float:

@@ -1,4 +1,4 @@
-"""Tests of hypotheses about conditions: two-sided p-values, effect sizes of ranks, and Holm's adjustment.
+"""Tests of ranks and of shares: two-sided p-values and effect sizes, and Holm's adjustment.
 
 Every function returns NaN where the data do not determine a result, for instance if all values are equal.
 """
@@ -30,36 +30,6 @@ class RankTest:
 
     p: float
     effect: float
-
-
-def welch_p(a: ArrayLike, b: ArrayLike) -> float:
-    """Return the p-value of Welch's t-test of two groups.
-
-    Parameters
-    ----------
-    a, b : float arrays, shapes (n,) and (m,)
-    """
-    x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    if min(len(x), len(y)) < 2 or x.var() + y.var() == 0:
-        return math.nan
-    # Computed here, since scipy's test warns if all values of a group are equal, which is no fault.
-    first, second = float(x.var(ddof=1)) / len(x), float(y.var(ddof=1)) / len(y)
-    freedom = (first + second) ** 2 / (first**2 / (len(x) - 1) + second**2 / (len(y) - 1))
-    return float(2 * stats.t.sf(abs(x.mean() - y.mean()) / math.sqrt(first + second), freedom))
-
-
-def paired_p(differences: ArrayLike) -> float:
-    """Return the p-value of the t-test of paired differences.
-
-    Parameters
-    ----------
-    differences : float array, shape (n,)
-        The difference of each participant.
-    """
-    x = np.asarray(differences, dtype=float)
-    if len(x) < 2 or x.var() == 0:
-        return math.nan
-    return float(2 * stats.t.sf(abs(x.mean()) / (x.std(ddof=1) / math.sqrt(len(x))), len(x) - 1))
 
 
 def mann_whitney(a: ArrayLike, b: ArrayLike) -> RankTest:

@@ -1,11 +1,8 @@
-"""Differences between conditions that the same participants have had one after the other, adjusted for the period.
-
-Learning from one condition to the next is then no part of the differences, also if orders are not balanced.
-"""
+"""A mixed model of conditions that the same participants have had one after the other."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,33 +18,6 @@ Periods = Mapping[tuple[str, str], int]
 """The period in which a participant had a condition, by participant and condition."""
 
 
-def adjusted_for_period(
-    values: Values, periods: Periods, reference: str, level: float = 0.95
-) -> dict[str, IntervalEstimate]:
-    """Return each condition's difference from the reference, with participants and periods as fixed effects.
-
-    Participants count who had two conditions or more.
-
-    Parameters
-    ----------
-    values : mapping of mapping of float
-        Values by condition and participant.
-    periods : mapping of (participant, condition) to int
-        The period in which the participant had the condition.
-    reference : str
-    level : float
-    """
-    others, people, design, outcome = _model(values, periods, reference)
-    columns = np.hstack([design, np.equal.outer(people, sorted(set(people)))])
-    freedom = len(outcome) - columns.shape[1]
-    if not others or freedom < 1 or np.linalg.matrix_rank(columns) < columns.shape[1]:
-        return {}
-    inverse = np.linalg.inv(columns.T @ columns)
-    found = inverse @ columns.T @ outcome
-    error = float(((outcome - columns @ found) ** 2).sum()) / freedom
-    return _intervals(others, found, np.sqrt(error * np.diag(inverse)), freedom, level)
-
-
 def mixed_model(
     values: Values, periods: Periods, orders: Mapping[str, str], reference: str, level: float = 0.95
 ) -> dict[str, IntervalEstimate]:
@@ -56,7 +26,8 @@ def mixed_model(
     Periods and orders of conditions are fixed effects, participants random ones, so that those who had one condition
     only count as well. Estimates maximise the restricted likelihood. Intervals are Student's, with the degrees of
     freedom of comparisons within participants (J. C. Pinheiro and D. M. Bates, "Mixed-Effects Models in S and S-PLUS",
-    2000). The result is empty where the data do not determine the model.
+    2000), and are too narrow or wide if variances of conditions differ. The result is empty where the data do not
+    determine the model.
 
     Parameters
     ----------
@@ -69,7 +40,13 @@ def mixed_model(
     reference : str
     level : float
     """
-    others, people, within, outcome = _model(values, periods, reference)
+    rows = [(who, name, value) for name, own in values.items() for who, value in own.items()]
+    others = [name for name in values if name != reference and values[name]]
+    times = sorted({periods[who, name] for who, name, _ in rows})[1:]
+    within = np.array([
+        [name == other for other in others] + [periods[who, name] == time for time in times] for who, name, _ in rows
+    ], dtype=float).reshape(len(rows), len(others) + len(times))  # fmt: skip
+    people, outcome = [who for who, _, _ in rows], np.array([value for _, _, value in rows], dtype=float)
     who = sorted(set(people))
     given = [orders[one] for one in people]
     between = np.equal.outer(given, sorted(set(given))).astype(float)  # with the intercept among them
@@ -104,29 +81,6 @@ def mixed_model(
     found = np.linalg.solve(triangle[:columns, :columns], triangle[:columns, columns])
     inverse = np.linalg.inv(triangle[:columns, :columns])
     errors = np.sqrt(left / (len(outcome) - columns) * (inverse**2).sum(axis=1))
-    return _intervals(others, found, errors, freedom, level)
-
-
-def _model(values: Values, periods: Periods, reference: str) -> tuple[list[str], list[str], Floats, Floats]:
-    """Return the conditions beside the reference, and of each value the participant, the design and the value.
-
-    The design has a column for each of these conditions, then for each period but the first.
-    """
-    rows = [(who, name, value) for name, own in values.items() for who, value in own.items()]
-    others = [name for name in values if name != reference and values[name]]
-    times = sorted({periods[who, name] for who, name, _ in rows})[1:]
-    design = [
-        [name == other for other in others] + [periods[who, name] == time for time in times] for who, name, _ in rows
-    ]
-    shaped = np.array(design, dtype=float).reshape(len(rows), len(others) + len(times))
-    return others, [who for who, _, _ in rows], shaped, np.array([value for _, _, value in rows], dtype=float)
-
-
-def _intervals(
-    names: Sequence[str], found: Floats, errors: Floats, freedom: int, level: float
-) -> dict[str, IntervalEstimate]:
     half = stats.t.ppf((1 + level) / 2, freedom) * errors
-    return {
-        name: IntervalEstimate(float(found[n]), float(found[n] - half[n]), float(found[n] + half[n]))
-        for n, name in enumerate(names)
-    }
+    ends = zip(found.tolist(), (found - half).tolist(), (found + half).tolist(), strict=True)
+    return {name: IntervalEstimate(*one) for name, one in zip(others, ends, strict=False)}

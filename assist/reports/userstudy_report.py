@@ -156,7 +156,7 @@ def report_text(study: UserStudy, summary: dict[str, Any], pictures: dict[str, s
     return rendered(
         "userstudy_report.md.jinja",
         study=study, summary=summary, pictures=pictures, few=FEW, head=["measure", *head[1:]], rows=rows,
-        difference_rows=_difference_rows, rank_rows=_rank_rows,
+        difference_rows=_difference_rows, mixed_rows=list(_mixed_rows(summary["measures"])), rank_rows=_rank_rows,
     )  # fmt: skip
 
 
@@ -164,13 +164,20 @@ def _difference_rows(measures: Iterable[dict[str, Any]]) -> Iterator[list[Any]]:
     """Yield the rows of a table of the differences of conditions from the reference."""
     for one in measures:
         for other in one["differences"]:
-            models = [interval(other[model]) if model in other else "" for model in ("by_period", "mixed_model")]
             p, shown = other["p"], _shows(other)
             if one["confirmatory"]:
                 p = other.get("p_holm")
                 shown = "yes" if p is not None and p < 0.05 else "no"
             effect = number(other["hedges_g"], "")
-            yield [one["label"], other["condition"], interval(other), *models, effect, p_value(p), shown]
+            yield [one["label"], other["condition"], interval(other), effect, p_value(p), shown]
+
+
+def _mixed_rows(measures: Iterable[dict[str, Any]]) -> Iterator[list[Any]]:
+    """Yield the rows of a table of the differences by mixed models."""
+    for one in measures:
+        for other in one["differences"]:
+            if "mixed_model" in other:
+                yield [one["label"], other["condition"], interval(other["mixed_model"])]
 
 
 def _rank_rows(tests: Iterable[dict[str, Any]]) -> Iterator[list[Any]]:

@@ -20,27 +20,9 @@ from planner.system.files import finite
 from ..userstudy.plan import UserStudy
 from ..userstudy.questionnaires import CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX, Item, Questionnaire
 from ..userstudy.tables import Row, Tables
-from .effects import (
-    cronbach_alpha,
-    detectable,
-    detectable_within,
-    difference,
-    difference_within,
-    hedges_g,
-    hedges_g_within,
-)
-from .hypothesis_tests import (
-    RankTest,
-    fisher_p,
-    holm,
-    mann_whitney,
-    newcombe,
-    paired_p,
-    sign_test,
-    signed_rank,
-    welch_p,
-)
-from .repeated_measures import adjusted_for_period, mixed_model
+from .effects import between_groups, cronbach_alpha, detectable, detectable_within, within_participants
+from .hypothesis_tests import RankTest, fisher_p, holm, mann_whitney, newcombe, sign_test, signed_rank
+from .repeated_measures import mixed_model
 from .statistics import FEW, IntervalEstimate, mean
 
 ALL = "all participants"
@@ -225,21 +207,19 @@ def _flow(study: UserStudy, tables: Tables) -> list[Row]:
 
 
 def _measure(study: UserStudy, measure: Measure, tables: Tables) -> dict[str, Any]:
-    reference, differences = measure.values[study.reference], []
-    adjusted: dict[str, dict[str, IntervalEstimate]] = {}
-    if study.is_within and measure.name != "completion":
-        orders = {row["group"] or row["participant"]: row["condition"] for row in tables.participants}
+    orders = {row["group"] or row["participant"]: row["condition"] for row in tables.participants}
+    periods: dict[tuple[str, str], int] = {}
+    modelled, differences = {}, []
+    if study.is_within:
         periods = {
             (who, name): study.orders[orders[who]].index(name) + 1
             for name, own in measure.values.items() for who in own
         }  # fmt: skip
-        adjusted = {
-            "by_period": adjusted_for_period(measure.values, periods, study.reference),
-            "mixed_model": mixed_model(measure.values, periods, orders, study.reference),
-        }
-    for name, own in measure.values.items():
-        if name != study.reference and (compared := _compared(study, measure.name, own, reference)):
-            models = {model: found[name].record() for model, found in adjusted.items() if name in found}
+        if measure.name != "completion":
+            modelled = mixed_model(measure.values, periods, orders, study.reference)
+    for name in measure.values:
+        if name != study.reference and (compared := _compared(study, measure, name, periods)):
+            models = {"mixed_model": modelled[name].record()} if name in modelled else {}
             differences.append({"condition": name, "against": study.reference, **compared, **models})
     cells = [{"condition": name, **_cell(list(own.values()))} for name, own in measure.values.items()]
     return {
@@ -260,17 +240,23 @@ def _adjusted(study: UserStudy, rows: list[dict[str, Any]]) -> list[dict[str, An
     return rows
 
 
-def _compared(study: UserStudy, measure: str, own: dict[str, float], reference: dict[str, float]) -> dict[str, Any]:
+def _compared(
+    study: UserStudy, measure: Measure, condition: str, periods: dict[tuple[str, str], int]
+) -> dict[str, Any]:
     """Compare a condition with the reference, within participants if the design allows it; empty without data."""
-    pairs = [value - reference[participant] for participant, value in own.items() if participant in reference]
+    own, reference = measure.values[condition], measure.values[study.reference]
+    both = [participant for participant in own if participant in reference]
     a, b = list(own.values()), list(reference.values())
-    if not (pairs if study.is_within else a and b):
+    if not (both if study.is_within else a and b):
         return {}
     if study.is_within:
-        found, effect, p = difference_within(pairs), hedges_g_within(pairs), paired_p(pairs)
+        pairs = [own[participant] - reference[participant] for participant in both]
+        when = [(periods[participant, condition], periods[participant, study.reference]) for participant in both]
+        compared = within_participants(pairs, when)
     else:
-        found, effect, p = difference(a, b), hedges_g(a, b), welch_p(a, b)
-    if measure == "completion" and study.group is None:
+        compared = between_groups(a, b)
+    found, effect, p = compared.difference, compared.hedges_g, compared.p
+    if measure.name == "completion" and study.group is None:
         effect = math.nan
         if study.is_within:
             p = sign_test(sum(pair > 0 for pair in pairs), sum(pair < 0 for pair in pairs)).p
