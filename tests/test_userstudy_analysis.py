@@ -29,7 +29,7 @@ from assist.reports.hypothesis_tests import (
     signed_rank,
 )
 from assist.reports.preregistration import REGISTERED
-from assist.reports.repeated_measures import mixed_model
+from assist.reports.repeated_measures import means_within, mixed_model
 from assist.reports.userstudy_report import of_folder, write_report
 from assist.reports.userstudy_summary import _adjusted, _measure, measures, summarise
 from assist.userstudy.plan import OUTCOMES
@@ -169,6 +169,37 @@ def test_least_squares_removes_what_people_learn_from_one_condition_to_the_next(
         given = found.difference
         assert (given.value, given.low, given.high) == pytest.approx((slope, slope - half, slope + half), rel=1e-6)
         assert given.value == pytest.approx(truth, abs=1.5)
+
+
+def test_intervals_of_conditions_leave_out_what_participants_differ_in() -> None:
+    rng = np.random.default_rng(4)
+    own = rng.normal(50, 20, 8)
+    x = np.array([own + shift + rng.normal(0, 1, 8) for shift in (0, 2, 3)])
+    values = {name: {f"P{n}": float(one) for n, one in enumerate(row)} for name, row in zip("abc", x, strict=True)}
+    # Two conditions: as wide as the paired interval, divided by the root of 2.
+    paired = stats.ttest_rel(x[0], x[1]).confidence_interval()
+    for one in means_within({name: values[name] for name in "ab"}).values():
+        assert one.high - one.low == pytest.approx((paired.high - paired.low) / math.sqrt(2))
+    # Three: values are normalised by participant, and Morey's factor is 3 / 2. P8 counts in the mean only.
+    normalised = x - x.mean(axis=0) + x.mean()
+    half = stats.t.ppf(0.975, 7) * math.sqrt(normalised[2].var(ddof=1) * 3 / 2 / 8)
+    found = means_within({**values, "c": values["c"] | {"P8": 90.0}})["c"]
+    assert found.value == pytest.approx((x[2].sum() + 90) / 9)
+    assert found.high - found.value == pytest.approx(half)
+    assert half < 3
+
+
+def test_within_participants_the_report_has_those_intervals(tmp_path: Path) -> None:
+    """People differ by far more than conditions do."""
+    rows = [(f"{one} > {other}", name, period, 20.0 + 30 * number + 2 * (name == "none") + number % 3 * period, 4)
+            for number in range(8) for one, other in [("none", "attention") if number % 2 else ("attention", "none")]
+            for period, name in enumerate((one, other), start=1)]  # fmt: skip
+    summary = summarise(study_with(tmp_path, WITHIN), rows_of(rows, who=lambda n: f"P{n // 2}"))
+    (actions,) = (one for one in summary["measures"] if one["measure"] == "actions")
+    (difference,) = actions["differences"]
+    for one in (*actions["cells"], difference):
+        assert 0 < one["high"] - one["low"] < 6
+    assert all(cell["sd"] > 60 for cell in actions["cells"])
 
 
 def test_the_order_and_the_period_of_one_order_cannot_be_told_apart() -> None:

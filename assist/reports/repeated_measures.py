@@ -1,8 +1,9 @@
-"""A mixed model of conditions that the same participants have had one after the other."""
+"""Conditions that the same participants have had one after the other: intervals of means, and a mixed model."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,31 @@ Values = Mapping[str, Mapping[str, float]]
 """Values by condition and participant."""
 Periods = Mapping[tuple[str, str], int]
 """The period in which a participant had a condition, by participant and condition."""
+
+
+def means_within(values: Values, level: float = 0.95) -> dict[str, IntervalEstimate]:
+    """Return each condition's mean with an interval without the differences between participants.
+
+    The intervals show how well means can be compared with each other (D. Cousineau, "Confidence intervals in
+    within-subject designs", 2005; R. D. Morey, "Confidence intervals from normalized data", 2008). They are those of
+    participants with a value in every condition. Conditions without values are left out.
+
+    Parameters
+    ----------
+    values : mapping of mapping of float
+        Values by condition and participant.
+    level : float
+    """
+    shown = {name: own for name, own in values.items() if own}
+    everywhere = [who for who in next(iter(shown.values()), {}) if all(who in own for own in shown.values())]
+    n, conditions = len(everywhere), len(shown)
+    halves = np.full(conditions, np.nan)
+    if n > 1 and conditions > 1:
+        x = np.array([[own[who] for who in everywhere] for own in shown.values()])
+        deviation = (x - x.mean(axis=0)).std(axis=1, ddof=1) * np.sqrt(conditions / (conditions - 1))
+        halves = stats.t.ppf((1 + level) / 2, n - 1) * deviation / np.sqrt(n)
+    found = zip(shown, (fmean(own.values()) for own in shown.values()), halves.tolist(), strict=True)
+    return {name: IntervalEstimate(value, value - half, value + half) for name, value, half in found}
 
 
 def mixed_model(

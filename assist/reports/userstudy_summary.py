@@ -22,7 +22,7 @@ from ..userstudy.questionnaires import CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX,
 from ..userstudy.tables import Row, Tables
 from .effects import between_groups, cronbach_alpha, detectable, detectable_within, within_participants
 from .hypothesis_tests import RankTest, fisher_p, holm, mann_whitney, newcombe, sign_test, signed_rank
-from .repeated_measures import mixed_model
+from .repeated_measures import means_within, mixed_model
 from .statistics import FEW, IntervalEstimate, mean
 
 ALL = "all participants"
@@ -221,10 +221,9 @@ def _measure(study: UserStudy, measure: Measure, tables: Tables) -> dict[str, An
         if name != study.reference and (compared := _compared(study, measure, name, periods)):
             models = {"mixed_model": modelled[name].record()} if name in modelled else {}
             differences.append({"condition": name, "against": study.reference, **compared, **models})
-    cells = [{"condition": name, **_cell(list(own.values()))} for name, own in measure.values.items()]
     return {
         "measure": measure.name, "label": measure.label, "confirmatory": measure.name in study.confirmatory,
-        "cells": cells, "differences": differences,
+        "cells": _cells(study, measure.values), "differences": differences,
     }  # fmt: skip
 
 
@@ -310,34 +309,31 @@ def _likert(study: UserStudy, one: Questionnaire, tables: Tables) -> Iterator[Ro
                 }  # fmt: skip
 
 
-def _cell(values: list[float]) -> dict[str, Any]:
-    if not values:
-        return {"n": 0, "mean": None, "low": None, "high": None, "sd": None, "median": None}
-    sd = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
-    return {"n": len(values), **mean(values).record(), "sd": finite(sd), "median": float(np.median(values))}
-
-
-def _cell_of_units(tables: Tables, values: list[tuple[str, float]]) -> dict[str, Any]:
-    """Return the cell of participants' values; a participant may have several, and a group has the mean."""
-    if all(row["group"] is None for row in tables.participants):
-        return _cell([value for _, value in values])
-    return _cell(list(_of_units(tables, {ALL: dict(values)})[ALL].values()))
+def _cells(study: UserStudy, values: dict[str, dict[str, float]]) -> list[Row]:
+    """Return the numbers of each condition, from the values of units of analysis by condition."""
+    compared = means_within(values) if study.is_within and len(values) > 1 else {}
+    found: list[Row] = []
+    for name, own in values.items():
+        cell: Row = {"condition": name, "n": len(own), **dict.fromkeys(("mean", "low", "high", "sd", "median"))}
+        if own:
+            each = list(own.values())
+            sd = float(np.std(each, ddof=1)) if len(each) > 1 else math.nan
+            cell |= (compared[name] if compared else mean(each)).record()
+            cell |= {"sd": finite(sd), "median": float(np.median(each))}
+        found.append(cell)
+    return found
 
 
 def _questionnaire(study: UserStudy, one: Questionnaire, tables: Tables) -> dict[str, Any]:
     rows = list(scored(one, tables))
     where = [condition.name for condition in study.conditions] if study.is_by_condition(one) else [ALL]
-    items = [
-        {
-            "item": item.name, "condition": name,
-            **_cell_of_units(
-                tables,
-                [(who, scores[item.name]) for who, own, scores in rows if name in (ALL, own) and item.name in scores],
-            ),
-        }
-        for item in one.scale
-        for name in where
-    ]  # fmt: skip
+    items = []
+    for item in one.scale:
+        values: dict[str, dict[str, float]] = {name: {} for name in where}
+        for participant, condition, scores in rows:
+            if item.name in scores:
+                values[condition if condition in values else ALL][participant] = scores[item.name]
+        items += [{"item": item.name, **cell} for cell in _cells(study, _of_units(tables, values))]
     # Answers of one participant in several conditions are not independent, so that each condition has an alpha.
     alphas = {name: _alpha(one, [row for row in rows if name in (ALL, row[1])]) for name in where}
     repeated = study.is_within and len(where) > 1
@@ -358,14 +354,17 @@ def _asked(study: UserStudy, one: Questionnaire, item: Item, tables: Tables) -> 
     if item.form == TEXT or (item in one.scale):
         return
     own = [row for row in tables.answers if (row["questionnaire"], row["item"]) == (one.name, item.name)]
-    for name in [condition.name for condition in study.conditions] if study.is_by_condition(one) else [ALL]:
-        rows = [row for row in own if name in (ALL, row["condition"]) and row["answer"] is not None]
+    where = [condition.name for condition in study.conditions] if study.is_by_condition(one) else [ALL]
+    answered = [row for row in own if row["answer"] is not None]
+    rows = {name: [row for row in answered if name in (ALL, row["condition"])] for name in where}
+    scores = {name: {row["participant"]: row["score"] for row in given} for name, given in rows.items()}
+    cells = _cells(study, _of_units(tables, scores)) if item.is_scored else [{} for _ in where]
+    for (name, given), cell in zip(rows.items(), cells, strict=True):
         counts = Counter(dict.fromkeys(item.options, 0))
-        counts.update(row["option"] for row in rows if item.form == CHOICES and row["answer"] in (True, "true"))
-        counts.update(row["answer"] for row in rows if item.form == CHOICE)
+        counts.update(row["option"] for row in given if item.form == CHOICES and row["answer"] in (True, "true"))
+        counts.update(row["answer"] for row in given if item.form == CHOICE)
         yield {
             "questionnaire": one.name, "item": item.name, "form": item.form, "condition": name,
-            "n": len({row["participant"] for row in rows}), "counts": dict(counts),
-            **({"passed": sum(row["passed"] is True for row in rows)} if item.correct is not None else {}),
-            **(_cell_of_units(tables, [(row["participant"], row["score"]) for row in rows]) if item.is_scored else {}),
+            "n": len({row["participant"] for row in given}), "counts": dict(counts),
+            **({"passed": sum(row["passed"] is True for row in given)} if item.correct is not None else {}), **cell,
         }  # fmt: skip
