@@ -45,10 +45,10 @@ from assist.people.human import Population
 from assist.people.mixture import Mixture
 from assist.people.state_keys import mix
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
+from assist.simulation.hidden_goals import GoalKnowledge
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
-from assist.simulation.task_view import GoalKnowledge
 from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamPolicy

@@ -33,6 +33,7 @@ from rich.table import Table
 from tables import Columns, cell, more_option, record_option, write_record
 
 from assist.certify.certificate import Certificate, returns
+from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import upper_bound
 from assist.cli.options.help import Command
 from assist.people.belief import Grid
@@ -300,7 +301,7 @@ def gap(
                     label: found.certify(pool.policy(label), label, episodes=20_000 if humans <= own else 2_000)
                     for label in ("none", "reactive", "attention", "priority")
                 }
-                best, (relaxed, error) = certified["priority"], found.relaxed()
+                best, (relaxed, error) = certified["priority"], relaxed_value(found)
                 rows.append(
                     {"instance": name, "c_suggest": c_suggest, "gamma": gamma, "humans": humans, "upper": found.upper,
                      "proven": found.proven, "proven gap %": 100 * (found.proven - best.value) / abs(best.value),

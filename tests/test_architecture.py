@@ -34,26 +34,23 @@ ROOMS = {
     "planner.batch": "solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.texts": "typed_toml catalogue",
-    "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model human
-        mixture
-        spread belief influence_kernels trust_rules user_code action_names signals""",
-    "assist.person": """leaf_bounds observation_model pomdp visiting_robot policy lazy_policy archive problem_arrays
-        belief_filter dynamics joint_belief qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
-        memory_needed
-        further_beliefs solver
-        suggestion_threshold""",
+    "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model
+        weighted_choice human mixture spread belief influence_kernels trust_rules user_code action_names signals""",
+    "assist.person": """leaf_bounds observation_model pomdp known_goals visiting_robot policy lazy_policy archive
+        problem_arrays belief_filter reached_goals dynamics joint_belief qmdp solution_cache alpha_vectors upper_hull
+        convex_bound hsvi search memory_needed further_beliefs solver suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_rules advice_model advice_fit replay
         observations likelihood choosing profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
         diagnostics population person_estimate fit joint_states goals goal_fit comparison rule_families trust_log
         posterior_sample influence_population rule_search trust_fit trust_comparison""",
-    "assist.team": """by_policy robots travel state hidden_states action_check settings setting_table assignment
-        attention questions time_expansion memory_needed subproblem_frontier attention_subproblem priority whittle
-        rollout policies""",
+    "assist.team": """by_policy robots travel travel_of_each state extra_costs hidden_states action_check settings
+        setting_table assignment attention attention_never questions time_expansion memory_needed subproblem_frontier
+        attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
-    "assist.simulation": """memory_needed pool schedule common_random_numbers trace episodes model_group
-        observed_people task_parts task_view run traced_run requested suggestion_search simulate belief_trace
-        illustration""",
+    "assist.simulation": """memory_needed affordable union pool schedule common_random_numbers hidden_goals trace
+        episode episodes trust_of_people model_group task_parts task_view observed_people run traced_run requested
+        suggestion_search simulate belief_trace illustration""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.explain": "continuations contrast explanation",
     "assist.live": """live_task events advice roster uncertain_actions beliefs live_questions decision_point
@@ -61,7 +58,7 @@ ROOMS = {
         erasing recent_events course event_sourced header session simulated_person trace_reasons""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options memory_needed prices certificate visited_beliefs computation truncated_prices
-        sample_paths team_bound comparison""",
+        sample_paths team_bound relaxed_value comparison""",
     "assist.coupled": """agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",

@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from assist.large_tasks import person_problem, truncated_policy
 from assist.live.assistant import Assistant
 from assist.live.live_task import InapplicableError, UnknownError
-from assist.people.choice_model import Weighted, boltzmann
+from assist.people.choice_model import boltzmann
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.people.memory import remembered
 from assist.people.mixture import Mixture
 from assist.people.terms import TERMS
+from assist.people.weighted_choice import Weighted
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.simulation.belief_trace import Watched

@@ -16,6 +16,7 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, evaluate, qmdp
 from assist.simulation.pool import Pool
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
+from assist.team.attention_never import AttentionAgainstNever
 from assist.team.by_policy import ByPolicy
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, TeamAction, TeamState
@@ -99,7 +100,7 @@ def test_reactive_assistance_as_defined(people: Pool, robots: int, **options: An
 def test_attention_switching_as_defined(people: Pool, robots: int, never: bool, **options: Any) -> None:
     """The score of a person is the advantage of their policy's action, minus the cost of the way."""
     team = random_state(people, robots=robots, **options)
-    switching = AttentionSwitching.against_never(people.policies) if never else AttentionSwitching()
+    switching = AttentionAgainstNever.of(people.policies) if never else AttentionSwitching()
     assert team.belief is not None
     location = team.location.reshape(TEAMS, -1)
     score, best = np.full((TEAMS, robots, PEOPLE), -np.inf), np.zeros(team.x.shape, dtype=np.int64)
@@ -137,9 +138,8 @@ def test_what_a_policy_needs_is_computed_beforehand(tiny_choices: Choices) -> No
     plain, never = AttentionSwitching(), list[Policy]()
     assert plain.with_policies(other, Travel.of(2)) is plain
     plain.prepare(one[0])
-    AttentionSwitching(ByPolicy(one, lambda policy: never.append(policy))).prepare(one[1])  # type: ignore[arg-type]
+    AttentionAgainstNever(ByPolicy(one, lambda policy: never.append(policy))).prepare(one[1])  # type: ignore[arg-type]
     assert (solved, never) == ([one[0].pomdp, one[1].pomdp], [one[1]])
-    moved = AttentionSwitching.against_never(one).with_policies(other, Travel.of(2))
-    assert moved.never is not None
+    moved = AttentionAgainstNever.of(one).with_policies(other, Travel.of(2))
     exact = evaluate(other[1].pomdp, np.zeros(len(tiny_choices), dtype=np.int64))
     np.testing.assert_array_equal(moved.never[other[1]], exact)

@@ -20,6 +20,7 @@ from assist.certify import certificate, comparison, computation, prices, team_bo
 from assist.certify.certificate import Certificate, horizon, returns
 from assist.certify.options import BoundOptions
 from assist.certify.prices import SubproblemKind, kinds_of, search
+from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
@@ -346,17 +347,17 @@ def test_bounds_that_cannot_be(pool: Pool, options: dict[str, object], message: 
 def test_a_robot_for_each_person_of_a_kind(pool: Pool) -> None:
     """Means and variances add up, since people's random numbers are independent."""
     found = upper_bound(pool, (0, 0, 1), window=3, gap=1e-6)
-    mean, error = found.relaxed(episodes=400, seed=5)
+    mean, error = relaxed_value(found, episodes=400, seed=5)
     kinds: list[SubproblemKind] = kinds_of(pool, found.team, found.travel, len(found.price))
     assert [kind.count for kind in kinds] == [2, 1]
     values = [kind.simulated(found.price, horizon(0.5), 400, 5 + number)[1] for number, kind in enumerate(kinds)]
     paid = sum(price * 0.5**step for step, price in enumerate(found.price))
     assert mean == pytest.approx(2 * values[0].mean() + values[1].mean() + paid)
     assert error == pytest.approx(math.sqrt((4 * values[0].var(ddof=1) + values[1].var(ddof=1)) / 400))
-    assert found.relaxed(episodes=400) == found.relaxed(episodes=400, seed=0)
-    assert found.relaxed(episodes=2)[0] < 0
+    assert relaxed_value(found, episodes=400) == relaxed_value(found, episodes=400, seed=0)
+    assert relaxed_value(found, episodes=2)[0] < 0
     with pytest.raises(ValueError, match=r"^episodes 1: expected a whole number of 2 or more"):
-        found.relaxed(episodes=1)
+        relaxed_value(found, episodes=1)
 
 
 def bound_at(pool: Pool, team: tuple[int, ...], price: list[float]) -> TeamBound:
@@ -368,7 +369,7 @@ def bound_at(pool: Pool, team: tuple[int, ...], price: list[float]) -> TeamBound
 def test_each_robot_of_the_relaxed_problem_is_paid_the_discounted_prices(pool: Pool, robots: int) -> None:
     price = np.array([0.3, 0.2, 0.1])
     several = replace(pool, setting=replace(pool.setting, robots=robots))
-    mean, _ = bound_at(several, (0, 1), [*price]).relaxed(episodes=100, seed=5)
+    mean, _ = relaxed_value(bound_at(several, (0, 1), [*price]), episodes=100, seed=5)
     kinds = kinds_of(several, (0, 1), SETTING.travel(2), 3)
     values = [kind.simulated(price, horizon(0.5), 100, 5 + number)[1].mean() for number, kind in enumerate(kinds)]
     assert mean == pytest.approx(sum(values) + robots * (0.3 + 0.2 * 0.5 + 0.1 * 0.25))
@@ -391,8 +392,8 @@ def test_what_a_bounds_policy_and_its_relaxed_problem_need(pool: Pool) -> None:
     with pytest.raises(ValueError, match="the policy at a bound's prices: expected people whose goal is known"):
         bound_at(unknown, (0,), [0.3]).policy()
     large = Pool.sample(kit("tiny"), 1, seed=1, states=1, region=6, setting=replace(SETTING, knowledge="exact"))
-    with pytest.raises(ValueError, match="relaxed: expected an enumerated task"):
-        bound_at(large, (0,), []).relaxed(episodes=2)
+    with pytest.raises(ValueError, match="relaxed_value: expected an enumerated task"):
+        relaxed_value(bound_at(large, (0,), []), episodes=2)
 
 
 def test_no_more_time_is_reported_than_has_passed(pool: Pool) -> None:

@@ -19,13 +19,14 @@ from scipy.special import softmax
 from assist.large_tasks.person_problem import PersonProblem
 from assist.live.assistant import Assistant
 from assist.people.belief import Grid
-from assist.people.choice_model import ChoiceModelError, Weighted, boltzmann, chances
+from assist.people.choice_model import ChoiceModelError, boltzmann, chances
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_value, trust
 from assist.people.human import Human, HumanModel, Population
 from assist.people.memory import remembered
 from assist.people.mixture import Mixture
 from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
+from assist.people.weighted_choice import Weighted
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.solver import Solution, solve

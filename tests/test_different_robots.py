@@ -27,15 +27,18 @@ from assist.people.human import Population
 from assist.person.qmdp import qmdp
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
+from assist.simulation.suggestion_search import priced_pool
 from assist.simulation.trace import Trace
 from assist.study.protocol import read
 from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.policies import POLICIES
-from assist.team.robots import ExtraCosts, Robot
+from assist.team.robots import ExtraCosts, Robot, best_robots, each_alone, extra_costs
+from assist.team.setting_table import plain_setting
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
 from assist.team.travel import Travel
+from assist.team.travel_of_each import TravelOfEach
 from planner import sweep
 from planner.system.errors import InputFileError
 
@@ -63,21 +66,21 @@ kinds_of_robots = st.builds(
 def test_robots_that_are_alike_are_a_number_of_robots(robot: Robot, count: int, execute: bool) -> None:
     setting = Setting(execute=execute, robots=(robot,) * count)
     assert setting == replace(Setting(execute=execute), robots=count, **robot.as_dict())
-    assert setting.best is setting
-    assert setting.extra_costs is None
+    assert best_robots(setting) is setting
+    assert extra_costs(setting) is None
 
 
 @settings(max_examples=60, deadline=None)
 @given(robots=st.lists(kinds_of_robots, min_size=2, max_size=4).map(tuple))
 def test_the_best_robot_is_nowhere_worse(robots: tuple[Robot, ...]) -> None:
     setting = Setting(robots=robots)
-    assert Setting(**json.loads(json.dumps(setting.as_dict()))) == setting
-    best, travel = setting.best, setting.travel(3, FAR)
-    assert best.robots == len(robots)
-    for each, way in zip(setting.each_robot, travel.robots or [travel] * len(robots), strict=True):
-        assert best.execute or not each.execute
-        assert best.c_suggest <= each.c_suggest
-        assert not each.execute or best.c_execute <= each.c_execute
+    assert Setting(**json.loads(json.dumps(plain_setting(setting)))) == setting
+    least, travel = best_robots(setting), setting.travel(3, FAR)
+    assert least.robots == len(robots)
+    for each, way in zip(each_alone(setting), travel.each if setting.differ else [travel] * len(robots), strict=True):
+        assert least.execute or not each.execute
+        assert least.c_suggest <= each.c_suggest
+        assert not each.execute or least.c_execute <= each.c_execute
         assert travel.c_move <= way.c_move == each.c_move
         assert (travel.steps <= way.steps).all()
         np.testing.assert_array_equal(way.steps, each.travel(3, FAR).steps)
@@ -106,7 +109,7 @@ def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndar
     """Travel at different costs, where robots are, which may choose, and what each is worth to each person."""
     count = draw(st.integers(2, 3))
     moves = [draw(st.sampled_from([0.0, 0.25, 0.5])) for _ in range(count)]
-    travel = Travel.of_each([Travel.of(3, c_move=c_move, distance=FAR) for c_move in moves])
+    travel = TravelOfEach.of_each([Travel.of(3, c_move=c_move, distance=FAR) for c_move in moves])
     places = draw(st.permutations([0, 1, 2]))
     at = [place if draw(st.booleans()) else BASE for place in places[:count]]
     free = [draw(st.booleans()) or place == BASE for place in at]
@@ -216,7 +219,7 @@ def test_a_robot_without_a_task_makes_room_for_a_better_one() -> None:
     assert found.moves[0] == 2
     team = replace(
         state(pool, [pool.choices(0).initial], travel=pool.setting.travel(1)),
-        location=np.array([[0, BASE]]), extra=pool.setting.extra_costs,
+        location=np.array([[0, BASE]]), extra=extra_costs(pool.setting),
     )  # fmt: skip
     assert pool.policy("priority")(team).person.tolist() == [[NOBODY, 0]]
     with pytest.raises(PolicyError, match="lets two robots be with one person"):
@@ -233,7 +236,7 @@ def test_suggestions_are_made_by_the_robot_for_which_they_cost_least() -> None:
     pool = people((Robot(c_suggest=0.5), Robot(c_suggest=0.01)), size=1)
     team = replace(
         state(pool, [pool.choices(0).initial], travel=pool.setting.travel(1)),
-        location=np.full((1, 2), BASE), extra=pool.setting.extra_costs,
+        location=np.full((1, 2), BASE), extra=extra_costs(pool.setting),
     )  # fmt: skip
     for name in ("attention", "priority", "whittle"):
         action = pool.policy(name)(team)
@@ -255,7 +258,7 @@ def test_no_policy_of_different_robots_exceeds_the_bound(
     for name in (name for name in POLICIES if name != "rollout"):
         value = bound.certify(name, episodes=1000, seed=seed)
         assert value.value - 4 * value.value_stderr <= bound.upper
-    alike = replace(pool, setting=pool.setting.best)
+    alike = replace(pool, setting=best_robots(pool.setting))
     again = upper_bound(alike, window=4, gap=1e-2, options=BoundOptions(price_episodes=100), seed=seed)
     assert bound.upper == pytest.approx(again.upper)
 
@@ -278,7 +281,7 @@ def test_robots_that_cannot_be(robots: Any, message: str) -> None:
 def test_where_robots_have_to_be_alike() -> None:
     pool = people((Robot(execute=True), Robot()))
     with pytest.raises(ValueError, match="robots: they differ; expected robots that are alike, which have one cost"):
-        pool.priced(1.0)
+        priced_pool(pool, 1.0)
     with pytest.raises(ValueError, match="joined: c_suggest is"):
         Pool.joined([pool, people((Robot(execute=True), Robot()), c_suggest=0.1)])
 
@@ -396,7 +399,7 @@ def test_the_bound_is_not_below_the_joint_optimum(robots: tuple[Robot, ...], exe
         execute=execute,
     )  # fmt: skip
     pool = known_people(setting)
-    best = joint_optimum(pool, setting.each_robot)
+    best = joint_optimum(pool, each_alone(setting))
     bound = upper_bound(pool, window=3, gap=1e-3, options=BoundOptions(price_episodes=50))
     assert bound.proven >= best - 1e-6
     for name in ("attention", "priority", "whittle"):

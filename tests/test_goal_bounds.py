@@ -16,9 +16,11 @@ from crosscheck import EASY
 from graphs import graph_task
 
 from assist.certify import TeamBound, upper_bound
+from assist.certify.relaxed_value import relaxed_value
 from assist.people import Goals, HumanModel, Population
 from assist.people.trust_rules import outcome
 from assist.person import AssistPOMDP, Solution, qmdp, solve
+from assist.person.known_goals import of_each_goal
 from assist.person.qmdp import evaluate
 from assist.simulation import Pool, simulate
 from assist.team import Setting
@@ -82,7 +84,7 @@ def test_the_bound_of_one_person_is_the_mean_value_with_known_goals(suggestions:
     problem = AssistPOMDP.of(HumanModel.exact(goals.choices(), eta=0.1, lapse=0.01), population=people, **options)
     low, high = exact(problem, 3)
     assert high - low < 0.01
-    known = np.array([share * np.array(exact(one, 3)) for share, one in problem.of_goals()]).sum(axis=0)
+    known = np.array([share * np.array(exact(one, 3)) for share, one in of_each_goal(problem)]).sum(axis=0)
     assert known[0] <= found.upper + 1e-9
     assert found.upper - found.slack <= known[1] + 1e-9
     assert found.upper - found.slack > high
@@ -110,7 +112,7 @@ def test_policies_are_compared_with_the_bound(travel_time: int) -> None:
     for name in ("none", "attention", "priority"):
         certificate = found.certify(name, episodes=500)
         assert certificate.value - 4 * certificate.value_stderr <= certificate.upper
-    mean, error = found.relaxed(episodes=500)
+    mean, error = relaxed_value(found, episodes=500)
     assert mean - 4 * error <= found.upper
     with pytest.raises(ValueError, match="expected people whose goal is known"):
         found.policy()
@@ -178,7 +180,7 @@ def test_values_of_the_solution_are_those_of_a_plain_look_ahead() -> None:
 
 def test_with_certainty_the_solution_is_that_of_the_goal() -> None:
     goals = ring((0.0, 1.0, 0.0))
-    ((_, known),) = problem(goals).of_goals()
+    ((_, known),) = of_each_goal(problem(goals))
     known, unknown = (solve(one, gap=1e-6) for one in (known, problem(goals)))
     assert unknown.lower == pytest.approx(known.lower, rel=3e-6)
     assert unknown.upper == pytest.approx(known.upper, rel=3e-6)

@@ -12,12 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assist.people.arguments import MOST
-from assist.people.choice_model import Weighted, boltzmann
+from assist.people.choice_model import boltzmann
 from assist.people.choices import WAIT, Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_cost, perceived_value, trust
 from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.mixture import Mixture
+from assist.people.weighted_choice import Weighted
 from assist.team.travel import Travel
 from planner import Table, load, sweep
 

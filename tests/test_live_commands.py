@@ -14,11 +14,11 @@ from conftest import KITTING, ROOT, invoke
 from assist.live.events import Event
 from assist.live.session import Session
 from assist.live.simulated_person import SimulatedPerson
-from assist.people.choice_model import Weighted
 from assist.people.choices import Choices
 from assist.people.human import Human, Population
 from assist.people.memory import choices_of
 from assist.people.user_code import UserChoiceModel, _loaded
+from assist.people.weighted_choice import Weighted
 from assist.web import server
 from planner import Table
 

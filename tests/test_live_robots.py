@@ -22,6 +22,7 @@ from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
 from assist.team.robots import Robot
+from assist.team.setting_table import plain_setting
 from assist.team.settings import Setting
 from assist.web.app import make_app
 from assist.web.service import Service
@@ -188,7 +189,7 @@ def test_a_session_of_two_robots_is_restored(
     robots: int | tuple[Robot, ...],
 ) -> None:  # fmt: skip
     rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("session")
-    options: dict[str, Any] = {"setting": Setting(**SETTING.as_dict() | {"robots": robots}), "population": EASY}
+    options: dict[str, Any] = {"setting": Setting(**plain_setting(SETTING) | {"robots": robots}), "population": EASY}
     session = Session({"tiny": tiny}, folder / "one.sqlite", **options)
     session.report([Event("joined", name) for name in "abc"])
     for kind, who, luck in events:

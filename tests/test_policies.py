@@ -15,6 +15,7 @@ from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
+from assist.team.attention_never import AttentionAgainstNever
 from assist.team.by_policy import ByPolicy
 from assist.team.priority import Priority
 from assist.team.settings import Setting
@@ -90,7 +91,7 @@ def test_attention_goes_to_nobody_to_say_nothing(pool: Pool) -> None:
     dear = replace(pool, policies=tuple(qmdp(replace(p.pomdp, robot_costs=1e3 * p.pomdp.robot_costs))
                                         for p in pool.policies))  # fmt: skip
     team = state(dear, x, travel=Travel.of(2, c_move=0.0))
-    switching = AttentionSwitching(ByPolicy(dear.policies, lambda policy: np.full_like(policy.value_mdp, -1e6)))
+    switching = AttentionAgainstNever(ByPolicy(dear.policies, lambda policy: np.full_like(policy.value_mdp, -1e6)))
     robot, score = switching.scores(team)
     assert robot.tolist() == [[0, 0]]
     assert np.isneginf(score).all()
@@ -183,7 +184,7 @@ def test_attention_is_ahead_of_reactive_is_ahead_of_none(fixed: Table) -> None:
 
 def test_the_other_reading_refers_to_never_helping_again(tiny_choices: Choices) -> None:
     pool = Pool.sample(tiny_choices, 2, seed=3, setting=Setting(c_suggest=0.05))
-    switching = AttentionSwitching.against_never(pool.policies)
+    switching = AttentionAgainstNever.of(pool.policies)
     pomdp = pool.policies[0].pomdp
     priors = np.repeat(pomdp.prior[None], len(pomdp.robot_actions), axis=0)
     x = int(pool.policies[0].choose(np.arange(len(priors)), priors).argmax())

@@ -33,12 +33,13 @@ from assist.live.course import Course, InapplicableError
 from assist.live.events import Event
 from assist.people import user_code
 from assist.people.action_names import Matcher, UnmatchedError
-from assist.people.choice_model import ChoiceModelError, Weighted, boltzmann, value
+from assist.people.choice_model import ChoiceModelError, boltzmann, value
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
 from assist.people.human import Human, Population
 from assist.people.misconception import Misconception
 from assist.people.mixture import Mixture
+from assist.people.weighted_choice import Weighted
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp

@@ -20,6 +20,7 @@ from assist.person.dynamics import Minds, PeopleArrays, act
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.simulation.common_random_numbers import BLOCK
+from assist.simulation.episode import plain_summary
 from assist.simulation.episodes import Episodes
 from assist.simulation.illustration import typical
 from assist.simulation.pool import Pool
@@ -377,7 +378,7 @@ def test_execution_by_the_robot(tiny_choices: Choices) -> None:
     done = sum(row["executed"] is not None for row in trace)
     said = sum(row["suggestion"] is not None for row in trace)
     assert (episodes.executed.sum(), episodes.helped.sum()) == (done, done + said)
-    summary = episodes.summary().record()
+    summary = plain_summary(episodes.summary())
     assert summary["executions"]["mean"] * 50 == pytest.approx(done)
     assert summary["suggestions"]["mean"] + summary["executions"]["mean"] == summary["interventions"]["mean"]
     assert done > 0

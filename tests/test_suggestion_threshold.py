@@ -16,9 +16,10 @@ from assist import Pool, simulate
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person import AssistPOMDP, Solution, solve, threshold_of
-from assist.person.suggestion_threshold import SuggestionThreshold, search_threshold
+from assist.person.suggestion_threshold import SuggestionThreshold, priced, search_threshold
 from assist.reports import study_report
 from assist.reports.study_report import write_report
+from assist.simulation.episode import plain_summary
 from assist.study.protocol import read
 from assist.study.runner import run_study
 from assist.team.attention import AttentionSwitching
@@ -96,7 +97,11 @@ def test_a_policy_without_suggestions_has_a_threshold(policy: str, tiny: Table) 
     assert not run(found.worth_at * 1.5).interventions.any()
     summary = dear.summary()
     assert str(summary).endswith(f"; {found}")
-    assert summary.record()["suggestion_threshold"] == {"c_suggest": 40.0, "worth_at": found.worth_at, "searched": True}
+    assert plain_summary(summary)["suggestion_threshold"] == {
+        "c_suggest": 40.0,
+        "worth_at": found.worth_at,
+        "searched": True,
+    }
     assert run(40.0, explain=False).suggestion_threshold is None
     assert run(40.0, jobs=2).suggestion_threshold == found
     speaks = run(found.worth_at)
@@ -138,7 +143,7 @@ def test_a_person_who_is_best_left_alone(tiny: Table) -> None:
     assert found is not None
     assert found.worth_at is not None
     assert threshold_of(person(tiny, found.worth_at)) is None
-    solution = person(tiny, 40.0).pomdp.priced(2.0)
+    solution = priced(person(tiny, 40.0).pomdp, 2.0)
     assert set(np.unique(solution.robot_costs)) == {0.0, 2.0}
 
 

@@ -25,6 +25,7 @@ from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team import Setting
 from assist.team.questions import Questions, answered, benefit
+from assist.team.setting_table import plain_setting
 from planner import LimitError, Table, sweep, sweep_goals
 from planner.system.errors import ResultsExistError
 
@@ -434,7 +435,7 @@ def test_questions_are_asked_where_they_are_worth_their_cost(tiny: Table) -> Non
     assert found[0.01].questions.mean() > 0.5
     np.testing.assert_array_equal(found[None].discounted_return, found[100.0].discounted_return)
     assert found[0.01].discounted_return.mean() > found[None].discounted_return.mean()
-    assert Setting(**setting.as_dict()) == setting
+    assert Setting(**plain_setting(setting)) == setting
     with pytest.raises(ValueError, match=r"ask_error 0\.7: expected 0 <= ask_error < 0.5"):
         Setting(c_ask=1, ask_error=0.7)
 

@@ -22,6 +22,7 @@ from assist.person.problem_arrays import ProblemArrays
 from assist.simulation import Episodes, Pool, simulate
 from assist.team import Setting
 from assist.team.hidden_states import expected_answers
+from assist.team.setting_table import plain_setting
 from assist.team.state import worth_of_actions
 
 Steps = list[tuple[ObservationModel, str | None, str | None]]
@@ -203,9 +204,9 @@ def test_an_observation_model_is_saved_with_its_setting_and_wrong_ones_are_refus
     table = {"(fetch box-a)": {"fetch box-b": 0.2}}
     for observation in (ObservationModel(0.1, 0.2), ObservationModel(0.1, table)):
         setting = Setting(observation=observation)
-        again = Setting(**json.loads(json.dumps(setting.as_dict())))
+        again = Setting(**json.loads(json.dumps(plain_setting(setting))))
         assert asdict(again.observation or ObservationModel()) == asdict(observation)
-    assert "observation" not in Setting(observation=ObservationModel()).as_dict()
+    assert "observation" not in plain_setting(Setting(observation=ObservationModel()))
     with pytest.raises(ValueError, match=r"miss 1: expected 0 <= miss < 1"):
         ObservationModel(1.0)
     with pytest.raises(ValueError, match="expected other actions only"):

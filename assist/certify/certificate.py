@@ -13,6 +13,7 @@ from planner.system.arrays import outline
 from ..people.decision import Floats
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
+from ..team.robots import extra_costs
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 
@@ -105,8 +106,8 @@ def returns(
     """
     gamma, end = pool.setting.gamma, horizon(pool.setting.gamma)
     pool = replace(pool, setting=replace(pool.setting, max_steps=end))
-    most = max(one.c_move for one in travel.robots or (travel,)) * float(travel.distance.max())
-    if (extra := pool.setting.extra_costs) is not None:
+    most = max(one.c_move for one in travel.each) * float(travel.distance.max())
+    if (extra := extra_costs(pool.setting)) is not None:
         most += float(max(extra.suggesting.max(), extra.executing[np.isfinite(extra.executing)].max(initial=0)))
     largest_cost = (
         max(float(p.pomdp.model.choices.costs.max() + p.pomdp.robot_costs.max()) for p in pool.policies) + most

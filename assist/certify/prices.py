@@ -19,12 +19,14 @@ from planner.system.progress import Progress
 
 from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, likely
 from ..people.decision import Floats
+from ..person.known_goals import of_each_goal
 from ..person.memory_needed import first_bounds_bytes
 from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
 from ..team.attention_subproblem import AttentionSubproblem, backwards
+from ..team.robots import best_robots
 from ..team.state import TeamAction, TeamState
 from ..team.time_expansion import HERE
 from ..team.travel import Travel
@@ -114,7 +116,7 @@ class SubproblemKind:
 
         human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
         # Travel is part of the subproblem, so that the simulation has none. A person's problem has one robot.
-        setting = replace(self.pool.setting.best, c_move=0.0, travel_time=0.0, max_steps=steps, robots=1)
+        setting = replace(best_robots(self.pool.setting), c_move=0.0, travel_time=0.0, max_steps=steps, robots=1)
         pool = Pool(setting, (human,), (policy(0, np.arange(1)),), np.zeros(1, dtype=np.int64))
         run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
         return number / episodes, run.discounted_return
@@ -161,7 +163,7 @@ def kinds_of(
         if beyond:
             parts.append((1.0, beyond, key))
         else:
-            goals = pool.policies[model].pomdp.of_goals()
+            goals = of_each_goal(pool.policies[model].pomdp)
             parts += [(chance, TruncatedProblem(problem), key) for chance, problem in goals]
     require_room([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)
     kinds = []

@@ -25,27 +25,14 @@ V_k.
 The prices are optimised (`assist.certify.prices`). Each V_k is bounded from above with hidden beta and theta
 (`assist.person.solver`), so that the bound does not assume more knowledge of people than a robot has.
 
-Unknown goals. If person k pursues goal g with probability p_k(g), the same holds with sum_g p_k(g) V_kg(lambda) in
-place of V_k(lambda), where V_kg is the optimal value of their subproblem if the goal is known to be g.
-
-Proof. A robot that is told all goals at the beginning can ignore them, so that no policy is better than its optimum.
-For each vector of goals the claim bounds this optimum. Its mean over the goals is as stated, since prices do not depend
-on goals and the sum over people is linear; goals of different people may depend on each other. The robot actions of
-V_kg are those with the unknown goal: steps that are optimal for any goal may be suggested. V_kg ends when the goal is
-reached, where a robot that does not see this could only pay for more.
-
 The prices only enforce on average that M robots attend to M people. If sample paths are requested, an information
 relaxation enforces it in every step (`assist.certify.information_relaxation.sampled_bound`). This bound holds with a
 confidence level. It uses the subproblems at the prices, or those without prices if their bounds are lower. Subproblems
 without prices need no step in their states, so that the solver gets further in the same time, and the sample paths
 account for the conflicts.
 
-Robots that differ. The bound is that of M robots that can each do what any of them can, at the lowest cost and in the
-shortest time of any (`Setting.best`).
-
-Proof. Any policy of the team is one of those robots, too: where a robot of the team is still on its way, the faster one
-has arrived and waits, which no other robot can disturb. Its actions are possible, and cost no more. A robot that makes
-room for another one leaves for free, as in people's problems, and comes back at the cost of a move.
+Why the bound also holds for people with unknown goals and for robots that differ stands at `person.known_goals` and
+`team.robots`.
 
 The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated
 in the same model.
@@ -57,8 +44,6 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from planner.system.arrays import outline
 from planner.system.machine import processors
@@ -72,11 +57,10 @@ from ..team.priority import Priority
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from . import sample_paths
-from .certificate import Certificate, horizon, returns
+from .certificate import Certificate, returns
 from .computation import Computation
 from .information_relaxation.confidence import SampledBound
 from .options import BoundOptions
-from .prices import kinds_of
 from .truncated_prices import truncated_prices
 
 
@@ -123,25 +107,6 @@ class TeamBound:
 
     def __post_init__(self) -> None:
         self.price.flags.writeable = False
-
-    def relaxed(self, *, episodes: int = 20_000, seed: Seed = 0) -> tuple[float, float]:
-        """Simulate QMDP's policies in the relaxed problem, with one robot per person; return mean and standard error.
-
-        Optimal policies of the relaxed problem have at least this value, and the bound is at least theirs. So the part
-        of a certificate's gap below this mean is due to the relaxation and the team policy, not to the solver.
-        """
-        for policy in self.pool.policies:
-            policy.require_enumerated("relaxed")
-        episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
-        gamma = self.pool.setting.gamma
-        paid = self.pool.setting.robot_count * float(self.price @ gamma ** np.arange(len(self.price)))
-        total, variance = paid, 0.0
-        kinds = kinds_of(self.pool, self.team, self.travel, len(self.price))
-        for number, kind in enumerate(kinds):  # independent random numbers, so that variances add up
-            value = kind.simulated(self.price, horizon(gamma), episodes, seed_number + number)[1]
-            total += kind.count * float(value.mean())
-            variance += kind.count**2 * float(value.var(ddof=1)) / episodes
-        return total, math.sqrt(variance)
 
     def policy(self) -> Priority:
         """Return the priority policy at this bound's prices, one for each step, for this team from its beginning.

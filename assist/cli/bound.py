@@ -46,6 +46,7 @@ def bound(
     """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
     from ..certify.comparison import certify
     from ..certify.information_relaxation.confidence import CONFIDENCE
+    from ..team.setting_table import plain_setting
     from .output.person_bounds import show_samples
 
     start = time.perf_counter()
@@ -69,7 +70,7 @@ def bound(
             "policies": [asdict(certificate) for certificate in certificates], "upper_seen": found.upper_seen,
             "upper_proven": found.proven, "sampled": found.sampled and asdict(found.sampled),
             "confidence": CONFIDENCE if found.sampled and found.sampled.enough else 1.0,
-            "price": found.price.tolist(), "seconds": found.seconds, "setting": made.pool.setting.as_dict(),
+            "price": found.price.tolist(), "seconds": found.seconds, "setting": plain_setting(made.pool.setting),
             "population": made.population.as_dict(), "seed": team["seed"], "versions": versions(),
         })  # fmt: skip
         return

@@ -55,8 +55,10 @@ def simulate(
     from ..person.observation_model import ObservationModel
     from ..plots import style
     from ..plots.episode import episode_figure
+    from ..simulation.episode import plain_summary
     from ..simulation.illustration import Illustration
     from ..simulation.simulate import simulate as run
+    from ..team.setting_table import plain_setting
     from .output.episode_summaries import show_summaries
 
     size = size or max(12, team["humans"])
@@ -99,9 +101,9 @@ def simulate(
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": team["humans"],
             "pool": size, "drawn": drawn, "episodes": episodes, "seed": team["seed"],
-            "setting": made.pool.setting.as_dict(), "population": made.population.as_dict(),
+            "setting": plain_setting(made.pool.setting), "population": made.population.as_dict(),
             **({"goals": dict(goals.prior), "goal_knowledge": goal_knowledge} if goals else {}),
-            "policies": [summary.record() for summary in summaries], "versions": versions(),
+            "policies": [plain_summary(summary) for summary in summaries], "versions": versions(),
         })  # fmt: skip
     else:
         show_summaries(summaries, drawn, size)

@@ -25,6 +25,7 @@ from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.model_group import World
 from ..simulation.pool import Pool
+from ..team.extra_costs import extra_costs_of
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 from .rendering import EnvironmentPicture
@@ -86,7 +87,7 @@ class _Desk:
             possible = np.repeat(possible[:, None], teams.location.shape[1], axis=1)
         possible[..., 1:] *= (teams.travel.steps_from(teams.location) == 0)[..., None]  # the robot acts on arrival
         if teams.extra is not None:
-            possible *= np.isfinite(teams.state().extra_costs(self.sight.robots))  # not all can execute
+            possible *= np.isfinite(extra_costs_of(teams.state(), self.sight.robots))  # not all can execute
         possible *= teams.reachable()[..., None]
         flat = possible.reshape(*possible.shape[:-2], -1).astype(np.int8)
         return np.concatenate([np.ones((*flat.shape[:-1], 1), dtype=np.int8), flat], axis=-1)

@@ -17,6 +17,7 @@ from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.model_group import World
 from ..simulation.pool import Pool
+from ..team.robots import require_one_robot
 from ..team.settings import Setting
 from ..team.state import TeamAction, TeamState
 from .gymnasium import TeamEnv
@@ -77,7 +78,7 @@ class StationsEnv(pettingzoo.ParallelEnv):
         pool = pool_of(instance, size=people, seed=pool_seed, setting=setting, population=population)
         if not 1 <= humans <= len(pool.people):
             raise ValueError(f"humans {humans}: expected 1 to {len(pool.people)}, the size of the pool")
-        pool.setting.require_one_robot("each station")
+        require_one_robot(pool.setting, "each station")
         self._teams = Teams(pool, 1, humans, world=world)
         self._sight = Sight(self._teams, beliefs=beliefs)
         self._shared, self.render_mode = shared, None

@@ -24,6 +24,8 @@ from ..simulation.common_random_numbers import from_the_prior
 from ..simulation.model_group import ModelGroup, World
 from ..simulation.pool import MAX_ENUMERATED, Pool
 from ..team.assignment import placed
+from ..team.extra_costs import extra_costs_of
+from ..team.robots import extra_costs
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
 
@@ -78,7 +80,7 @@ class Teams:
             policy.require_enumerated("pool")
             policy.pomdp.model.choices.require_one_goal("an environment")
         self.pool, self.on_grid = pool, world == "model"
-        self.travel, self.extra = pool.setting.travel(places, distance), pool.setting.extra_costs
+        self.travel, self.extra = pool.setting.travel(places, distance), extra_costs(pool.setting)
         self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}
         self._row = np.sum([group.row for group in self.groups.values()], axis=0)
         choices = [pool.choices(number) for number in range(len(pool.people))]
@@ -154,7 +156,7 @@ class Teams:
         charged[rows, to] = self.travel.costs_between(number, origin, to)
         self.busy_until[sent] = self.clock[rows] + self.travel.steps_between(number, origin, to)
         if self.extra is not None:
-            charged[rows, to] += self.state().extra_costs(int(does.max(initial=0)) + 1)[rows, number, to, does]
+            charged[rows, to] += extra_costs_of(self.state(), int(does.max(initial=0)) + 1)[rows, number, to, does]
             self.location[:] = placed(self.location, action.person)
         self.location[sent] = to
         return robot, charged

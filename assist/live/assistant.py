@@ -39,7 +39,8 @@ from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..team.action_check import check
 from ..team.policies import POLICIES, named, prepare
-from ..team.robots import Robot
+from ..team.robots import Robot, best_robots, extra_costs
+from ..team.setting_table import plain_setting
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from ..team.travel import Travel
@@ -126,7 +127,7 @@ class Assistant:
         self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
         if robots is not None:
             self.setting = replace(self.setting, robots=robots)
-        if self.setting.best.execute:
+        if best_robots(self.setting).execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy
         if policy == "rollout":
@@ -559,7 +560,7 @@ class Assistant:
 
     def _extra(self, number: int) -> float:
         """Return what a suggestion by a robot costs more than in people's problems."""
-        extra = self.setting.extra_costs
+        extra = extra_costs(self.setting)
         return 0.0 if extra is None else float(extra.suggesting[number])
 
     def _decide(self) -> tuple[Advice, ...]:
@@ -621,7 +622,7 @@ class Assistant:
         return _LiveTeam(
             self._step, t.x[None], active[None], t.erred[None], location, t.model[None], t.belief[None],
             [part.policy for part in t.parts], self._places.travel, t,
-            free=~np.array([self._places.under_way]) if several else None, extra=self.setting.extra_costs,
+            free=~np.array([self._places.under_way]) if several else None, extra=extra_costs(self.setting),
         )  # fmt: skip
 
     def _policy(self) -> TeamPolicy:
@@ -704,7 +705,7 @@ class Assistant:
             {
                 "format": FORMAT,
                 "policy": self.policy if isinstance(self.policy, str) else None,
-                "setting": self.setting.as_dict(),
+                "setting": plain_setting(self.setting),
                 "population": self.population.as_dict(),
                 "distance": self.distance,
                 "step": self._step,

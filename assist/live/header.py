@@ -22,6 +22,7 @@ from ..people.decision import perceived_cost
 from ..people.goals import Goals, first_of
 from ..people.human import Population
 from ..people.mixture import Mixture
+from ..team.setting_table import plain_setting
 from .assistant import Assistant
 from .live_task import digest
 
@@ -34,7 +35,7 @@ def header_of(desk: Assistant, tasks: Mapping[str, CostToGo | Goals], distance: 
     return {
         "format": FORMAT,
         "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
-        "setting": desk.setting.as_dict(),
+        "setting": plain_setting(desk.setting),
         "population": desk.population.as_dict(),
         "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
         "tasks": {name: digest(task) for name, task in tasks.items()},

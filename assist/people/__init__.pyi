@@ -2,7 +2,6 @@ from .belief import Grid as Grid
 from .belief import ImpossibleObservationError as ImpossibleObservationError
 from .choice_model import ChoiceModel as ChoiceModel
 from .choice_model import ChoiceModelError as ChoiceModelError
-from .choice_model import Weighted as Weighted
 from .choice_model import boltzmann as boltzmann
 from .choices import WAIT as WAIT
 from .choices import Choices as Choices
@@ -43,3 +42,4 @@ from .trust_rules import TrustRule as TrustRule
 from .trust_rules import constant as constant
 from .trust_rules import outcome as outcome
 from .trust_rules import outcome_at_disagreement as outcome_at_disagreement
+from .weighted_choice import Weighted as Weighted

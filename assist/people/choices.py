@@ -7,7 +7,7 @@ state `x`. The rest of this package uses these arrays, and does not depend on PD
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -164,16 +164,6 @@ class Choices:
             return x[None]
         states = len(self) // self.goal_count
         return np.asarray(x % states + states * np.arange(self.goal_count)[:, None])
-
-    def of_goal(self, number: int) -> Choices:
-        """Return the choices of people who pursue one of the goals, given by its number; a row is a task state."""
-        states = len(self) // self.goal_count
-        own = slice(number * states, (number + 1) * states)
-        return replace(
-            self, h=self.h[own], goal=self.goal[own], applicable=self.applicable[own], actions=self.actions[own],
-            targets=self.targets[own] - own.start, costs=self.costs[own], optimal=self.optimal[own], state=None,
-            key=None if self.key is None else self.key[own], goals=None, assume_likeliest=False,
-        )  # fmt: skip
 
     def require_one_goal(self, what: str) -> None:
         """Raise a `ValueError` that names `what`, if a person's goal is one of several."""

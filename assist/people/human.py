@@ -15,10 +15,11 @@ import numpy as np
 from planner.system.arrays import frozen, outline
 
 from .arguments import MOST, number, span
-from .choice_model import ChoiceModel, Weighted, boltzmann, chances, value
+from .choice_model import ChoiceModel, boltzmann, chances, value
 from .choices import Choices
 from .decision import Floats, perceived_cost
 from .misconception import Misconception, Noise
+from .weighted_choice import Weighted
 
 
 @dataclass(frozen=True)

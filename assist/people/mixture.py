@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from .arguments import MOST, number
-from .choice_model import ChoiceModel, Weighted
+from .choice_model import ChoiceModel
 from .choices import Choices
 from .human import Human, Population, Range
+from .weighted_choice import Weighted
 
 
 @dataclass(frozen=True)

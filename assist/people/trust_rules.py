@@ -340,8 +340,24 @@ def rule_of(plain: Mapping[str, Any]) -> Shipped:
         raise ValueError(f"trust rule {name} with {', '.join(numbers)}; expected some of {names}") from None
 
 
+def rule_given(name: str, rule: Any) -> Any:
+    """Return a rule, its name or None; plain data, as `plain_setting` writes them, are converted to the rule.
+
+    Raises
+    ------
+    ValueError
+        No rule has these data. The message begins with `name`.
+    """
+    if not isinstance(rule, Mapping):
+        return rule
+    try:
+        return rule_with(rule)
+    except ValueError as error:
+        raise ValueError(f"{name} {error}") from None
+
+
 def rule_with(numbers: Mapping[str, Any]) -> LogitSteps | Reliability:
-    """Return the rule with these attributes, as `Setting.as_dict` writes them.
+    """Return the rule with these attributes, as `plain_setting` writes them.
 
     Raises
     ------

@@ -19,10 +19,11 @@ from planner.system.arrays import outline
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from .belief_filter import child, leave_out_reached, split
+from .belief_filter import child, split
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
+from .reached_goals import leave_out_reached
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import update_trust, weigh_by_influence
-from .belief_filter import exclude_reached, update
+from .belief_filter import update
 from .problem_arrays import ProblemArrays
+from .reached_goals import exclude_reached
 
 
 # numba accepts and caches compiled code for named tuples of arrays, but not for dataclasses.

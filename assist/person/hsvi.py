@@ -20,8 +20,9 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from ..people.influence_kernels import influence_factors
-from .belief_filter import child, leave_out_reached, split
+from .belief_filter import child, split
 from .qmdp import ROUNDING
+from .reached_goals import leave_out_reached
 from .upper_hull import new_program, solve
 
 FEW_VECTORS = 32  # length up to which the vector list of a state is not pruned; pruning takes time, long lists too

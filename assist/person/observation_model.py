@@ -141,6 +141,21 @@ class ObservationModel:
         return int(choices.actions[x, other + (other >= slot)])
 
 
+def observation_given(seen: Any) -> ObservationModel | None:
+    """Return an observation model, or None if it makes no errors; plain data are converted to the model.
+
+    Raises
+    ------
+    ValueError
+        It is no such model.
+    """
+    if isinstance(seen, Mapping):
+        seen = ObservationModel(**seen)
+    elif not isinstance(seen, ObservationModel | None):
+        raise ValueError(f"observation {seen!r}: expected an ObservationModel")  # noqa: TRY004
+    return None if seen is None or seen.is_perfect else seen
+
+
 def _numbers(choices: Choices, table: Table) -> dict[str, int]:
     """Return the ground action of each name, after checking that the table's names are among them."""
     numbers = {name: n for n, name in enumerate(choices.names)} | {STAND_STILL: WAIT}

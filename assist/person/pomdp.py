@@ -14,7 +14,7 @@ robot actions are the same for all goals: what is optimal for one of them may be
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -181,39 +181,6 @@ class AssistPOMDP:
             robot_costs=robots.costs, chosen=chosen, unsuggested=unsuggested, low=low, weight=weight,
             frontier=frontier, followed_low=followed_low, followed_weight=followed_weight,
         )  # fmt: skip
-
-    def priced(self, c_suggest: float) -> AssistPOMDP:
-        """Return the same problem with another cost of a suggestion."""
-        check_costs(self.gamma, c_suggest=c_suggest)
-        costs = np.where(self.suggested == NOTHING, self.robot_costs, c_suggest)
-        return replace(self, c_suggest=c_suggest, robot_costs=costs)
-
-    def of_goals(self) -> list[tuple[float, AssistPOMDP]]:
-        """Return each possible goal's prior probability, and the problem of a person whose goal it is known to be.
-
-        The robot actions are those of this problem, so that some suggestions may be useless to that person.
-        """
-        choices, betas, found = self.model.choices, len(self.grid.beta), []
-        states = len(choices) // choices.goal_count
-        if choices.goals is None or choices.goal_count == 1:
-            return [(1.0, self)]
-        for number, share in enumerate(choices.goals.values()):
-            if share == 0:
-                continue
-            known, own = choices.of_goal(number), slice(number * states, (number + 1) * states)
-            low, weight = self.followed_low, self.followed_weight
-            problem = replace(
-                self, model=replace(self.model, choices=known, q=self.model.q[own]),
-                prior=self.prior[number * betas : (number + 1) * betas] / share,
-                robot_actions=np.where(known.goal, 1, self.robot_actions[own]),
-                suggested=np.where(known.goal[:, None], NOTHING, self.suggested[own]),
-                afterstate=self.afterstate[own] - own.start, robot_costs=self.robot_costs[own],
-                chosen=self.chosen[own], unsuggested=self.unsuggested[own], low=self.low[own], weight=self.weight[own],
-                followed_low=None if low is None else low[own],
-                followed_weight=None if weight is None else weight[own],
-            )  # fmt: skip
-            found.append((share, problem))
-        return found
 
     @property
     def task_states(self) -> int:

@@ -8,8 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from ..people.arguments import check_costs
+from ..people.decision import NOTHING
+from .pomdp import AssistPOMDP
 from .solver import Solution, solve
 
 SEARCHED_STATES = 20_000
@@ -76,6 +81,13 @@ def search_threshold(c_suggest: float, suggests: Callable[[float], bool] | None)
     return SuggestionThreshold(c_suggest, low, searched=True)
 
 
+def priced(pomdp: AssistPOMDP, c_suggest: float) -> AssistPOMDP:
+    """Return the same problem with another cost of a suggestion."""
+    check_costs(pomdp.gamma, c_suggest=c_suggest)
+    costs = np.where(pomdp.suggested == NOTHING, pomdp.robot_costs, c_suggest)
+    return replace(pomdp, c_suggest=c_suggest, robot_costs=costs)
+
+
 def _rounded(cost: float) -> float:
     return float(f"{cost:.2g}")
 
@@ -105,7 +117,7 @@ def threshold_of(solution: Solution) -> SuggestionThreshold | None:
         try:
             limit = max(1.0, solution.seconds)
             # At a relative gap of 1 % without a decision, no suggestion is worth the cost for practical purposes.
-            return solve(pomdp.priced(c_suggest), gap=0.01, time_limit=limit, bounds=check).lower > alone
+            return solve(priced(pomdp, c_suggest), gap=0.01, time_limit=limit, bounds=check).lower > alone
         except _Decided as found:
             return found.suggests
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from ..simulation.episodes import Episode
+from ..simulation.episode import Episode
 from ..simulation.trace import Trace, robot_is_at
 from .style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, require
 

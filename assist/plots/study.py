@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..simulation.episodes import Episode
+from ..simulation.episode import Episode
 from .labels import Note, name_curves, note_points
 from .style import (
     BLUE,

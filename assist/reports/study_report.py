@@ -20,6 +20,7 @@ from ..person.suggestion_threshold import SuggestionThreshold
 from ..plots import style
 from ..study.runner import load_study, without_suggestions
 from ..study.study import OWN, Study
+from ..team.setting_table import plain_setting
 from . import study_claims
 from .html_page import html_page, require_packages
 from .statistics import FEW
@@ -124,7 +125,8 @@ def report_text(found: Found, summary: Record, pictures: dict[str, str]) -> str:
     groups = _groups(summary)
     return rendered(
         "study_report.md.jinja",
-        study=study, summary=summary, pictures=pictures, FEW=FEW, OWN=OWN, whose=of_whom(found),
+        study=study, setting=plain_setting(study.conditions[0].settings[0][1]), summary=summary, pictures=pictures,
+        FEW=FEW, OWN=OWN, whose=of_whom(found),
         pools={c.name: min(study.repeats, c.repeats or study.repeats) for c in study.conditions},
         differing={name: len({group[name] for group in groups}) for name in varying(groups, COLUMNS)},
         headline=_headline(study, summary), effects=_effects(study, summary), notes=threshold_notes(summary),

@@ -1,5 +1,5 @@
 from .belief_trace import beliefs_of_episode as beliefs_of_episode
-from .episodes import Episode as Episode
+from .episode import Episode as Episode
 from .episodes import Episodes as Episodes
 from .episodes import Summary as Summary
 from .illustration import Illustration as Illustration

@@ -13,7 +13,7 @@ from ..people.decision import Floats
 from ..people.spread import Spread
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
-from .episodes import Episode
+from .episode import Episode
 from .model_group import World
 from .pool import Pool
 from .schedule import Schedule

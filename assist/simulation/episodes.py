@@ -2,73 +2,24 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.arrays import outline
-from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
 from ..person.suggestion_threshold import SuggestionThreshold
-
-
-@dataclass(frozen=True)
-class Episode:
-    """The record of one episode.
-
-    Attributes
-    ----------
-    policy : str
-    episode : int
-    people : tuple of str
-        Names of the team's people; the next tuples have one entry per person.
-    beta, theta, sigma : tuple of float
-        True parameters; theta is that at the beginning.
-    actions : tuple of int
-        Number of actions until the goal or the end of the episode.
-    costs : tuple of float
-        Costs of these actions, in cost units.
-    finished : tuple of bool
-    helped : tuple of int
-        Number of suggestions to each person and of actions executed for them.
-    executed : tuple of int
-        Number of these that are executions.
-    interventions, moves, steps : int
-        Number of suggestions and executions, of changes of place, and of steps until all had finished.
-    discounted_return : float
-        Sum over steps of gamma^t times the reward, in cost units.
-    """
-
-    policy: str
-    episode: int
-    people: tuple[str, ...]
-    beta: tuple[float, ...]
-    theta: tuple[float, ...]
-    sigma: tuple[float, ...]
-    actions: tuple[int, ...]
-    costs: tuple[float, ...]
-    finished: tuple[bool, ...]
-    helped: tuple[int, ...]
-    executed: tuple[int, ...]
-    interventions: int
-    moves: int
-    steps: int
-    discounted_return: float
-
-    def record(self) -> dict[str, Any]:
-        """Return the fields as plain data."""
-        return asdict(self)
+from .episode import Episode, episode_of, to_frame
 
 
 @dataclass(frozen=True)
 class Episodes:
-    """The records of N episodes of K people, one array for each field of `Episode`; a sequence of these.
+    """The records of N episodes of K people, as arrays; a sequence of `Episode`.
 
     Attributes
     ----------
@@ -76,11 +27,17 @@ class Episodes:
     episode : int array, shape (N,)
     people : int array, shape (N, K)
         Numbers in the pool.
-    beta, theta, sigma, costs : float arrays, shape (N, K)
-    actions, helped, executed : int arrays, shape (N, K)
+    beta, theta, sigma : float arrays, shape (N, K)
+        True parameters; theta is that at the beginning.
+    actions, costs : int and float arrays, shape (N, K)
+        Number of actions until the goal or the end of the episode, and their costs, in cost units.
     finished : bool array, shape (N, K)
+    helped, executed : int arrays, shape (N, K)
+        Number of suggestions and executions for each person, and of executions alone.
     interventions, moves, steps : int arrays, shape (N,)
+        Number of suggestions and executions, of changes of place, and of steps until all had finished.
     discounted_return : float array, shape (N,)
+        Sum over steps of gamma^t times the reward, in cost units.
     cut_off : bool array, shape (N,)
         Whether a person had neither finished nor left at the step limit.
     suggestion_threshold : SuggestionThreshold or None
@@ -153,45 +110,16 @@ class Episodes:
         MissingExtraError
             pandas is not installed.
         """
-        if importlib.util.find_spec("pandas") is None:
-            raise MissingExtraError("a data frame needs", "pandas", "study")
-        import pandas as pd
-
-        number, people = self.people.shape
-        own = {"beta": "beta", "theta": "theta", "sigma": "sigma", "actions": "actions", "cost": "costs",
-               "finished": "finished", "helped": "helped", "executed": "executed"}  # fmt: skip
-        whole = ("interventions", "moves", "steps", "discounted_return")
-        return pd.DataFrame(
-            {
-                "policy": self.policy,
-                "episode": self.episode.repeat(people),
-                "person": [f"human-{one + 1}" for one in self.people.ravel().tolist()],
-                **{column: getattr(self, name).ravel() for column, name in own.items()},
-                **{name: getattr(self, name).repeat(people) for name in whole},
-            },
-            index=range(number * people),
-        )
+        return to_frame(self)
 
     def __len__(self) -> int:
         return len(self.episode)
 
     def __getitem__(self, row: int) -> Episode:
-        names = [field.name for field in fields(Episode) if field.name not in ("policy", "people")]
-        own: dict[str, Any] = {name: getattr(self, name)[row].tolist() for name in names}
-        own = {name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
-        return Episode(self.policy, people=tuple(f"human-{number + 1}" for number in self.people[row]), **own)
+        return episode_of(self, row)
 
     def __iter__(self) -> Iterator[Episode]:
         return (self[row] for row in range(len(self)))
-
-
-SHOWN = {
-    "actions": "human_actions_per_person",
-    "interventions": "interventions",
-    "moves": "moves",
-    "discounted_return": "return",
-}
-"""Summarised fields, with their names in records."""
 
 
 @dataclass(frozen=True)
@@ -228,21 +156,6 @@ class Summary:
     pruned: float | None = None
     questions: float | None = None
 
-    def record(self) -> dict[str, Any]:
-        """Return the summary as plain data; an unknown standard error is None."""
-        record: dict[str, Any] = {"policy": self.policy, "episodes": self.episodes}
-        for name, label in SHOWN.items():
-            mean, error = getattr(self, name)
-            record[label] = _record(mean, error)
-        record |= {"suggestions": _record(*self.suggestions), "executions": _record(*self.executions)}
-        return {
-            **record,
-            "cut_off": self.cut_off,
-            "suggestion_threshold": self.suggestion_threshold and asdict(self.suggestion_threshold),
-            **({} if self.pruned is None else {"pruned": self.pruned}),
-            **({} if self.questions is None else {"questions": self.questions}),
-        }
-
     def __str__(self) -> str:
         shown = [
             f"{what} {mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
@@ -255,10 +168,6 @@ class Summary:
         cut = f", {self.cut_off} of them cut off" if self.cut_off else ""
         why = "" if self.suggestion_threshold is None else f"; {self.suggestion_threshold}"
         return f"{self.policy}: {', '.join(shown)} ({self.episodes} episode{'s'[: self.episodes > 1]}{cut}){why}"
-
-
-def _record(mean: float, error: float) -> dict[str, float | None]:
-    return {"mean": mean, "stderr": None if math.isnan(error) else error}
 
 
 def _mean_and_error(values: NDArray[Any]) -> tuple[float, float]:

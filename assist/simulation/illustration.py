@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
-from .episodes import Episode, Episodes
+from .episode import Episode
+from .episodes import Episodes
+from .hidden_goals import GoalKnowledge
 from .pool import Pool
 from .simulate import simulate
-from .task_view import GoalKnowledge
 from .trace import Trace
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -12,11 +12,11 @@ from ..people.choice_model import chances, value
 from ..people.choices import Choices
 from ..people.decision import Floats, perceived_cost
 from ..people.human import Human
-from ..people.trust_rules import PerceivedSuggestions, TrustRule, moved
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only
 from .pool import Pool
+from .trust_of_people import TrustOfPeople
 
 World = Literal["people", "model"]
 
@@ -40,10 +40,8 @@ class ModelGroup:
         Row of each person of the pool in `minds`; 0 for people of other models.
     states : int array, shape (n,), or None
         Task state of each row of the problem; None if rows and states are the same.
-    trust : TrustRule or None
-        Rule by which people's own theta changes; None for equation 7, and in the robot's model.
-    perceived : float array, shape (m, n, A)
-        Perceived costs of each of the people; empty if `trust` is None.
+    trust : TrustOfPeople or None
+        How people's own theta changes, if not by equation 7 or as in the robot's model.
     """
 
     arrays: ProblemArrays
@@ -51,8 +49,7 @@ class ModelGroup:
     people: Ints
     row: Ints
     states: Ints | None = None
-    trust: TrustRule | None = None
-    perceived: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
+    trust: TrustOfPeople | None = None
 
     @property
     def ends(self) -> NDArray[np.bool_]:
@@ -83,8 +80,8 @@ class ModelGroup:
             As in the attributes of the class.
         """
         model, choices = pomdp.model, pomdp.model.choices
-        row, q = np.zeros(len(pool.people), dtype=np.int64), np.empty((0, 0, 0))
-        on_grid, rule, eta = world == "model", None, model.eta / model.utility_scale
+        row, trust = np.zeros(len(pool.people), dtype=np.int64), None
+        on_grid, eta = world == "model", model.eta / model.utility_scale
         if on_grid:  # the problem defines the trust update
             p, v, lapse = np.ascontiguousarray(np.moveaxis(pomdp.chosen, 2, 0)), np.empty((0, 0)), model.lapse
         else:
@@ -92,29 +89,16 @@ class ModelGroup:
             p, v, lapse = np.array([mind[0] for mind in minds]), np.array([mind[1] for mind in minds]), 0.0
             row[own] = np.arange(len(own))
             if pool.setting.trust not in (None, "paper"):
-                rule, eta, q = pool.setting.trust_rule(), 0.0, np.array([mind[2] for mind in minds])
+                trust, eta = TrustOfPeople(pool.setting.trust_rule(), np.array([mind[2] for mind in minds])), 0.0
         made = Minds(p, v, read_only(choices.optimal), eta=eta, lapse=lapse, on_grid=on_grid)
-        return cls(ProblemArrays.of(pomdp), made, own, row, states, rule, q)
+        return cls(ProblemArrays.of(pomdp), made, own, row, states, trust)
 
     def act(self, rows: Ints, people: PeopleArrays) -> None:
-        """Let the people of some rows, all of this model, act once; theta moves by the rule of trust."""
+        """Let the people of some rows, all of this model, act once."""
         if self.trust is None:
             act(rows, people, self.minds, self.arrays)
-            return
-        before, theta, seen = people.x[rows], people.theta[rows], people.seen[rows]
-        act(rows, people, self.minds, self.arrays)
-        who, robot = people.who[rows], people.robot[rows]
-        suggested, value = self.arrays.suggested[before, robot], self.minds.value
-        advised = np.flatnonzero(suggested >= 0)
-        who, x, slot = who[advised], before[advised], suggested[advised]
-        perceived = PerceivedSuggestions.of(
-            self.perceived[who, x, slot], self.perceived[who, x].min(axis=1), value[who, x],
-            value[who, self.arrays.targets[x, slot]], self.minds.optimal[x, slot],
-        )  # fmt: skip
-        event = perceived.event(people.slot[rows[advised]] == slot, self.trust.feedback)
-        people.theta[rows[advised]], people.seen[rows[advised]] = moved(
-            self.trust, theta[advised], seen[advised], event
-        )
+        else:
+            self.trust.act(rows, people, self.minds, self.arrays)
 
 
 def _mind(human: Human, choices: Choices) -> tuple[Floats, Floats, Floats]:

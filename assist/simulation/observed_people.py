@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 from ..people.belief import ImpossibleObservationError
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
+from ..person.dynamics import PeopleArrays
 from ..person.joint_belief import JointBelief, said_in, same_suggestions
 from ..person.observation_model import Evidence, ObservationModel
 from ..person.policy import Policy
 from ..team.hidden_states import HiddenTeamState
 from ..team.state import TeamState, by_model
+from .common_random_numbers import CommonRandomNumbers
 from .model_group import ModelGroup
+from .pool import Pool
+from .task_view import StepView
 
 Ints = NDArray[np.int64]
 
@@ -37,6 +41,22 @@ class ObservedPeople:
         each = zip(x.ravel().tolist(), belief.reshape(-1, *belief.shape[2:]), strict=True)
         self.joint = [JointBelief.at(state, one) for state, one in each]
         self.x = x.copy()
+
+    @classmethod
+    def of(cls, pool: Pool, model: Ints, x: Ints, belief: Floats | None) -> ObservedPeople:
+        """Return the people of some models in states that the robot knows, shape (N, K); by default with the prior.
+
+        Raises
+        ------
+        ValueError
+            Their task is not enumerated.
+        """
+        assert pool.setting.observation is not None
+        for policy in pool.policies:
+            policy.require_enumerated("observation")
+        if belief is None:
+            belief = np.array([policy.pomdp.prior for policy in pool.policies])[model]
+        return cls(pool.setting.observation, x, belief)
 
     @property
     def pruned(self) -> Floats:
@@ -73,29 +93,37 @@ class ObservedPeople:
         return there.reshape(x.shape), said.reshape(x.shape)
 
     def observe(
-        self, group: ModelGroup, choices: Choices, acted: Iterable[int], before: Ints, slot: Ints, said: Ints,
-        uniform: Floats, erred: NDArray[np.bool_],
+        self, view: StepView, before: Ints, people: PeopleArrays, said: Ints, running: Ints,
+        finished: NDArray[np.bool_], erred: NDArray[np.bool_], random_numbers: CommonRandomNumbers,
     ) -> None:  # fmt: skip
-        """Update the beliefs in people of one group who have acted and have not reached their goal.
+        """Update the beliefs in people who have acted and have not reached their goal.
 
         Parameters
         ----------
-        group : ModelGroup
-        choices : Choices
-            Those of their task.
-        acted : iterable of int
-            The people, as indices of the flattened arrays.
-        before, slot, said : int arrays, shape (N * K,)
-            State before the action, its slot, and the ground action that was suggested.
-        uniform : float array, shape (N * K, 2)
-            Uniform numbers for what is seen.
-        erred : bool array, shape (N * K,)
+        view : StepView
+            The step in which they acted.
+        before, said : int arrays, shape (N, K)
+            State before the action, and the ground action that was suggested.
+        people : PeopleArrays
+            What they did.
+        running : int array
+            The teams in which a person is at work.
+        finished : bool array, shape (N, K)
+        erred : bool array, shape (N, K)
             Receives whether the action was probably no optimal choice.
+        random_numbers : CommonRandomNumbers
         """
-        for n in acted:
-            seen = self.model.draw(choices, int(before[n]), int(slot[n]), uniform[n])
-            self.joint[n] = self._after(self.joint[n], seen, int(said[n]), choices, group)
-            self.x.reshape(-1)[n], erred[n] = self.joint[n].likeliest, self.joint[n].erred > 1 / 2
+        uniform = np.zeros((*self.shape, 2))
+        for kind in (5, 6):
+            uniform[running, :, kind - 5] = random_numbers.draw(kind, running)
+        before, said, uniform, erred = before.reshape(-1), said.reshape(-1), uniform.reshape(-1, 2), erred.reshape(-1)
+        acted = np.flatnonzero((people.slot >= 0) & ~finished.reshape(-1))
+        for number, rows in by_model(view.model.reshape(-1), acted, len(view.policies)):
+            choices, group = view.policies[number].pomdp.model.choices, view.groups[number]
+            for n in rows.tolist():
+                seen = self.model.draw(choices, int(before[n]), int(people.slot[n]), uniform[n])
+                self.joint[n] = self._after(self.joint[n], seen, int(said[n]), choices, group)
+                self.x.reshape(-1)[n], erred[n] = self.joint[n].likeliest, self.joint[n].erred > 1 / 2
 
     def _after(
         self, joint: JointBelief, seen: int | None, said: int, choices: Choices, group: ModelGroup

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Table
+from planner import CostToGo
 from planner.system.arrays import frozen, outline
 from planner.system.progress import Progress, Wanted, adding, shows_progress
 
@@ -18,18 +18,19 @@ from ..people.arguments import Seed, entropy, require_goal, whole
 from ..people.choices import Choices
 from ..people.goals import Goals
 from ..people.human import Human, Population
-from ..people.memory import choices_of
 from ..people.mixture import Mixture
 from ..person.lazy_policy import LazyPolicy
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
-from ..team.memory_needed import policy_bytes
 from ..team.policies import named
+from ..team.robots import best_robots
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
-from .memory_needed import MEMORY_LIMIT_MB, require_room, require_room_for_people
+from .affordable import affordable_choices, affordable_rows
+from .memory_needed import MEMORY_LIMIT_MB, require_room_for_people
+from .union import union
 
 MAX_ENUMERATED = 200_000
 """Largest number of states of a task that is enumerated because a requested option requires it."""
@@ -155,17 +156,15 @@ class Pool:
         if isinstance(table, Goals):
             if population.weights or prior.weights:
                 raise ValueError("people with weights of terms: expected one goal")
-            models = size if setting.knowledge == "own" else 1
-            require_room(policy_bytes(len(table)), len(table), models, memory_limit_mb, len(table.tables))
-            table = table.choices()
+            table = affordable_rows(table, setting, size, memory_limit_mb)
         needed = {
             "weights": population.weights or prior.weights,
-            "execute": setting.best.execute,
+            "execute": best_robots(setting).execute,
             "solver": solver != qmdp,
         }
         people: Sequence[Human]
         if isinstance(table, Choices) or is_whole(table, MAX_ENUMERATED if any(needed.values()) else states):
-            choices = _choices(table, setting, population, prior, size, memory_limit_mb)
+            choices = affordable_choices(table, setting, population, prior, size, memory_limit_mb)
             people = population.sample(choices, size, rng)
             policies = _enumerated(choices, people, setting, prior, solver, progress)
         else:
@@ -181,42 +180,8 @@ class Pool:
 
     @classmethod
     def joined(cls, pools: Sequence[Pool]) -> Pool:
-        """Return the union of pools with different tasks, models or costs of suggestions.
-
-        The setting is that of the first pool. Fields that concern one person only are part of the policies and may
-        differ. Fields of the whole team (`gamma`, `c_move`, `travel_time`, `max_steps` and `robots`) must be the same,
-        and all costs of robots that differ.
-
-        Raises
-        ------
-        ValueError
-            There is no pool, or these fields differ.
-        """
-        if not pools:
-            raise ValueError("joined: expected one pool or more")
-        differ = ("c_suggest", "execute", "c_execute") if pools[0].setting.differ else ()
-        for name in ("gamma", "c_move", "travel_time", "max_steps", "robots", *differ):
-            values = [getattr(pool.setting, name) for pool in pools]
-            if len(set(values)) > 1:
-                raise ValueError(f"joined: {name} is {values} in these pools; expected the same in all")
-        offsets = np.cumsum([0, *(len(pool.policies) for pool in pools[:-1])])
-        return cls(
-            pools[0].setting,
-            tuple(human for pool in pools for human in pool.people),
-            tuple(policy for pool in pools for policy in pool.policies),
-            np.concatenate([pool.model + offset for pool, offset in zip(pools, offsets, strict=True)]),
-        )
-
-    def priced(self, c_suggest: float) -> Pool:
-        """Return the same people with another cost of a suggestion; the task must be enumerated, and robots alike."""
-        if self.setting.differ:
-            raise ValueError("robots: they differ; expected robots that are alike, which have one cost of a suggestion")
-        for policy in self.policies:
-            policy.require_enumerated("priced")
-        policies = tuple(
-            LazyPolicy(policy.pomdp.priced(c_suggest), getattr(policy, "solver", qmdp)) for policy in self.policies
-        )
-        return replace(self, setting=replace(self.setting, c_suggest=c_suggest), policies=policies)
+        """Return the union of pools with different tasks, models or costs of suggestions, as `union` does."""
+        return union(pools)
 
     @property
     def goals(self) -> int:
@@ -245,27 +210,6 @@ class Pool:
             self.setting.require_all_seen("policy 'rollout'")
         # All distances are equal, so that travel between two places has the same costs as between more.
         return named(name, self.policies, travel or self.setting.travel(2), solver)
-
-
-def _choices(
-    table: Table | Choices, setting: Setting, population: Population | Mixture, prior: Population | Mixture,
-    size: int, memory_limit_mb: float,
-) -> Choices:  # fmt: skip
-    """Return the choices in an enumerated task, unless policies and people would exceed the memory limit."""
-    models = size if setting.knowledge == "own" else 1
-    goals = table.goal_count if isinstance(table, Choices) else 1
-    # checked before the choices are built
-    require_room(policy_bytes(len(table)), len(table), models, memory_limit_mb, goals)
-    choices = choices_of(table, (*population.weights, *prior.weights))
-    require_goal(choices.h[choices.initial])
-    offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
-    if goals > 1:  # what is offered for one goal is offered for all
-        offered = np.logical_or.reduce(offered.reshape(goals, -1, offered.shape[1]))
-    robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.best.execute)
-    one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
-    require_room(one, len(choices), models, memory_limit_mb, goals)
-    require_room_for_people(size, choices.h.nbytes, memory_limit_mb)
-    return choices
 
 
 def _enumerated(

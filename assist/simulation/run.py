@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
-from ..people.goals import drawn_goals, given_likeliest
 from ..person.dynamics import PeopleArrays
 from ..team.action_check import check
 from ..team.assignment import placed
-from ..team.questions import answered
+from ..team.robots import extra_costs
 from ..team.state import BASE, NOBODY, PolicyError, TeamAction, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
 from .episodes import Episodes
+from .hidden_goals import GoalKnowledge, HiddenGoals
 from .model_group import World
 from .observed_people import ObservedPeople
 from .pool import Pool
 from .schedule import Schedule
 from .task_parts import TaskParts
-from .task_view import GoalKnowledge, StepView, TaskView
+from .task_view import StepView, TaskView
 
 
 class StepTaken(NamedTuple):
@@ -73,13 +73,7 @@ class Run:
         self.people = np.ascontiguousarray(self.random_numbers.team(len(pool.people)) if teams is None else teams)
         self.model = pool.model[self.people]
         self.mind = np.zeros(shape, dtype=np.int64)
-        goal = np.zeros(shape, dtype=np.int64)
-        if pool.goals > 1:
-            goal = drawn_goals(
-                [policy.pomdp.model.choices for policy in pool.policies],
-                self.model,
-                self.random_numbers.draw(4, np.arange(len(numbers))),
-            )
+        goal: NDArray[np.int64] | None = None
         self.beta = np.array([human.beta for human in pool.people])[self.people]
         self.theta = np.array([human.theta for human in pool.people])[self.people]
         if self.on_grid:
@@ -93,33 +87,24 @@ class Run:
         self.x = self.task_view.initial.copy()
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]
+        self.goals: HiddenGoals | None = None
         if pool.goals > 1:
-            # Rows contain the goal. The robot's policy sees the rows of the first goal, whatever it is.
-            states = np.array([len(solved.pomdp.model.choices) // pool.goals for solved in pool.policies])
-            self.goal, self.states = goal, states[self.model]
-            self.x += goal * self.states
+            self.goals = HiddenGoals.of(pool, self.model, goal, self.random_numbers, goals)
+            self.x = self.goals.rows(self.x)
         self.erred = np.zeros(shape, dtype=bool)
-        self.robots, self.extra = pool.setting.robot_count, pool.setting.extra_costs
+        self.robots, self.extra = pool.setting.robot_count, extra_costs(pool.setting)
         self.location = np.full((len(numbers), self.robots), BASE, dtype=np.int64)
         self.busy_until = np.zeros((len(numbers), self.robots), dtype=np.int64)
         self.belief: Floats | None = None
         uses_belief = getattr(policy, "uses_belief", True)
         if uses_belief or self.keeps_beliefs:
             self.belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
-            if pool.goals > 1 and goals == "known":
-                own = np.arange(pool.goals) == goal[:, :, None]
-                self.belief *= own.repeat(self.belief.shape[2] // pool.goals, axis=2)[..., None]
-                self.belief /= self.belief.sum(axis=(2, 3), keepdims=True)
-        self.goals = goals
+            if self.goals is not None:
+                self.belief = self.goals.told(self.belief)
         self.observed: ObservedPeople | None = None
         if pool.setting.observation is not None:
-            for solved in pool.policies:
-                solved.require_enumerated("observation")
-            belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
-            visible = self.x % self.states if pool.goals > 1 else self.x
-            self.observed = ObservedPeople(
-                pool.setting.observation, visible, belief if self.belief is None else self.belief
-            )
+            visible = self.x if self.goals is None else self.goals.seen(self.x)
+            self.observed = ObservedPeople.of(pool, self.model, visible, self.belief)
             self.belief = None
         self.questions = parts.questions if uses_belief and self.belief is not None else None
         self.asked = np.zeros(len(numbers), dtype=np.int64)
@@ -175,7 +160,7 @@ class Run:
             self.finished.reshape(-1)[rows] = group.ends[to]
             self.x.reshape(-1)[rows] = to if group.states is None else group.states[to]
         if self.observed is not None and said is not None:
-            self._observe(view, running, before, people, said)
+            self.observed.observe(view, before, people, said, running, self.finished, self.erred, self.random_numbers)
         slot, cost = people.slot, people.cost.reshape(self.x.shape)
         reward = -charged - cost
         self.discounted += self.pool.setting.gamma**step * reward.sum(axis=1)
@@ -183,22 +168,6 @@ class Run:
         self.costs += cost
         self.steps[running] += 1
         self.watch(StepTaken(step, flat, view, before, robot, slot, theta_before, reward))
-
-    def _observe(
-        self, view: StepView, running: NDArray[np.int64], before: NDArray[np.int64], people: PeopleArrays,
-        said: NDArray[np.int64],
-    ) -> None:  # fmt: skip
-        """Let the robot see, well or badly, what people have done who are still at work."""
-        assert self.observed is not None
-        uniform = np.zeros((*self.x.shape, 2))
-        for kind in (5, 6):
-            uniform[running, :, kind - 5] = self.random_numbers.draw(kind, running)
-        acted = np.flatnonzero((people.slot >= 0) & ~self.finished.reshape(-1))
-        for number, rows in by_model(view.model.reshape(-1), acted, len(view.policies)):
-            self.observed.observe(
-                view.groups[number], view.policies[number].pomdp.model.choices, rows.tolist(), before.reshape(-1),
-                people.slot, said.reshape(-1), uniform.reshape(-1, 2), self.erred.reshape(-1),
-            )  # fmt: skip
 
     def watch(self, taken: StepTaken) -> None:
         """See each step that has been taken; a `TracedRun` writes it down."""
@@ -208,31 +177,6 @@ class Run:
 
     def asked_about(self, team: int, place: int, goal: int, *, yes: bool, worth: float) -> None:
         """See a question that was asked, and its answer."""
-
-    def _ask(self, teams: NDArray[np.int64], active: NDArray[np.bool_], x: NDArray[np.int64], charged: Floats) -> None:
-        """Ask the person in each team for whom it is worth most about their goal, if it is worth its cost."""
-        if self.questions is None or self.belief is None:
-            return
-        attention = np.minimum(1, self.robots / np.maximum(1, active.sum(axis=1)))
-        about, worth = np.zeros(x.shape, dtype=np.int64), np.full(x.shape, -np.inf)
-        for model, rows in by_model(self.model.reshape(-1), np.flatnonzero(active), len(self.pool.policies)):
-            at = np.unravel_index(rows, x.shape)
-            about[at], worth[at] = self.questions.best(
-                self.pool.policies[model], x[at], self.belief[at], attention[at[0]]
-            )
-        wrong = np.zeros(x.shape, dtype=bool)
-        if self.questions.error:
-            wrong[teams] = self.random_numbers.draw(7, teams)[..., :] < self.questions.error
-        person = worth[teams].argmax(axis=1)
-        asks = worth[teams, person] > 0
-        for team, k in zip(teams[asks].tolist(), person[asks].tolist(), strict=True):
-            yes = bool((self.goal[team, k] == about[team, k]) != wrong[team, k])
-            self.belief[team, k] = answered(
-                self.belief[team, k], int(about[team, k]), self.pool.goals, yes, self.questions.error
-            )
-            charged[team, k] += self.questions.cost
-            self.asked[team] += 1
-            self.asked_about(team, k, int(about[team, k]), yes=yes, worth=float(worth[team, k]))
 
     def _robot(
         self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: StepView
@@ -247,11 +191,13 @@ class Run:
         visible, belief = view.x, self.belief
         if self.observed is not None:
             visible, belief = self.observed.x, self.observed.beliefs
-        elif self.pool.goals > 1:
-            visible = view.x % self.states
-            self._ask(np.flatnonzero(active.any(axis=1)), active, visible, charged)
-            if belief is not None and self.goals == "likeliest":
-                belief = given_likeliest(belief, self.pool.goals)
+        elif self.goals is not None:
+            visible = self.goals.seen(view.x)
+            if self.questions is not None and belief is not None:
+                asked = self.goals.ask(self.questions, active, visible, belief, self.asked_about)
+                charged[asked] += self.questions.cost
+                self.asked[asked[0]] += 1
+            belief = self.goals.acted_on(belief)
         if belief is not None and len(free) < len(self.x):
             belief = belief.take(free, axis=0)  # faster than by an index
         team = TeamState(

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,15 +24,15 @@ from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .common_random_numbers import BLOCK
 from .episodes import Episodes
+from .hidden_goals import GoalKnowledge
 from .memory_needed import MEMORY_LIMIT_MB, require_room_for_episodes
 from .model_group import World
 from .pool import Pool
-from .requested import number_of, people_drawn, team_of
+from .requested import number_of, people_drawn, require_possible, team_of
 from .run import Run
 from .schedule import Schedule
 from .suggestion_search import with_threshold
 from .task_parts import TaskParts
-from .task_view import GoalKnowledge
 from .trace import Reasons, Trace
 from .traced_run import TracedRun
 
@@ -117,16 +116,7 @@ def simulate(
     LimitError
         The episodes would exceed the memory limit.
     """
-    if not isinstance(pool, Pool):
-        raise TypeError(f"pool: expected people at a task, a Pool, not what is a {type(pool).__name__}")
-    if world not in get_args(World):
-        raise ValueError(f"world {world!r}: expected {' or '.join(map(repr, get_args(World)))}")
-    if goals not in get_args(GoalKnowledge):
-        raise ValueError(f"goals {goals!r}: expected {', '.join(map(repr, get_args(GoalKnowledge)))}")
-    if goals == "likeliest" and pool.setting.observation is not None:
-        raise ValueError("goals 'likeliest': expected 'inferred' or 'known' where actions are missed or confused")
-    if pool.setting.c_ask is not None:
-        pool.setting.require_all_seen("a simulated robot that asks")
+    require_possible(pool, world, goals)
     count = number_of(episodes)
     places, given = team_of(humans, len(pool.people), count)
     require_room_for_episodes(count, places, memory_limit_mb)

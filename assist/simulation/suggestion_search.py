@@ -9,7 +9,9 @@ import numpy as np
 
 from planner.system.progress import Progress
 
-from ..person.suggestion_threshold import SEARCHED_STATES, search_threshold
+from ..person.lazy_policy import LazyPolicy
+from ..person.qmdp import qmdp
+from ..person.suggestion_threshold import SEARCHED_STATES, priced, search_threshold
 from ..team.attention import NoAssistance
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
@@ -32,12 +34,24 @@ def with_threshold(
 
     def suggests(c_suggest: float) -> bool:
         progress(f"trying c_suggest {c_suggest:g}", 0, None)
-        other = pool.priced(c_suggest)
+        other = priced_pool(pool, c_suggest)
         until_first = _UntilFirstSuggestion(with_policies(other.policies, travel))
         again(other, until_first, humans=found.people[:few], episodes=found.episode[:few], explain=False)
         return until_first.suggested
 
     return replace(found, suggestion_threshold=search_threshold(pool.setting.c_suggest, suggests if few else None))
+
+
+def priced_pool(pool: Pool, c_suggest: float) -> Pool:
+    """Return the same people with another cost of a suggestion; the task must be enumerated, and robots alike."""
+    if pool.setting.differ:
+        raise ValueError("robots: they differ; expected robots that are alike, which have one cost of a suggestion")
+    for policy in pool.policies:
+        policy.require_enumerated("priced")
+    policies = tuple(
+        LazyPolicy(priced(policy.pomdp, c_suggest), getattr(policy, "solver", qmdp)) for policy in pool.policies
+    )
+    return replace(pool, setting=replace(pool.setting, c_suggest=c_suggest), policies=policies)
 
 
 class _UntilFirstSuggestion:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -17,8 +16,6 @@ from ..person.policy import Policy
 from ..team.state import by_model
 from .model_group import Ints, ModelGroup
 from .task_parts import TaskParts
-
-GoalKnowledge = Literal["inferred", "likeliest", "known"]
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planner.system.files import finite
 
 from ..people.decision import NOTHING
+from ..team.robots import best_robots
 from ..team.state import BASE, TeamAction, TeamState
 from .run import Run, StepTaken
 from .trace import Reasons, Trace
@@ -45,7 +46,7 @@ class TracedRun(Run):
 
     def watch(self, taken: StepTaken) -> None:
         """Append a record for each person who acted."""
-        view = taken.view
+        view, executes = taken.view, best_robots(self.pool.setting).execute
         for i in taken.flat:
             e, k = divmod(int(i), self.x.shape[1])
             pomdp = view.policies[view.model[e, k]].pomdp
@@ -62,7 +63,7 @@ class TracedRun(Run):
                 "step": taken.step,
                 "action": choices.name(place, int(taken.slot[i])) if taken.slot[i] >= 0 else None,
                 "suggestion": choices.name(x, suggested) if suggested != NOTHING else None,
-                **({"executed": pomdp.executes(x, r)} if self.pool.setting.best.execute else {}),
+                **({"executed": pomdp.executes(x, r)} if executes else {}),
                 "policy": self.name,
                 "place": k,
                 **({"robot_place": there[0]} if self.robots == 1 else {"robot_places": there}),
@@ -71,7 +72,7 @@ class TracedRun(Run):
                 "cost_to_go_after": finite(choices.h[view.x[e, k]]),
                 "theta": float(taken.theta[e, k]),
                 "reward": float(taken.reward[e, k]),
-                **({"goal": list(choices.goals or ())[self.goal[e, k]]} if self.pool.goals > 1 else {}),
+                **({} if self.goals is None else {"goal": list(choices.goals or ())[self.goals.goal[e, k]]}),
                 **self.said.get((e, k), {}),
             }
             self.trace.append(row)

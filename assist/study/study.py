@@ -24,6 +24,7 @@ from planner import Instance
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..people.user_code import UserChoiceModel
+from ..team.setting_table import plain_setting
 from ..team.settings import Setting
 
 SCHEMA = 1
@@ -241,7 +242,7 @@ class Study:
     def _plain(self) -> dict[str, Any]:
         plain = asdict(self) | {"populations": [(name, people.as_dict()) for name, people in self.populations]}
         for condition, own in zip(plain["conditions"], self.conditions, strict=True):
-            condition["settings"] = tuple((label, setting.as_dict()) for label, setting in own.settings)
+            condition["settings"] = tuple((label, plain_setting(setting)) for label, setting in own.settings)
         return plain
 
     def seed_of(self, repeat: int) -> int:

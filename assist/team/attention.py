@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..people.goals import acting_belief
 from ..person.policy import Policy
-from ..person.qmdp import evaluate
 from .assignment import assigned
-from .by_policy import ByPolicy
+from .extra_costs import extra_costs_of
 from .state import BASE, NOBODY, TeamAction, TeamState
 from .travel import Travel
 
@@ -67,37 +65,24 @@ class AttentionSwitching:
         score_k = Q^k(b^k, a^k) - reference_k - c_move * distance(location, k)
 
     The robot acts on the largest score; it does nothing if no score is positive. Several robots act on the largest sum
-    of scores, each for another person. The paper's text allows two readings.
-    The reference is the value of doing nothing *once* and following the person's policy from the next step on
-    (`AttentionSwitching()`), or that of *never* helping this person again (`against_never`).
-
-    Attributes
-    ----------
-    never : ByPolicy of float arrays, shape (n, B, T), or None
-        Value of never helping; None for the first reading.
+    of scores, each for another person. The paper's text allows two readings. Here the reference is the value of doing
+    nothing *once* and following the person's policy from the next step on. `attention_never` has the other one.
     """
 
-    never: ByPolicy[Floats] | None = None
     uses_belief = True
 
-    @classmethod
-    def against_never(cls, policies: Sequence[Policy]) -> AttentionSwitching:
-        """Return the policy whose reference is the value of never helping again."""
-
-        def never(policy: Policy) -> Floats:
-            return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
-
-        return cls(ByPolicy(policies, never))
-
-    def with_policies(self, policies: Sequence[Policy], _travel: Travel) -> AttentionSwitching:
+    def with_policies(self, _policies: Sequence[Policy], _travel: Travel) -> AttentionSwitching:
         """Return the same team policy with other policies for single people."""
-        return self if self.never is None else self.against_never(policies)
+        return self
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""
         policy.prepare()
-        if self.never is not None:
-            self.never[policy]
+
+    def reference(self, team: TeamState, q: Floats) -> Floats:
+        """Return the reference of each person's score, shape (N, K); `q` are their Q-values, shape (N, K, R)."""
+        del team
+        return q[:, :, 0]
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return an action for the person with the largest positive score, in every team that has one."""
@@ -114,9 +99,9 @@ class AttentionSwitching:
         If robots differ, the robot action has the shape (N, M, K), too.
         """
         q = team.q_values()
-        reference = q[:, :, 0] if self.never is None else team.of_each(self._if_never)[:, :, 0]
+        reference = self.reference(team, q)
         if team.extra is not None:
-            each = q[:, None] - team.extra_costs(q.shape[2])
+            each = q[:, None] - extra_costs_of(team, q.shape[2])
             robot = each.argmax(axis=3)
             useful = team.active[:, None] & (robot > 0)
             score = np.subtract(each.max(axis=3), reference[:, None], out=np.full(robot.shape, -np.inf), where=useful)
@@ -128,9 +113,3 @@ class AttentionSwitching:
         # Doing nothing is no reason to move, even if its value exceeds that of never helping again.
         score[robot == 0] = -np.inf
         return robot, (score[:, None] if team.is_joint else score) - team.to()
-
-    def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
-        assert self.never is not None
-        choices = policy.pomdp.model.choices
-        never, belief = self.never[policy][choices.of_goals(x).T], acting_belief(choices, belief)
-        return np.einsum("nbt,nbt->n", never.reshape(belief.shape), belief)[:, None]

@@ -17,6 +17,7 @@ from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from .attention import AttentionSwitching, NoAssistance, Reactive
+from .attention_never import AttentionAgainstNever
 from .priority import Priority
 from .rollout import Rollout
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
@@ -61,7 +62,7 @@ def named(
     if name == "attention-never":
         for policy in policies:
             policy.require_enumerated(f"policy {name!r}")
-        return AttentionSwitching.against_never(policies)
+        return AttentionAgainstNever.of(policies)
     if name == "priority":
         return Priority.of(policies, travel, solver=solver)
     if name == "whittle":

@@ -24,6 +24,7 @@ from ..person.qmdp import QMDP, qmdp
 from .assignment import assigned
 from .attention_subproblem import AttentionSubproblem, backwards
 from .by_policy import ByPolicy
+from .extra_costs import extra_costs_of
 from .state import BASE, NOBODY, Ask, TeamAction, TeamState
 from .time_expansion import HERE
 from .travel import Travel
@@ -35,7 +36,7 @@ def coming(travel: Travel) -> tuple[float, int, int]:
     If robots differ, they are means over robots, and the number of steps of the slowest one.
     """
     way = ~np.eye(len(travel.distance), dtype=bool)[:, :-1]
-    each = travel.robots or (travel,)
+    each = travel.each
     c_move = sum(one.c_move for one in each) / len(each)
     entry = c_move * float(travel.distance[:, :-1][way].mean())
     steps = sum(float(one.steps[:, :-1][way].mean()) for one in each) / len(each)
@@ -209,7 +210,7 @@ class Priority:
         np.subtract(q[:, :, 1:] + price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
         lowest: Floats = np.zeros(1)  # what coming to a person to act costs at least, more than the best robot
         if q.shape[2] > 2 and differ:
-            extra = team.extra_costs(q.shape[2] - 1)[..., 1:]
+            extra = extra_costs_of(team, q.shape[2] - 1)[..., 1:]
             each = gain[:, None, :, 2:] - extra
             robot = np.where(team.active[:, None], each.argmax(axis=3) + 1, 0)
             going, lowest = each.max(axis=3), extra.min(axis=3)

@@ -1,17 +1,29 @@
-"""Robots that differ in what they can do and in what it costs."""
+"""Robots that differ in what they can do and in what it costs.
+
+A bound on the value of all policies for M robots that can each do what any of a team's robots can, at the lowest cost
+and in the shortest time of any (`best_robots`), is one for that team, too.
+
+Proof. Any policy of the team is one of those robots, too: where a robot of the team is still on its way, the faster one
+has arrived and waits, which no other robot can disturb. Its actions are possible, and cost no more. A robot that makes
+room for another one leaves for free, as in people's problems, and comes back at the cost of a move.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.errors import expected
 
+from ..people.arguments import whole
 from ..people.decision import Floats
+
+S = TypeVar("S", bound=Any)
+"""The type of a `Setting`, whose field `robots` may hold a `Robot` for each of a team."""
 
 
 @dataclass(frozen=True)
@@ -79,3 +91,75 @@ class ExtraCosts:
     def of(self, robot: NDArray[np.int64], executes: NDArray[np.bool_]) -> Floats:
         """Return the extra costs of actions of robots, given by their numbers from 0; other actions are suggestions."""
         return np.where(executes, self.executing[robot], self.suggesting[robot])
+
+
+def robots_of(robots: Any) -> int | tuple[Robot, ...]:
+    """Return the checked number of robots, or each of them if a sequence is given.
+
+    Raises
+    ------
+    ValueError
+        It is neither a number from 1 upwards nor a sequence of robots.
+    """
+    if not isinstance(robots, Sequence) or isinstance(robots, str):
+        return whole("robots", robots, 1)
+    if not robots:
+        raise ValueError("robots []: expected one or more")
+    each = []
+    for m, robot in enumerate(robots, start=1):
+        try:
+            each.append(Robot.of(robot))
+        except ValueError as error:
+            raise ValueError(f"robot {m}: {error}") from None
+    return tuple(each)
+
+
+def each_alone(setting: S) -> tuple[S, ...]:
+    """Return the settings of a team with each of its robots alone.
+
+    Raises
+    ------
+    ValueError
+        A field of a robot is out of its range.
+    """
+    if not setting.differ:
+        return (replace(setting, robots=1),) * setting.robots
+    found = []
+    for m, robot in enumerate(setting.robots, start=1):
+        try:
+            found.append(replace(setting, robots=1, **robot.as_dict()))
+        except ValueError as error:
+            raise ValueError(f"robot {m}: {error}") from None
+    return tuple(found)
+
+
+def best_robots(setting: S) -> S:
+    """Return the setting of as many robots that are alike: each can do what any robot can, at the lowest cost of any.
+
+    People's problems have these robots, and policies and simulations add the `extra_costs` of each.
+    """
+    if not setting.differ:
+        return setting
+    each = each_alone(setting)
+    least = {name: min(getattr(one, name) for one in each) for name in ("c_suggest", "c_move", "travel_time")}
+    execute = [one.c_execute for one in each if one.execute]
+    return replace(
+        setting, robots=len(each), execute=bool(execute), c_execute=min(execute, default=setting.c_execute), **least
+    )
+
+
+def extra_costs(setting: Any) -> ExtraCosts | None:
+    """Return how much more the actions of each robot cost than those of `best_robots`; None if the robots are alike."""
+    if not setting.differ:
+        return None
+    each, least = each_alone(setting), best_robots(setting)
+    return ExtraCosts(
+        np.array([one.c_suggest - least.c_suggest for one in each]),
+        np.array([one.c_execute - least.c_execute if one.execute else np.inf for one in each]),
+    )
+
+
+def require_one_robot(setting: Any, what: str) -> None:
+    """Check that a team has one robot. If not, the `ValueError` says that `what` has one."""
+    if setting.robot_count > 1:
+        raise ValueError(f"robots {setting.robot_count}: expected 1, as {what} has one robot")

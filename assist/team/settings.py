@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from functools import cached_property
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, fields, replace
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,12 +14,13 @@ from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
 from ..people.human import Human, HumanModel, Population
 from ..people.mixture import Mixture
-from ..people.trust_rules import LogitSteps, Reliability, TrustRule, rule_with, trust_rule
+from ..people.trust_rules import TrustRule, rule_given, trust_rule
 from ..person.leaf_bounds import LeafBounds
-from ..person.observation_model import ObservationModel
+from ..person.observation_model import ObservationModel, observation_given
 from ..person.pomdp import AssistPOMDP, Suggestions
-from .robots import ExtraCosts, Robot
+from .robots import Robot, best_robots, each_alone, robots_of
 from .travel import Travel
+from .travel_of_each import TravelOfEach
 
 Knowledge = Literal["own", "exact"]
 
@@ -124,30 +123,19 @@ class Setting:
             raise ValueError(f"execute {self.execute!r}: expected True or False")  # noqa: TRY004
         object.__setattr__(self, "execute", bool(self.execute))
         object.__setattr__(self, "max_steps", whole("max_steps", self.max_steps, 1))
-        object.__setattr__(self, "robots", _robots(self.robots))
-        seen: object = self.observation
-        if isinstance(seen, Mapping):  # as `as_dict` writes it
-            object.__setattr__(self, "observation", ObservationModel(**seen))
-        elif not isinstance(seen, ObservationModel | None):
-            raise ValueError(f"observation {seen!r}: expected an ObservationModel")  # noqa: TRY004
-        if self.observation is not None and self.observation.is_perfect:
-            object.__setattr__(self, "observation", None)
+        object.__setattr__(self, "robots", robots_of(self.robots))
+        object.__setattr__(self, "observation", observation_given(self.observation))
         if self.observation is not None and self.execute:
             raise ValueError("execute: expected actions that are all seen as they are")
         for name in RULES_OF:
-            plain: object = getattr(self, name)
-            if isinstance(plain, Mapping):  # as `as_dict` writes a rule
-                try:
-                    object.__setattr__(self, name, rule_with(plain))
-                except ValueError as error:
-                    raise ValueError(f"{name} {error}") from None
+            object.__setattr__(self, name, rule_given(name, getattr(self, name)))
         self.travel(1)  # raises an error for impossible travel
         self.trust_rule()  # raises an error for an unknown rule
         self.believed_rule()
-        if self.differ and len(set(self.each_robot)) == 1:  # a team of robots that are alike
+        if self.differ and len(set(each := each_alone(self))) == 1:  # a team of robots that are alike
             for field in fields(Robot):
-                object.__setattr__(self, field.name, getattr(self.each_robot[0], field.name))
-            object.__setattr__(self, "robots", len(self.each_robot))
+                object.__setattr__(self, field.name, getattr(each[0], field.name))
+            object.__setattr__(self, "robots", len(each))
 
     @property
     def robot_count(self) -> int:
@@ -158,44 +146,6 @@ class Setting:
     def differ(self) -> bool:
         """Whether the robots of a team differ."""
         return isinstance(self.robots, tuple)
-
-    @cached_property
-    def each_robot(self) -> tuple[Setting, ...]:
-        """The setting of a team with each of the robots alone."""
-        if not isinstance(self.robots, tuple):
-            return (replace(self, robots=1),) * self.robots
-        found = []
-        for m, robot in enumerate(self.robots, start=1):
-            try:
-                found.append(replace(self, robots=1, **robot.as_dict()))
-            except ValueError as error:
-                raise ValueError(f"robot {m}: {error}") from None
-        return tuple(found)
-
-    @cached_property
-    def best(self) -> Setting:
-        """The setting of as many robots that are alike: each can do what any robot can, at the lowest cost of any.
-
-        People's problems have these robots, and policies and simulations add the `extra_costs` of each.
-        """
-        if not self.differ:
-            return self
-        each = self.each_robot
-        least = {name: min(getattr(one, name) for one in each) for name in ("c_suggest", "c_move", "travel_time")}
-        execute = [one.c_execute for one in each if one.execute]
-        return replace(
-            self, robots=len(each), execute=bool(execute), c_execute=min(execute, default=self.c_execute), **least
-        )
-
-    @cached_property
-    def extra_costs(self) -> ExtraCosts | None:
-        """How much more the actions of each robot cost than those of `best`; None if the robots are alike."""
-        if not self.differ:
-            return None
-        return ExtraCosts(
-            np.array([one.c_suggest - self.best.c_suggest for one in self.each_robot]),
-            np.array([one.c_execute - self.best.c_execute if one.execute else np.inf for one in self.each_robot]),
-        )
 
     def trust_rule(self) -> TrustRule:
         """Return the trust rule of people."""
@@ -209,48 +159,6 @@ class Setting:
     def for_real_people(self) -> Setting:
         """Return the setting with a constant theta, unless it has a trust rule already."""
         return replace(self, trust="constant") if self.trust is None else self
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain data, from which `Setting` makes an equal one.
-
-        Trust rules, the observation model and the cost of questions are included only if they are given, and the number
-        of robots only if there are several.
-
-        Raises
-        ------
-        ValueError
-            The trust rule is the user's own, which is not saved.
-        """
-        plain = asdict(replace(self, observation=None))
-        del plain["observation"]
-        if self.observation is not None:
-            plain["observation"] = self.observation.as_dict()
-        if isinstance(self.robots, tuple):
-            plain["robots"] = [robot.as_dict() for robot in self.robots]
-        elif self.robots == 1:
-            del plain["robots"]
-        if self.c_ask is None:
-            del plain["c_ask"], plain["ask_error"]
-        for name in RULES_OF:
-            rule = getattr(self, name)
-            if rule is None:
-                del plain[name]
-            elif not isinstance(rule, str | LogitSteps | Reliability):
-                raise ValueError(
-                    f"{name} {rule!r}: a rule that is not saved; expected a name, LogitSteps or Reliability"
-                )
-        return plain
-
-    def require_one_robot(self, what: str) -> None:
-        """Raise an error if a team has several robots, where only one is possible.
-
-        Raises
-        ------
-        ValueError
-            It names `what` needs one robot.
-        """
-        if self.robot_count > 1:
-            raise ValueError(f"robots {self.robot_count}: expected 1, as {what} has one robot")
 
     def require_all_seen(self, what: str) -> None:
         """Raise an error if actions may be missed or confused, where they must be seen as they are.
@@ -266,7 +174,7 @@ class Setting:
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Return the travel between `places` people; `distance` as in `Travel.of`."""
         if self.differ:
-            return Travel.of_each([one.travel(places, distance) for one in self.each_robot])
+            return TravelOfEach.of_each([one.travel(places, distance) for one in each_alone(self)])
         return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
 
     def chooses(self, human: Human | None, population: Population | Mixture) -> ChoiceModel:
@@ -281,7 +189,7 @@ class Setting:
         *,
         frontier: LeafBounds | None = None,
     ) -> AssistPOMDP:
-        """Return the problem of assisting one person of a population, by the `best` of robots that differ.
+        """Return the problem of assisting one person of a population, by the best of its robots (`best_robots`).
 
         Parameters
         ----------
@@ -297,24 +205,10 @@ class Setting:
         """
         known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
         model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
+        robot = best_robots(self)
         return AssistPOMDP.of(
             model, chooses=self.chooses(human, population), grid=Grid.regular(population),
-            population=population, gamma=self.gamma, c_suggest=self.best.c_suggest,
+            population=population, gamma=self.gamma, c_suggest=robot.c_suggest,
             suggestions=self.suggestions if self.observation is None else "all",
-            execute=self.best.execute, c_execute=self.best.c_execute, frontier=frontier, trust=self.believed_rule(),
+            execute=robot.execute, c_execute=robot.c_execute, frontier=frontier, trust=self.believed_rule(),
         )  # fmt: skip
-
-
-def _robots(robots: Any) -> int | tuple[Robot, ...]:
-    """Return the checked number of robots, or each of them."""
-    if not isinstance(robots, Sequence) or isinstance(robots, str):
-        return whole("robots", robots, 1)
-    if not robots:
-        raise ValueError("robots []: expected one or more")
-    each = []
-    for m, robot in enumerate(robots, start=1):
-        try:
-            each.append(Robot.of(robot))
-        except ValueError as error:
-            raise ValueError(f"robot {m}: {error}") from None
-    return tuple(each)

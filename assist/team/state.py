@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planner.system.arrays import outline
 
-from ..people.decision import NOTHING, Floats
+from ..people.decision import Floats
 from ..person.policy import Policy
 from .robots import ExtraCosts
 from .travel import Travel
@@ -195,22 +195,6 @@ class TeamState:
     def to(self) -> Floats:
         """Return the cost of moving to each person from the robot's place, shape (N, K), or (N, M, K)."""
         return self.travel.costs_from(self.location)
-
-    def extra_costs(self, actions: int) -> Floats:
-        """Return the extra cost of each robot's action on each person, shape (N, M, K, R), if the robots differ.
-
-        It is 0 for no action, and infinite for an action that the robot cannot execute. `actions` is the number R.
-        """
-        assert self.extra is not None
-        executes = np.zeros((self.x.size, actions), dtype=bool)
-        if np.isfinite(self.extra.executing).any():
-            for group, rows in self.groups():
-                suggested = self.policies[group].pomdp.suggested[self.x.ravel()[rows], :actions]
-                executes[rows, : suggested.shape[1]] = suggested == NOTHING
-        each = np.arange(self.robots)[:, None, None]
-        costs = self.extra.of(each, executes.reshape(len(self.x), 1, *self.x.shape[1:], actions))
-        costs[..., 0] = 0.0
-        return costs
 
     def robot_numbers(self) -> NDArray[np.int64]:
         """Return the number of each robot within its team, from 0, in the shape of `location`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -28,8 +27,6 @@ class Travel:
         Travel time between two places in steps. With 0 the robot makes its suggestion in the step of its departure.
     c_move : float
         Cost of moving by a distance of 1, in cost units; it is paid at the departure.
-    robots : tuple of Travel
-        The travel of each robot if robots differ; the other fields are then the lowest of any robot. Otherwise empty.
 
     Raises
     ------
@@ -40,7 +37,6 @@ class Travel:
     distance: Floats
     steps: NDArray[np.int64]
     c_move: float
-    robots: tuple[Travel, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "c_move", number("c_move", self.c_move))
@@ -96,54 +92,43 @@ class Travel:
             )
         return cls(matrix, _whole_steps(matrix * travel_time), c_move)
 
-    @classmethod
-    def of_each(cls, robots: Sequence[Travel]) -> Travel:
-        """Return the travel of robots that move the same distances, at different costs or speeds."""
-        least = min(robots, key=lambda one: float(one.steps.sum()))
-        if any((one.distance != least.distance).any() or (one.steps < least.steps).any() for one in robots):
-            raise ValueError("robots: expected the same distances, and one robot that is nowhere slower than another")
-        return cls(least.distance, least.steps, min(one.c_move for one in robots), tuple(robots))
-
     def __len__(self) -> int:
         return len(self.distance) - 1
 
-    def of_robot(self, number: int) -> Travel:
+    @property
+    def each(self) -> tuple[Travel, ...]:
+        """The travel of each robot if robots differ (`TravelOfEach`), otherwise of all of them."""
+        return (self,)
+
+    def of_robot(self, _number: int) -> Travel:
         """Return the travel of a robot, given by its number from 0."""
-        return self.robots[number] if self.robots else self
+        return self
 
     def costs_from(self, location: NDArray[np.int64]) -> Floats:
         """Return the cost of moving from each place to each person, shape (N, K).
 
         With several robots, `location` has the shape (N, M), and the costs (N, M, K).
         """
-        c_move: Any = self.c_move if not self.robots else np.array([[one.c_move] for one in self.robots])
-        return np.asarray(c_move * self.distance[location][..., :-1])
+        return np.asarray(self.c_move * self.distance[location][..., :-1])
 
     def steps_from(self, location: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the steps of moving from each place to each person; shapes as in `costs_from`."""
-        if not self.robots:
-            return self.steps[location][..., :-1]
-        return np.stack([own.steps[location[:, m], :-1] for m, own in enumerate(self.robots)], axis=1)
+        return self.steps[location][..., :-1]
 
-    def costs_between(self, robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]) -> Floats:
+    def costs_between(self, _robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]) -> Floats:
         """Return the costs of moves of robots, given by their numbers from 0, between pairs of places."""
-        c_move: Any = self.c_move if not self.robots else np.array([one.c_move for one in self.robots])[robot]
-        return np.asarray(c_move * self.distance[origin, to])
+        return np.asarray(self.c_move * self.distance[origin, to])
 
     def steps_between(
-        self, robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]
+        self, _robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """Return the steps of moves of robots, given by their numbers from 0, between pairs of places."""
-        steps = self.steps[origin, to]
-        for m, own in enumerate(self.robots):
-            steps = np.where(robot == m, own.steps[origin, to], steps)
-        return steps
+        return self.steps[origin, to]
 
     @cached_property
     def equally_far(self) -> bool:
         """Whether all places, the base included, are equally far from each other for all robots, also in time."""
-        each = self.robots or (self,)
-        return _off_the_diagonal_equal(self.distance) and all(_off_the_diagonal_equal(one.steps) for one in each)
+        return _off_the_diagonal_equal(self.distance) and all(_off_the_diagonal_equal(one.steps) for one in self.each)
 
     @property
     def entry(self) -> Floats:

@@ -113,6 +113,7 @@ def plan_of(
     from ...drawing import Artist
     from ...people.goals import first_of
     from ...person.observation_model import ObservationModel
+    from ...team.robots import best_robots
     from ...team.settings import Setting
     from ...web.server import ServedTeam
 
@@ -126,7 +127,7 @@ def plan_of(
         options |= questions_of(ask, ask_error, problems, doubtful=doubtful)
         options["observation"] = ObservationModel(miss, confusion)
         setting = Setting(**with_rule_of(population_file, options))
-        if setting.best.execute:
+        if best_robots(setting).execute:
             raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")
         distance = None if distances is None else travel_of(setting, humans, distances).distance
         found = _named(find_instances(instances, domain))

@@ -7,7 +7,8 @@ import math
 import click
 from rich.table import Table
 
-from ...simulation.episodes import SHOWN, Summary
+from ...simulation.episode import SHOWN
+from ...simulation.episodes import Summary
 from ..terminal.console import print_table
 
 

@@ -1,0 +1,32 @@
+"""The value of policies in the relaxed problem of a team, in which each person has a robot that has to be paid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..people.arguments import Seed, entropy, whole
+from .certificate import horizon
+from .prices import kinds_of
+from .team_bound import TeamBound
+
+
+def relaxed_value(bound: TeamBound, *, episodes: int = 20_000, seed: Seed = 0) -> tuple[float, float]:
+    """Simulate QMDP's policies in the relaxed problem of a bound; return the mean and its standard error.
+
+    Optimal policies of the relaxed problem have at least this value, and the bound is at least theirs. So the part of a
+    certificate's gap below this mean is due to the relaxation and the team policy, not to the solver.
+    """
+    for policy in bound.pool.policies:
+        policy.require_enumerated("relaxed_value")
+    episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
+    gamma = bound.pool.setting.gamma
+    paid = bound.pool.setting.robot_count * float(bound.price @ gamma ** np.arange(len(bound.price)))
+    total, variance = paid, 0.0
+    kinds = kinds_of(bound.pool, bound.team, bound.travel, len(bound.price))
+    for number, kind in enumerate(kinds):  # independent random numbers, so that variances add up
+        value = kind.simulated(bound.price, horizon(gamma), episodes, seed_number + number)[1]
+        total += kind.count * float(value.mean())
+        variance += kind.count**2 * float(value.var(ddof=1)) / episodes
+    return total, math.sqrt(variance)

@@ -1,0 +1,53 @@
+"""Trust rules other than equation (7), by which people's own theta moves in a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.decision import Floats
+from ..people.trust_rules import PerceivedSuggestions, TrustRule, moved
+from ..person.dynamics import Minds, PeopleArrays, act
+from ..person.problem_arrays import ProblemArrays
+
+
+@dataclass(frozen=True)
+class TrustOfPeople:
+    """The trust rule of some people.
+
+    Attributes
+    ----------
+    rule : TrustRule
+    perceived : float array, shape (m, n, A)
+        Perceived costs of each of them.
+    """
+
+    rule: TrustRule
+    perceived: Floats
+
+    def act(self, rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, arrays: ProblemArrays) -> None:
+        """Let the people of some rows, all of one model, act once; theta moves by the rule.
+
+        Parameters
+        ----------
+        rows : int array
+        people : PeopleArrays
+        minds : Minds
+            Their choices, with a rate of 0 for equation (7).
+        arrays : ProblemArrays
+            Their problem.
+        """
+        before, theta, seen = people.x[rows], people.theta[rows], people.seen[rows]
+        act(rows, people, minds, arrays)
+        who, robot = people.who[rows], people.robot[rows]
+        suggested, value = arrays.suggested[before, robot], minds.value
+        advised = np.flatnonzero(suggested >= 0)
+        who, x, slot = who[advised], before[advised], suggested[advised]
+        perceived = PerceivedSuggestions.of(
+            self.perceived[who, x, slot], self.perceived[who, x].min(axis=1), value[who, x],
+            value[who, arrays.targets[x, slot]], minds.optimal[x, slot],
+        )  # fmt: skip
+        event = perceived.event(people.slot[rows[advised]] == slot, self.rule.feedback)
+        people.theta[rows[advised]], people.seen[rows[advised]] = moved(self.rule, theta[advised], seen[advised], event)

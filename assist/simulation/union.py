@@ -1,0 +1,40 @@
+"""The union of pools of people with different tasks, models or costs of suggestions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+P = TypeVar("P", bound=Any)
+"""The type of a `Pool`."""
+
+
+def union(pools: Sequence[P]) -> P:
+    """Return the union of pools with different tasks, models or costs of suggestions.
+
+    The setting is that of the first pool. Fields that concern one person only are part of the policies and may
+    differ. Fields of the whole team (`gamma`, `c_move`, `travel_time`, `max_steps` and `robots`) must be the same,
+    and all costs of robots that differ.
+
+    Raises
+    ------
+    ValueError
+        There is no pool, or these fields differ.
+    """
+    if not pools:
+        raise ValueError("joined: expected one pool or more")
+    differ = ("c_suggest", "execute", "c_execute") if pools[0].setting.differ else ()
+    for name in ("gamma", "c_move", "travel_time", "max_steps", "robots", *differ):
+        values = [getattr(pool.setting, name) for pool in pools]
+        if len(set(values)) > 1:
+            raise ValueError(f"joined: {name} is {values} in these pools; expected the same in all")
+    offsets = np.cumsum([0, *(len(pool.policies) for pool in pools[:-1])])
+    return replace(
+        pools[0],
+        people=tuple(human for pool in pools for human in pool.people),
+        policies=tuple(policy for pool in pools for policy in pool.policies),
+        model=np.concatenate([pool.model + offset for pool, offset in zip(pools, offsets, strict=True)]),
+    )

@@ -1,0 +1,58 @@
+"""The paper's Algorithm 1 in the reading whose reference is the value of never helping a person again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.decision import Floats
+from ..people.goals import acting_belief
+from ..person.policy import Policy
+from ..person.qmdp import evaluate
+from .attention import AttentionSwitching
+from .by_policy import ByPolicy
+from .state import TeamState
+from .travel import Travel
+
+
+@dataclass(frozen=True)
+class AttentionAgainstNever(AttentionSwitching):
+    """Algorithm 1 with the value of never helping a person again as the reference of their score.
+
+    Attributes
+    ----------
+    never : ByPolicy of float arrays, shape (n, B, T)
+        This value, for known beta and theta.
+    """
+
+    never: ByPolicy[Floats]
+
+    @classmethod
+    def of(cls, policies: Sequence[Policy]) -> AttentionAgainstNever:
+        """Return the team policy for people with the given policies."""
+
+        def never(policy: Policy) -> Floats:
+            return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
+
+        return cls(ByPolicy(policies, never))
+
+    def with_policies(self, policies: Sequence[Policy], _travel: Travel) -> AttentionAgainstNever:
+        """Return the same team policy with other policies for single people."""
+        return self.of(policies)
+
+    def prepare(self, policy: Policy) -> None:
+        """Compute now the data about the people of a policy."""
+        policy.prepare()
+        self.never[policy]
+
+    def reference(self, team: TeamState, _q: Floats) -> Floats:
+        """Return the value of never helping each person, shape (N, K)."""
+        return team.of_each(self._if_never)[:, :, 0]
+
+    def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
+        choices = policy.pomdp.model.choices
+        never, belief = self.never[policy][choices.of_goals(x).T], acting_belief(choices, belief)
+        return np.einsum("nbt,nbt->n", never.reshape(belief.shape), belief)[:, None]
