@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 ROOMS = {
     "planner.system": """lazy_imports errors arrays files machine processes threads progress_reports progress jit
         limits workers""",
-    "planner.pddl": """s_expressions bundled instances instance_finder declarations fragment formulas reader writer
-        validation validation_process built_problems""",
+    "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment formulas reader
+        writer validation validation_process built_problems""",
     "planner.grounding": "fast_downward cross_check task load semantics",
     "planner.states": "packing state_space",
     "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors
@@ -28,7 +28,7 @@ ROOMS = {
     "planner.search.ranking": "transition_normal_form mutexes linear_invariants variable_clusters state_ranking",
     "planner.search.symmetry": "automorphisms canonical_states",
     "planner.search": """distances search_space successor_generator state_registry orbit_index ranked_index
-        forward_search bucket_dijkstra""",
+        forward_search backward_search""",
     "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep goals orbits table_file
         on_demand portfolio""",
     "planner.batch": "solve_instance results_folder solve_batch",

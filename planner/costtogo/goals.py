@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from ..grounding.task import Effect, Fact, Task
 from ..pddl.instances import PDDLError
-from ..search.bucket_dijkstra import distances
+from ..search.backward_search import distances
 from ..states.state_space import StateSpace
 from ..system.limits import Budget
 from ..system.machine import processors

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Task
-from ..search.bucket_dijkstra import distances
+from ..search.backward_search import distances
 from ..search.distances import UNREACHED, compact
 from ..search.forward_search import explore
 from ..search.orbit_index import OrbitIndex

@@ -1,7 +1,7 @@
 """The sweep: all reachable states of a task and their exact cost-to-go, fast and in little memory.
 
 `sweep` computes a `Table` in three steps: it constructs a ranking of the states (`ranking`), finds the reachable states
-and their distances (`forward_search`, `bucket_dijkstra`), and numbers the states in the order of their ranks.
+and their distances (`forward_search`, `backward_search`), and numbers the states in the order of their ranks.
 
 Tasks with derived variables, with ranks beyond 62 bits, or with operators that split into very many moves use a slower
 method: a registry of packed states, with all transitions in memory.
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from ..grounding.task import Task
 from ..pddl.formulas import LARGEST_COST
-from ..search.bucket_dijkstra import distances
+from ..search.backward_search import distances
 from ..search.forward_search import explore
 from ..search.kernels.ranked_successors import RankedOperators
 from ..search.ranked_index import RankedSpace

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from . import declarations, fragment, instance_finder, instances
+from . import declarations, instance_finder, instances, supported_fragment
 from .declarations import Names, Symbol, Typed, Types, meant, refuse, shown
 from .formulas import Cost, Formulas, listed, whole_number, word
 from .instances import Instance
@@ -98,7 +98,7 @@ def read(instance: Instance) -> Reading:
         instances.parse(file, instances.text(file, kind))
         for file, kind in ((instance.domain, "domain"), (instance.problem, "problem"))
     )
-    fragment.check(instance, domain, problem)
+    supported_fragment.check(instance, domain, problem)
     unions: dict[tuple[str, ...], str] = {}
     known, derived = _domain(instance.domain, domain, unions)
     reading = Reading(instance, known, _problem(instance, problem, known, derived, unions), unions)

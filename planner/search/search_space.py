@@ -1,6 +1,6 @@
 """The interface between the searches and the indices of states.
 
-The searches (`forward_search`, `bucket_dijkstra`) know states by *keys*, in blocks. A `SearchSpace` expands and relaxes
+The searches (`forward_search`, `backward_search`) know states by *keys*, in blocks. A `SearchSpace` expands and relaxes
 such blocks with compiled code. There are three, each with its own `StateIndex`:
 
 - `RankedSpace` is the fastest. Keys are ranks, the reachable ones are a bitmap, and the backward search applies inverse
