@@ -100,7 +100,8 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
     import numpy as np
 
     from planner import Table, verify
-    from planner.batch.solve_instance import SolveOptions, solve_instance
+    from planner.batch.solve_instance import solve_instance
+    from planner.batch.solve_record import SolveOptions
     from planner.costtogo.verification import check_successors, sample
 
     compared = {"verified": 0, "consistent": 0, "compare_cpu": 0.0}

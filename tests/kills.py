@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.batch.solve_instance import COMPARING, SWEEPING
+from planner.batch.solve_record import COMPARING, SWEEPING
 
 ROOT = Path(__file__).parent.parent
 DOMAINS = ROOT / "domains"

@@ -31,7 +31,7 @@ ROOMS = {
         forward_search backward_search""",
     "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep goals orbits table_file
         on_demand portfolio""",
-    "planner.batch": "solve_instance results_folder solve_batch",
+    "planner.batch": "solve_record solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.texts": "typed_toml catalogue",
     "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model

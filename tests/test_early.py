@@ -23,15 +23,8 @@ from planner import Limits, Table, instance, load, verify
 from planner.batch import solve_batch as batch
 from planner.batch.results_folder import Results
 from planner.batch.solve_batch import solve_batch
-from planner.batch.solve_instance import (
-    COMPARING,
-    SWEEPING,
-    SolveOptions,
-    SolveRecord,
-    _Phases,
-    saved_files,
-    solve_instance,
-)  # fmt: skip
+from planner.batch.solve_instance import _Phases, solve_instance
+from planner.batch.solve_record import COMPARING, SWEEPING, SolveOptions, SolveRecord, saved_files
 from planner.costtogo.first_answer import Early
 from planner.costtogo.sweep import sweep
 from planner.grounding import fast_downward

@@ -15,7 +15,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from planner import Instance, LimitError, Limits, MismatchError, Packing, Table, astar, instance, load, sweep, verify
-from planner.batch.solve_instance import SolveOptions, solve_instance
+from planner.batch.solve_instance import solve_instance
+from planner.batch.solve_record import SolveOptions
 from planner.grounding.fast_downward import with_initial_state
 from planner.grounding.task import Task, Variable
 

@@ -18,7 +18,8 @@ from planner.batch import results_folder as results
 from planner.batch import solve_batch as batch
 from planner.batch.results_folder import Results
 from planner.batch.solve_batch import solve_batch
-from planner.batch.solve_instance import SolveOptions, solve_instance
+from planner.batch.solve_instance import solve_instance
+from planner.batch.solve_record import SolveOptions
 from planner.system.workers import WorkerDiedError
 
 OPTIONS = SolveOptions(verify=1)

@@ -34,7 +34,8 @@ from planner import (
     optimal_choices,
     sweep,
 )
-from planner.batch.solve_instance import SolveOptions, solve_instance
+from planner.batch.solve_instance import solve_instance
+from planner.batch.solve_record import SolveOptions
 from planner.costtogo import on_demand
 from planner.costtogo.orbits import OrbitTable, orbits
 from planner.costtogo.verification import check_successors

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from rich.table import Column, Table
 
-from planner.batch.solve_instance import versions
+from planner.batch.solve_record import versions
 from planner.system.progress import stages
 
 from .options.common import JOBS, gap_option, instance_argument, json_option, seconds_option

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planner import CostToGo, Instance
-from planner.batch.solve_instance import versions
+from planner.batch.solve_record import versions
 from planner.system.progress import status_line
 
 from .options.common import (

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from planner.batch.solve_instance import versions
+from planner.batch.solve_record import versions
 from planner.system import files
 from planner.system.progress import stages
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from planner.batch.solve_instance import SolveOptions
+from planner.batch.solve_record import SolveOptions
 from planner.system.errors import MissingExtraError
 
 from .options.common import is_given

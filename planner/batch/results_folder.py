@@ -18,7 +18,7 @@ from ..grounding import fast_downward
 from ..pddl.instances import Instance
 from ..system.errors import DamagedFileError, ResultsExistError
 from ..system.files import append_record, read_records, remove_unfinished, write_records
-from .solve_instance import SolveOptions, SolveRecord, saved_files
+from .solve_record import SolveOptions, SolveRecord, saved_files
 
 RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
 Key = tuple[str, str]

@@ -20,7 +20,8 @@ from ..system.machine import available_memory, processors
 from ..system.progress_reports import Progress
 from ..system.workers import WorkerDiedError, outcomes
 from .results_folder import Key, Results, key
-from .solve_instance import SolveOptions, SolveRecord, solve_instance, unfinished, unsolved
+from .solve_instance import solve_instance
+from .solve_record import SolveOptions, SolveRecord, unfinished, unsolved
 
 TOLD = "told"
 """Report of a worker that it has written a new intermediate record."""

@@ -1,8 +1,7 @@
 """Solving one instance, from its files to its record.
 
 `solve_instance` solves an instance within limits of time and memory, and returns a record of the result. On request it
-saves the cost-to-go table as `.npz` and the plan. Scripts depend on the fields of the records, which `docs/commands.md`
-lists.
+saves the cost-to-go table as `.npz` and the plan.
 """
 
 from __future__ import annotations
@@ -10,17 +9,14 @@ from __future__ import annotations
 import errno
 import math
 import os
-import platform
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..costtogo.first_answer import Answer, Early
-from ..grounding import fast_downward
 from ..grounding.fast_downward import FastDownwardError
 from ..grounding.load import ground
 from ..grounding.semantics import replay
@@ -31,51 +27,26 @@ from ..pddl.validation import InvalidPlanError
 from ..pddl.validation_process import PATIENCE, ValidationProcess
 from ..system.errors import MismatchError
 from ..system.files import atomic
-from ..system.limits import MAX_STATES, LimitError, Limits
+from ..system.limits import LimitError, Limits
 from ..system.machine import memory_limit, peak_memory_mb, processors, reset_peak_memory, used_mb
 from ..system.progress_reports import Progress
 from ..system.threads import NO_MORE_THREADS
+from .solve_record import (
+    COMPARING,
+    COMPILING,
+    SWEEPING,
+    SolveOptions,
+    SolveRecord,
+    empty_record,
+    error_entry,
+    saved_files,
+    unfinished,
+    unsolved,
+)
 
 if TYPE_CHECKING:
     from ..costtogo.on_demand import OnDemand
     from ..costtogo.table import Table
-
-SolveRecord = dict[str, Any]
-
-SWEEPING = "solved on demand: the sweep had not ended"
-COMPARING = "the comparison with A* had not ended"
-"""Notes in the records of unfinished instances."""
-
-
-@dataclass(frozen=True)
-class SolveOptions:
-    """Options for solving an instance."""
-
-    time_limit: float | None = None
-    """Wall-clock seconds for one instance; None for no limit."""
-    memory_limit: float | None = None
-    """Memory in MB for one instance; None for all available memory."""
-    max_states: int = MAX_STATES
-    """Largest number of states that are swept. A larger task is solved from its initial state only."""
-    verify: int | None = None
-    """Number of states compared with Fast Downward's A*, the initial state first, within the limits. By default, up to
-    20 states are compared, in the time that `comparison_share` and `comparison_seconds` allow.
-    """
-    threads: int | None = None
-    """Threads of the sweep; by default one per processor."""
-    search_delay: float = 0.5
-    """Seconds before the search for the initial state alone starts, since most tasks are swept in less. A longer delay
-    means a later first result of large tasks.
-    """
-    sweep_share: float = 0.75
-    """Share of `time_limit` after which the sweep ends. The rest is reserved for the initial state alone."""
-    comparison_share: float = 0.25
-    comparison_seconds: float = 1.0
-    """The default comparison takes at most this share of the search's time, or these seconds if that is longer."""
-
-
-COMPILING = "compiling"
-"""Stage that is reported while code is compiled that is not in the cache."""
 
 
 class _Phases:
@@ -138,38 +109,6 @@ class _Phases:
         return {**record, "seconds": seconds, "peak_memory_mb": round(peak_memory_mb(), 1)}
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of the programs that a result depends on."""
-    import importlib.metadata  # slow to import
-
-    packages = {"kitassist": "kitassist", "unified_planning": "unified-planning", "numpy": "numpy"}
-    found = {key: importlib.metadata.version(package) for key, package in packages.items()}
-    return {**found, "fast_downward": fast_downward.version(), "python": platform.python_version()}
-
-
-def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) -> SolveRecord:
-    """Return a record without results."""
-    return {
-        "instance": str(instance.problem),
-        "domain": str(instance.domain),
-        "status": status,
-        "cost": None,
-        "plan": None,
-        "states": None,
-        "transitions": None,
-        "dead_ends": None,
-        "max_cost_to_go": None,
-        "method": None,
-        "verified": 0,
-        "consistent": 0,
-        "seconds": {},
-        "peak_memory_mb": None,
-        "versions": versions(),
-        "error": error,
-        "note": None,
-    }
-
-
 def solve_instance(
     instance: Instance,
     options: SolveOptions | None = None,
@@ -202,7 +141,7 @@ def solve_instance(
             task = _grounded(reading, checker, phases, until_solved)
             record = _solve(task, checker, options, place, phases, use)
     except PDDLError as error:
-        record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
+        record = empty_record(instance, "invalid", error_entry(error.file, error.line, error.message))
     except LimitError as error:
         record = unsolved(instance, "limit", str(error))
     except MemoryError:
@@ -220,18 +159,13 @@ def solve_instance(
             disk_is_full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
             status = "limit" if disk_is_full else "invalid"
             file = instance.problem if error.filename is None else Path(os.fsdecode(error.filename))
-            record = empty_record(instance, status, _error(file, None, error.strerror or str(error)))
+            record = empty_record(instance, status, error_entry(file, None, error.strerror or str(error)))
     if phases.told is not None and record["status"] == "limit":
         record = unfinished(phases.told, record["error"]["message"])
     elif phases.told is not None and record["status"] == "invalid" and place is not None:
         for file in saved_files(place):
             file.unlink(missing_ok=True)
     return phases.measured(record)
-
-
-def unfinished(record: SolveRecord, why: str) -> SolveRecord:
-    """Return an intermediate record as the final one, with the reason for the early end in its note."""
-    return {**record, "note": f"{record['note']}; {why}"}
 
 
 def _out_of_memory(instance: Instance, options: SolveOptions) -> SolveRecord:
@@ -443,20 +377,6 @@ def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Solve
             known={} if answer is None else {table.initial: answer[0]},
             progress=compared,
         )  # fmt: skip
-
-
-def unsolved(instance: Instance, status: str, message: str) -> SolveRecord:
-    """Return the record of an instance that was not solved, with the reason."""
-    return empty_record(instance, status, _error(instance.problem, None, message))
-
-
-def _error(file: Path, line: int | None, message: str) -> dict[str, Any]:
-    return {"file": str(file), "line": line, "message": message}
-
-
-def saved_files(place: Path) -> tuple[Path, Path]:
-    """Return the files of an instance's table and plan."""
-    return place.with_name(f"{place.name}.npz"), place.with_name(f"{place.name}.plan")
 
 
 def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:

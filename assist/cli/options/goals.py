@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from planner import Cache, CostToGo, Instance, LimitError, Limits, OnDemand, find_instances, load, sweep_goals
-from planner.batch.solve_instance import SolveOptions
+from planner.batch.solve_record import SolveOptions
 from planner.costtogo.goals import require_same_states
 from planner.system.machine import processors
 from planner.system.progress import stages

@@ -13,7 +13,7 @@ import click
 from click.core import ParameterSource
 
 from planner import CostToGo, Instance, InstanceError, find_instances
-from planner.batch.solve_instance import SolveOptions
+from planner.batch.solve_record import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
 from ...texts.catalogue import FIRST, catalogue

@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from planner.batch.solve_instance import SWEEPING, SolveRecord
+from planner.batch.solve_record import SWEEPING, SolveRecord
 
 from ..terminal.console import print_json, print_table
 
