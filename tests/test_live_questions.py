@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,14 @@ from conftest import kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_uncertain_actions import NOISY
-from test_unknown_goals import TASKS
+from test_unknown_goals import LAPSE, SMALL, TASKS, Steps, by_enumeration
 
 from assist.live import Assistant, Event, InapplicableError, Question, Session
 from assist.live.events import InvalidError
 from assist.people import Goals
 from assist.person import ObservationModel
 from assist.team import Setting
+from assist.team.questions import likelihood_of
 
 TINY = TASKS["tiny"]
 ASKS = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01)
@@ -60,6 +62,30 @@ def test_who_has_said_what_their_goal_is_is_known_as_if_it_had_been_known_before
         for one in (team, known):
             one.observe("ann", action)
         np.testing.assert_allclose(team.person("ann").belief, known.person("ann").belief, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_belief_after_answers_is_that_of_enumerated_histories(name: str) -> None:
+    goals, error, rng = TASKS[name], 0.1, np.random.default_rng(3)
+    setting = replace(ASKS, c_ask=0.0, ask_error=error, lapse=LAPSE)
+    team = Assistant(goals, ["ann"], setting=setting, population=SMALL)
+    pomdp = team._team.part(team._team.known("ann"))[0].policy.pomdp
+    steps, told, share = Steps(), 0, np.ones(len(goals.tables))
+    for _ in range(4):
+        question = team.recommend().question
+        if question is not None:
+            yes = bool(rng.random() < 0.5)
+            team.answer("ann", yes)
+            told, share = told + 1, share * likelihood_of(list(goals.tables).index(str(question.goal)), 3, yes, error)
+        team.elapse()
+        seen = team.person("ann")
+        action = seen.applicable[rng.integers(len(seen.applicable))]
+        steps.append((seen.state, None, action))
+        team.observe("ann", action, heard=False)
+    expected = by_enumeration(goals, pomdp, steps, seen_going_on=False)
+    expected = (expected.reshape(3, -1) * share[:, None]).reshape(expected.shape)
+    assert told > 0
+    np.testing.assert_allclose(team.person("ann").belief, expected / expected.sum(), rtol=0, atol=1e-12)
 
 
 def test_who_has_said_what_their_goal_is_finishes_for_certain() -> None:
