@@ -241,7 +241,7 @@ def follows_one_suggestion_and_ignores_another(clicked: Seat) -> None:
     page.wait_for_selector("#why li")
     why = page.inner_text("#why")
     assert re.search(r"^On average, this should save (about|less than) [\d.]+; the hint costs", why, re.M)
-    assert "The robot takes you for a person who" in why
+    assert "I assume that you" in why
     options = page.locator("#against option").all_inner_texts()
     assert options[0] == "Choose an action"
     assert told not in options

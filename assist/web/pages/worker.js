@@ -146,7 +146,7 @@ function reply(answer) {
 
 const lines = (texts) => texts.map((words) => {
   const line = document.createElement("li");
-  line.textContent = words;
+  line.textContent = words.replaceAll(" %", "\u00a0%");
   return line;
 });
 
