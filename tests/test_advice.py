@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.learning.advice_fit import fit_model, fold_of, held_out, mean_and_error
+from assist.learning.advice_fit import fit_model, fold_of, held_out, local_maximum, mean_and_error
 from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
 from assist.learning.advice_rules import RULES, moved_by
@@ -122,6 +123,16 @@ def test_parameters_of_simulated_people_are_found() -> None:
     assert fitted["mu"] == pytest.approx(0.5, abs=0.4)
     assert fitted["sigma"] == pytest.approx(1.5, rel=0.25)
     assert fitted["b1"] == pytest.approx(1.5, abs=0.5)
+
+
+def test_a_fit_of_clipped_steps_is_the_best_of_many_local_maxima() -> None:
+    log, rng, others = simulated(20, 20, 3), np.random.default_rng(1), []
+    model = AdviceModel.of("E", "eq7 eta=.2, unit steps")
+    for _ in range(8):
+        start = replace(model, values=(rng.normal(0.5, 1.5), rng.uniform(0.5, 4), *model.values[2:]))
+        others.append(local_maximum(start, log).log_likelihood(log))
+    assert max(others) - min(others) > 1
+    assert fit_model(model, log).log_likelihood(log) > max(others) - 0.01
 
 
 def test_the_right_rule_predicts_people_better_whom_it_has_not_seen() -> None:

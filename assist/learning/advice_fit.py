@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,57 +24,92 @@ from .trust_scores import TrustComparison
 POSITIVE = {"sigma", "slope", "n0", "w", "ws", "wf"}
 UNIT = {"gam", "r0"}
 
+POINTS, LOCAL = 100, 5
+"""Random points, and searches from the most likely ones, where a likelihood has many local maxima."""
+
+WIDTHS = {"mu": 1.0, "sigma": 0.5}
+"""Standard deviations of the random points; of other parameters, half of the value at which fits begin."""
+
 
 def fit_model(start: AdviceModel, log: AdviceLog) -> AdviceModel:
     """Return the model of largest marginal likelihood, found from the values of `start`.
 
     Where these are the values of `of`, smaller steps are a second start. Where theta moves by steps and is clipped,
-    the likelihood has several local maxima, so that the fit has more starts.
+    the likelihood has many local maxima (`advice_model.NODES`). The fit is then the best of several local maxima, found
+    from the most likely of some random points.
     """
-    names = (*BASES[start.base], *start.rule.parameters)
-    free = [name != "sigma" or not start.rule.shared for name in names]
+    surface = _Likelihood(start, log)
+    initial = AdviceModel.of(start.base, start.rule.name).values
+    common, rest = initial[: len(BASES[start.base])], initial[len(BASES[start.base]) :]
+    starts = [surface.point(start.values)]
+    if start.rule.kind == STEPS and rest and (start.values == initial or surface.kinks):
+        starts.append(surface.point((*common, *(0.3 * value for value in rest))))
+    if surface.kinks:
+        starts.append(surface.point(initial))
+    found = sorted((_scoring(surface.people, one) for one in starts), key=surface.loss)
+    if not surface.kinks:
+        return surface.model(found[0])
+    width = np.array([WIDTHS.get(name, 0.5 * abs(value)) for name, value in zip(surface.names, initial, strict=True)])
+    drawn = found[0] + np.random.default_rng(0).normal(size=(POINTS, len(found[0]))) * width[surface.free]
+    best = [found[0], *sorted([*found[1:], *drawn], key=surface.loss)[: LOCAL - 1]]
+    return surface.model(min((_local_maximum(surface, one) for one in best), key=surface.loss))
 
-    def inner(values: Sequence[float]) -> Floats:
-        return np.array([_to(name, value) for name, value in zip(names, values, strict=True)])[free]
 
-    def model(point: Floats) -> AdviceModel:
-        found = iter(point.tolist())
+def local_maximum(start: AdviceModel, log: AdviceLog) -> AdviceModel:
+    """Return a local maximum of the marginal likelihood that a search without derivatives finds from `start`."""
+    surface = _Likelihood(start, log)
+    return surface.model(_local_maximum(surface, surface.point(start.values)))
+
+
+@dataclass(frozen=True)
+class _Likelihood:
+    """The marginal likelihood of a log as a function of a model's free parameters, on a scale without limits."""
+
+    start: AdviceModel
+    log: AdviceLog
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*BASES[self.start.base], *self.start.rule.parameters)
+
+    @property
+    def free(self) -> list[bool]:
+        return [name != "sigma" or not self.start.rule.shared for name in self.names]
+
+    @property
+    def kinks(self) -> bool:
+        """Whether theta moves by steps and is clipped: derivatives mislead there."""
+        rule = self.start.rule
+        return rule.kind == STEPS and not rule.logit and any(rule.coefficients(*rule.start))
+
+    def point(self, values: Sequence[float]) -> Floats:
+        return np.array([_to(name, value) for name, value in zip(self.names, values, strict=True)])[self.free]
+
+    def model(self, point: Floats) -> AdviceModel:
+        moved = iter(point.tolist())
         return replace(
-            start,
+            self.start,
             values=tuple(
-                _from(name, next(found)) if one else value
-                for name, one, value in zip(names, free, start.values, strict=True)
+                _from(name, next(moved)) if one else value
+                for name, one, value in zip(self.names, self.free, self.start.values, strict=True)
             ),
         )
 
-    def people(point: Floats) -> Floats:
+    def people(self, point: Floats) -> Floats:
         with np.errstate(over="ignore"):
-            values = model(point).log_likelihoods(log)
+            values = self.model(point).log_likelihoods(self.log)
         return values if np.isfinite(values).all() else np.full(len(values), -1e6)
 
-    def loss(point: Floats) -> float:
-        return -float(people(point).sum())
+    def loss(self, point: Floats) -> float:
+        return -float(self.people(point).sum())
 
-    initial = AdviceModel.of(start.base, start.rule.name).values
-    common, rest = initial[: len(BASES[start.base])], initial[len(BASES[start.base]) :]
-    cold, starts = start.values == initial, [inner(start.values)]
-    kinks = start.rule.kind == STEPS and not start.rule.logit and any(start.rule.coefficients(*rest))  # of the clips
-    if start.rule.kind == STEPS and rest and (cold or kinks):
-        starts.append(inner((*common, *(0.3 * value for value in rest))))
-    if kinks:
-        starts += [inner(initial), inner((0.0, 2.0, *initial[2:]))]
-    found = sorted((_scoring(people, one) for one in starts), key=loss)
-    best = found[0]
-    if kinks:  # derivatives mislead at the clips
-        refined = [
-            minimize(
-                loss, one, method="Nelder-Mead",
-                options={"maxiter": 200 * len(one), "xatol": 1e-3, "fatol": 1e-3, "adaptive": True},
-            ).x
-            for one in found[:3]
-        ]  # fmt: skip
-        best = min(refined, key=loss)
-    return model(best)
+
+def _local_maximum(surface: _Likelihood, point: Floats) -> Floats:
+    found = minimize(
+        surface.loss, point, method="Nelder-Mead",
+        options={"maxiter": 200 * len(point), "xatol": 1e-3, "fatol": 1e-3, "adaptive": True},
+    )  # fmt: skip
+    return np.asarray(found.x)
 
 
 def _scoring(people: Callable[[Floats], Floats], point: Floats, enough: float = 1e-3) -> Floats:

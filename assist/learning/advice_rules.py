@@ -122,7 +122,7 @@ def _rules() -> dict[str, Rule]:
         Rule("beta counts", COUNTS, False, ("n0", "w"), (20.0, 1.0), lambda n, w: (n, w, w, 1, 0, 0, 0, 0)),
         Rule(
             "beta counts, good/bad weights, forgetting", COUNTS, False, ("n0", "ws", "wf", "gam"),
-            (20.0, 1.0, 2.0, 0.9), lambda n, s, f, gam: (n, s, f, gam, 0, 0, 0, 0),
+            (20.0, 1.0, 1.0, 0.9), lambda n, s, f, gam: (n, s, f, gam, 0, 0, 0, 0),
         ),
         Rule(
             "beta counts at disagreement", COUNTS, False, ("n0", "w"), (20.0, 1.0),
@@ -130,7 +130,7 @@ def _rules() -> dict[str, Rule]:
         ),
         Rule(
             "beta counts at disagreement, good/bad weights, forgetting", COUNTS, False, ("n0", "ws", "wf", "gam"),
-            (20.0, 1.0, 2.0, 0.9), lambda n, s, f, gam: (n, s, f, gam, 1, 0, 0, 0),
+            (20.0, 1.0, 1.0, 0.9), lambda n, s, f, gam: (n, s, f, gam, 1, 0, 0, 0),
         ),
         Rule(
             "beta counts of own agreement", COUNTS, False, ("n0", "ws", "wf"), (20.0, 1.0, 0.5),
