@@ -240,7 +240,7 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
     tables["corridor"] = sweep(graph_task(drawn["corridor"], start=8))
 
     def found(name: str, **options: int) -> tuple[int, int, float]:
-        survey = truncated_task._Survey.of(tables[name], Choices.of(tables[name]), **options)
+        survey = truncated_task._Survey.of(tables[name], tables[name].h, **options)
         return survey.highest, survey.actions, survey.rise
 
     for block in (1, 2, 5, 1_000_000):
@@ -253,7 +253,7 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
     assert found("ladder") == (6, 12, 6.0)
     assert found("dead ends") == (6, 15, np.inf)
     asked = OnDemand(tables["corridor"].task)
-    part = truncated_task._Survey.of(asked, TruncatedTask.of(tables["corridor"], start=4, states=2).choices)
+    part = truncated_task._Survey.of(asked, TruncatedTask.of(tables["corridor"], start=4, states=2).choices.h)
     assert (part.highest, part.actions, part.rise) == (12, 8, np.inf)
 
 

@@ -215,7 +215,7 @@ def test_the_command_for_one_person(tmp_path: Path) -> None:
     assert Solution.load(file).lower == found["lower"]
     for more, said in {
         ("--execute",): "execute: expected people whose goal is known, and there are 3 goals",
-        ("--region-states", "20"): "--goals: expected a task of at most 20 states (--region-states)",
+        ("--region-states", "20", "--sigma", "1"): "--sigma: expected a task of at most 20 states (--region-states)",
     }.items():
         result = invoke(*given, *more)
         assert (result.exit_code, said in result.stderr) == (2, True)

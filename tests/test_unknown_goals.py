@@ -391,7 +391,7 @@ def test_too_many_goals_for_the_memory_are_refused() -> None:
     solved: Any = Pool.sample(goals, 1, seed=1).policies[0].prepare()
     limit = (solved.q_mdp.nbytes + solved.value_mdp.nbytes) / 1e6
     with pytest.raises(LimitError, match="policies for one person on a task of 836 states and 3 goals take about"):
-        Pool.sample(goals, 1, seed=1, memory_limit_mb=limit)
+        Pool.sample(goals, 1, seed=1, memory_limit_mb=limit, setting=Setting(c_ask=0.1))
 
 
 @pytest.mark.parametrize("error", [0.0, 0.2])

@@ -157,7 +157,7 @@ def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> Non
         gained = (returns["whole", policy] - returns["whole", "none"]).mean()
         assert (returns["part", policy] - returns["whole", "none"]).mean() > 0.8 * gained > 0
     (ground,) = {policy.ground for policy in part.policies}  # type: ignore[attr-defined]
-    assert all(len(policy.region.frontier) > 0 for policy in part.policies)  # type: ignore[attr-defined]
+    assert all(len(policy.regions[0].frontier) > 0 for policy in part.policies)  # type: ignore[attr-defined]
     assert len(ground.visited) < len(fixed)
 
 

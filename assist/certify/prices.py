@@ -156,15 +156,14 @@ def kinds_of(
         room = memory_limit_mb / len(members)
         # The outer relaxations of all kinds are kept in memory, if they are included. An upper bound on a truncated
         # problem is one on that of the whole task (`large_tasks.truncated_bound`).
-        beyond: TruncatedProblem | None = pool.policies[model].bounded(
+        beyond: list[tuple[float, TruncatedProblem]] | None = pool.policies[model].bounded(
             entry, with_outer=with_outer, until=share, memory_limit_mb=room if with_outer else memory_limit_mb,
             kept_mb=room,
         )  # fmt: skip
-        if beyond:
-            parts.append((1.0, beyond, key))
-        else:
+        if beyond is None:
             goals = of_each_goal(pool.policies[model].pomdp)
-            parts += [(chance, TruncatedProblem(problem), key) for chance, problem in goals]
+            beyond = [(chance, TruncatedProblem(problem)) for chance, problem in goals]
+        parts += [(chance, problem, key) for chance, problem in beyond]
     require_room([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)
     kinds = []
     for chance, one, key in parts:

@@ -57,6 +57,7 @@ def simulate(
     from ..plots.episode import episode_figure
     from ..simulation.episode import plain_summary
     from ..simulation.illustration import Illustration
+    from ..simulation.pool import MAX_ENUMERATED
     from ..simulation.simulate import simulate as run
     from ..team.setting_table import plain_setting
     from .output.episode_summaries import show_summaries
@@ -78,7 +79,10 @@ def simulate(
             raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(style.FORMATS)}")
     with policy_errors():
         policies, results = policies_of(names), []
-        goals = several_goals(instance, problems, goal_prior, domain=team["domain"], max_states=team["max_states"])
+        goals = several_goals(
+            instance, problems, goal_prior, domain=team["domain"], max_states=team["max_states"],
+            asked=None if ask is None else MAX_ENUMERATED,
+        )  # fmt: skip
         made = team_of(instance, size=size, goals=goals, **team)
         options = {"humans": team["humans"], "seed": team["seed"], "travel": made.travel, "goals": goal_knowledge}
         steps: list[Any] = []

@@ -17,6 +17,7 @@ from planner.system.arrays import outline, read_only
 from planner.system.progress import Progress
 
 from ..people.decision import Floats
+from ..people.goals import first_of
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import initial_upper_bounds, value_iteration
 from .truncated_task import TruncatedTask, never_erring
@@ -89,7 +90,7 @@ class LeafEstimates:
         progress : callable, optional
             Receives progress reports, as in `qmdp`.
         """
-        choices, costs = region.choices, np.array(region.known.task.costs, dtype=np.float64)
+        choices, costs = region.choices, np.array(first_of(region.known).task.costs, dtype=np.float64)
         rows = np.arange(len(choices))[None] if rows is None else rows
         inside = np.ones(len(choices), dtype=bool)
         inside[region.frontier] = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from planner.system.arrays import outline
 
 from ..people.arguments import whole
 from ..people.decision import perceived_cost
-from ..people.goals import Goals, first_of
+from ..people.goals import Goals, each_of, first_of
 from ..people.human import HumanModel, Population
 from ..people.memory import choices_of
 from ..people.misconception import perceived_cost_to_go
@@ -30,20 +30,35 @@ A solver keeps vectors and beliefs for each state, so that its time and memory l
 """
 
 
-def is_whole(known: CostToGo, states: int | None = None) -> TypeGuard[Table]:
+def rows_within(states: int) -> int:
+    """Return how many pairs of a goal and a state are enumerated if so many states are."""
+    return 10 * states
+
+
+@overload
+def is_whole(known: CostToGo, states: int | None = None) -> TypeGuard[Table]: ...
+
+
+@overload
+def is_whole(known: CostToGo | Goals, states: int | None = None) -> TypeGuard[Table | Goals]: ...
+
+
+def is_whole(known: CostToGo | Goals, states: int | None = None) -> TypeGuard[Table | Goals]:
     """Return whether a person's problem enumerates the whole task, or is restricted to a `TruncatedTask`.
 
     It enumerates the task if every cost-to-go is known and the number of states is small enough. Then the problem has
     no frontier, and its value is that of the task. Misconceptions and executed actions may lead to any state. A task
-    whose states are solved on demand is always truncated, because its number of states is unknown.
+    whose states are solved on demand is always truncated, because its number of states is unknown. With several goals,
+    there may be ten times as many pairs of a goal and a state as there may be states.
 
     Parameters
     ----------
-    known : CostToGo
+    known : CostToGo or Goals
     states : int, optional
         Largest number of states to enumerate; `WHOLE` by default.
     """
-    return isinstance(known, Table) and len(known) <= (WHOLE if states is None else states)
+    first, most = first_of(known), WHOLE if states is None else states
+    return isinstance(first, Table) and len(first) <= most and len(known) <= rows_within(most)
 
 
 @dataclass(frozen=True)
@@ -95,10 +110,9 @@ class PersonProblem:
         Parameters
         ----------
         known : CostToGo or Goals
-            With several goals, all states of the task are enumerated.
         states : int, optional
-            Largest number of states; by default 20,000 for a table, and 200 if states are solved on demand. An
-            on-demand query takes up to seconds.
+            Largest number of states; by default 20,000 for a table, divided by the number of goals if the task is
+            truncated, and 200 if states are solved on demand. An on-demand query takes up to seconds.
         trust : str or TrustRule, optional
             As in `Setting`.
         start : int, optional
@@ -116,7 +130,7 @@ class PersonProblem:
         ------
         ValueError
             A parameter is out of its range, or a truncated task is combined with a misconception, executed actions,
-            terms or a choice model. Several goals are combined with executed actions or terms, or have too many states.
+            terms or a choice model. Several goals are combined with executed actions or terms.
         """
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
@@ -126,9 +140,7 @@ class PersonProblem:
             "trust": trust_rule(trust, eta, utility_scale),
         }  # fmt: skip
         person: dict[str, Any] = {"eta": eta, "lapse": lapse, "utility_scale": utility_scale}
-        if isinstance(known, Goals) and not is_whole(first_of(known), states):
-            raise ValueError(f"several goals: expected a task of at most {states or WHOLE:,} states")
-        if isinstance(known, Goals) or is_whole(known, states):
+        if is_whole(known, states):
             model = _model(known, population or Population(), sigma, seed, **person)
             pomdp = AssistPOMDP.of(
                 model, chooses=(population or Population()).typical, population=population, execute=execute,
@@ -136,12 +148,13 @@ class PersonProblem:
             )  # fmt: skip
             return cls(known, pomdp, model.choices.of_task(np.arange(model.choices.task_states))[: pomdp.task_states])
         if states is None:
-            states = 200 if known.searches else WHOLE
+            states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
         _require_plain(states, sigma, execute, population)
         region = TruncatedTask.of(
             known, start=start, states=states, population=population, time_limit=time_limit, progress=progress
         )
-        return cls(known, region.problem(population=population, **person, **robot), region.states)
+        problem = region.problem(population=population, **person, **robot)
+        return cls(known, problem, region.states[: problem.task_states])
 
 
 def _model(

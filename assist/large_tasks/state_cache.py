@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Transitions, optimal_choices
+from planner import CostToGo, Transitions
 
 from ..people.choices import WAIT, Choices
+from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, optimal_for_each
 from ..people.state_keys import keys_of
 from .truncated_task import TruncatedTask
 
@@ -30,20 +31,21 @@ class StateCache:
 
     Parameters
     ----------
-    known : CostToGo
-        Cost-to-go of the task: a table or on-demand queries.
+    known : CostToGo or Goals
+        Cost-to-go of the task, as a table or by on-demand queries, or of each of G goals; G is 1 if the goal is known.
     """
 
-    def __init__(self, known: CostToGo) -> None:
-        self.known = known
-        self._prices = np.append(np.asarray(known.task.costs, dtype=np.float64), 1.0)  # a wait costs 1
+    def __init__(self, known: CostToGo | Goals) -> None:
+        self.known, self._first_goal = known, first_of(known)
+        self._prices = np.append(np.asarray(self._first_goal.task.costs, dtype=np.float64), 1.0)  # a wait costs 1
         self._row: dict[int, int] = {}
         self._states = _Rows(np.int64)
-        self._h, self._goal = _Rows(np.float64), _Rows(np.bool_)
+        goals = len(each_of(known))
+        self._h, self._goal = _Rows(np.float64, goals), _Rows(np.bool_, goals)
         self._key = _Rows(np.uint64)
         # Offset of each state's choices in the lists of choices, and their number; -1: not expanded.
         self._first, self._count = _Rows(np.int64), _Rows(np.int64)
-        self._actions, self._targets, self._optimal = _Rows(np.int64), _Rows(np.int64), _Rows(np.bool_)
+        self._actions, self._targets, self._optimal = _Rows(np.int64), _Rows(np.int64), _Rows(np.bool_, goals)
         self._lock = threading.RLock()
 
     def __len__(self) -> int:
@@ -57,7 +59,8 @@ class StateCache:
         Parameters
         ----------
         states : int array, shape (N,)
-            Numbers of states in `known`. They are the first rows, in this order, and a state may occur twice.
+            Numbers of states in `known`. They are the first rows of each goal, in this order, and a state may occur
+            twice.
         then : int array, shape (M,)
             Successor states that are expanded as well, so that they are not on the frontier.
         ahead : bool
@@ -70,7 +73,8 @@ class StateCache:
             advised = [self._add(then)]
             if ahead:
                 _, at = self._choices(here)
-                advised.append(self._targets[at][self._optimal[at]] if advice_is_optimal else self._targets[at])
+                offered = self._optimal[at].any(axis=1) if advice_is_optimal else slice(None)
+                advised.append(self._targets[at][offered])
             after = self._expand(np.unique(np.concatenate(advised)))
             return self._region(here, after)
 
@@ -81,12 +85,12 @@ class StateCache:
         unknown_states = [number for number in numbers if number not in self._row]
         if unknown_states:
             new = np.array(unknown_states, dtype=np.int64)
-            h = self.known.lookup(new)  # a query may fail; nothing has been stored yet
+            h = costs_to_go(self.known, new)  # a query may fail; nothing has been stored yet
             self._row |= zip(unknown_states, range(len(self), len(self) + len(unknown_states)), strict=True)
             self._states.add(new)
             self._h.add(h)
-            self._goal.add(self.known.is_goal(new))
-            self._key.add(keys_of(self.known, new))
+            self._goal.add(goals_reached(self.known, new))
+            self._key.add(keys_of(self._first_goal, new))
             self._first.add(np.zeros(len(new), dtype=np.int64))
             self._count.add(np.full(len(new), -1))
         rows = np.array([self._row[number] for number in numbers], dtype=np.int64)
@@ -97,11 +101,11 @@ class StateCache:
         unknown = np.unique(rows[self._count[rows] < 0])
         if len(unknown):
             states = self._states[unknown]
-            found = self.known.choices(states)
+            found = self._first_goal.choices(states)
             targets = np.asarray(found.targets, dtype=np.int64)
             found = Transitions(np.asarray(found.offsets, dtype=np.int64), found.actions, targets)
             to = self._add(targets)
-            optimal = optimal_choices(self.known, states, found)
+            optimal = optimal_for_each(self.known, states, found)
             self._first[unknown] = len(self._actions) + found.offsets[:-1]
             self._count[unknown] = np.diff(found.offsets)
             self._actions.add(np.asarray(found.actions, dtype=np.int64))
@@ -132,30 +136,34 @@ class StateCache:
         counts = self._count[expanded]
         shape = (len(rows), max(1, int(counts.max(initial=0))))
         slot = np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner]
-        goal = self._goal[rows]
-        applicable, optimal = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+        goal, h, optimal = self._goal[rows], self._h[rows], self._optimal[at]
+        applicable = np.zeros(shape, dtype=bool)
         actions, costs = np.full(shape, WAIT, dtype=np.int64), np.zeros(shape)
         follows = np.repeat(np.arange(len(rows))[:, None], shape[1], axis=1)
         applicable[owner, slot] = True
         actions[owner, slot] = self._actions[at]
         follows[owner, slot] = to
         costs[owner, slot] = self._prices[self._actions[at]]
-        optimal[owner, slot] = self._optimal[at]
-        without_choices = np.flatnonzero((counts == 0) & ~goal[: len(expanded)])
-        applicable[without_choices, 0], costs[without_choices, 0] = True, self._prices[WAIT]
-        choices = Choices(
-            self._h[rows], goal, applicable, actions, follows, costs, optimal, self.known.task.actions,
-            key=self._key[rows],
-        )  # fmt: skip
-        frontier = np.arange(len(expanded), len(rows))
-        return TruncatedTask(self.known, choices, self._states[rows], frontier[~goal[frontier]])
+        key, frontier = self._key[rows], np.arange(len(expanded), len(rows))
+
+        def of_goal(number: int) -> Choices:
+            reached, advised = goal[:, number], np.zeros(shape, dtype=bool)
+            advised[owner, slot] = optimal[:, number]
+            stuck = np.flatnonzero((counts == 0) & ~reached[: len(expanded)])
+            waits, price = applicable.copy(), costs.copy()
+            waits[stuck, 0], price[stuck, 0] = True, self._prices[WAIT]
+            names = self._first_goal.task.actions
+            return Choices(h[:, number], reached, waits, actions, follows, price, advised, names, key=key)
+
+        each = [of_goal(number) for number in range(goal.shape[1])]
+        return TruncatedTask.joined(self.known, each, self._states[rows], frontier)
 
 
 class _Rows:
-    """An array that grows at its end."""
+    """An array that grows at its end; `shape` is that of an entry."""
 
-    def __init__(self, kind: Any) -> None:
-        self._array = np.empty(1024, dtype=kind)
+    def __init__(self, kind: Any, *shape: int) -> None:
+        self._array = np.empty((1024, *shape), dtype=kind)
         self._size = 0
 
     def __len__(self) -> int:
@@ -171,7 +179,8 @@ class _Rows:
         """Append values."""
         end = self._size + len(values)
         if end > len(self._array):
-            longer = np.empty(max(end, 2 * len(self._array)), dtype=self._array.dtype)
+            shape = (max(end, 2 * len(self._array)), *self._array.shape[1:])
+            longer = np.empty(shape, dtype=self._array.dtype)
             longer[: self._size] = self._array[: self._size]
             self._array = longer
         self._array[self._size : end] = values

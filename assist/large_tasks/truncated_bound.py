@@ -21,6 +21,8 @@ Assumptions.
    that state: their costs, their perceived costs, and the h*, goal flags and keys of their successors. A model that
    looks further may give other numbers on a truncated task, and no bound holds for it.
 3. The robot executes no action (`AssistPOMDP.of` refuses this for a problem with a frontier).
+4. The robot knows the goal. If there are several, it may still suggest what is optimal for another one
+   (`Choices.offered`), and the compliance relaxation allows all suggestions.
 
 Claim. All frontier values computed here are at least W. Hence an upper bound on the inner problem, which ends at its
 frontier with these values, is an upper bound on the whole task.
@@ -67,6 +69,7 @@ from planner import CostToGo, LimitError, Table
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, value
 from ..people.decision import Floats
+from ..people.goals import Goals
 from ..people.human import Human, Population
 from ..people.mixture import Mixture
 from ..person.leaf_bounds import LeafBounds
@@ -219,6 +222,7 @@ def bounded(
     until: float = math.inf,
     memory_limit_mb: float = math.inf,
     kept_mb: float = math.inf,
+    among: Goals | None = None,
 ) -> TruncatedProblem:
     """Return a person's problem on an inner truncated task, with upper bounds of the whole task at its frontier.
 
@@ -244,6 +248,8 @@ def bounded(
         Memory during the computation, in MB.
     kept_mb : float
         Memory of the result, in MB.
+    among : Goals, optional
+        The goals of which `known` is one, if the robot may suggest what is optimal for any of them.
 
     Raises
     ------
@@ -251,7 +257,7 @@ def bounded(
         The computation would exceed the memory limit.
     """
     in_time = 200 * (until - time.perf_counter())  # pairs: the solver's time grows with their number
-    person = _Person(known, setting, human, prior, until, memory_limit_mb)
+    person = _Person(known, setting, human, prior, until, memory_limit_mb, among)
     inner, problem, hidden = person.inner(size, kept_mb)
     left = (until - time.perf_counter()) / 2  # for the expansion of the outer task; the rest is for its values
     seen = 0 if known.searches else SIZES.seen
@@ -280,11 +286,12 @@ class _Person:
     prior: Population | Mixture
     until: float
     memory_limit_mb: float
+    among: Goals | None = None
 
     def task(self, states: int, time_limit: float | None = None) -> TruncatedTask:
         """Return the truncated task of the likeliest states."""
         return TruncatedTask.of(
-            self.known, states=states, population=self.prior, human=self.human, time_limit=time_limit
+            self.known, states=states, population=self.prior, human=self.human, among=self.among, time_limit=time_limit
         )
 
     def inner(self, size: int, kept_mb: float) -> tuple[TruncatedTask, AssistPOMDP, int]:
@@ -338,7 +345,8 @@ class _Person:
         expected = -region.choices.h[region.frontier]
         if self.human is not None or hasattr(self.chooses, "value"):  # otherwise V(x) is minus the cost-to-go
             choices = region.choices
-            advised = choices.optimal if self.setting.suggestions == "optimal" else choices.applicable
+            best = choices.optimal if choices.offered is None else choices.offered
+            advised = best if self.setting.suggestions == "optimal" else choices.applicable
             at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
             expected[at] = self.expected(region.states[region.frontier[at]])
         return self.problem(region, replace(beyond, value=expected))
@@ -386,9 +394,10 @@ class _Person:
         in_time = 20_000 * share * max(0.0, left)
         bytes_of_a_state = 600  # values and transitions, roughly
         most = int(min(SIZES.complying, self.memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
+        best_only = setting.suggestions == "optimal" and self.among is None
         found = compliance_bounds(
             known, human, Grid.regular(self.prior).beta, breadth_first(known, region.states, most), gamma=setting.gamma,
-            c_suggest=best_robots(setting).c_suggest, lapse=setting.lapse, optimal=setting.suggestions == "optimal",
+            c_suggest=best_robots(setting).c_suggest, lapse=setting.lapse, optimal=best_only,
             deadline=until if until == math.inf else until - (1 - share) * left,
         )  # fmt: skip
         return found.at(region.states)

@@ -9,14 +9,20 @@ suggests optimal actions where the person would err, in the whole task, and it k
 The next step of people in some states is a problem of its own (`LocalProblem`), whose frontier follows after one step.
 Its arrays have a row for each of these states and their successors. Team policies receive the people's states in this
 problem.
+
+If people pursue one of several goals, values are computed for one goal after another, each on a truncated task of its
+own: QMDP counts the goal as known from the next step on. So the memory for the computation is that of one goal, and a
+policy keeps the values of each. The local problem is that of all goals, with a row for each goal and state.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +32,7 @@ from planner.system.progress import told
 
 from ..people.belief import Grid
 from ..people.decision import NOTHING, Floats
+from ..people.goals import Goals, each_of, first_of
 from ..people.human import Human, Population
 from ..people.mixture import Mixture
 from ..people.trust_rules import counts_of
@@ -53,20 +60,26 @@ def lookup_kind(known: CostToGo) -> str:
     return "orbits" if known.method == "on-demand" and not known.searches else known.method
 
 
+def default_size(known: CostToGo | Goals, *, least: int = 1_000) -> int:
+    """Return the number of states of a truncated task for each goal: a share of `REGION`, but at least `least`."""
+    one = REGION[lookup_kind(first_of(known))]
+    return max(one // len(each_of(known)), min(one, least))
+
+
 class SharedTask:
     """The task of a pool of people, and the cache of its visited states.
 
     Parameters
     ----------
-    known : CostToGo
+    known : CostToGo or Goals
     prior : Population or Mixture
         The robot's prior of people.
     size : int, optional
-        Number of states of each person's truncated task; by default as in `REGION`.
+        Number of states of each person's truncated task, for each goal; by default `default_size`.
     """
 
-    def __init__(self, known: CostToGo, prior: Population | Mixture, size: int | None = None) -> None:
-        self.known, self.prior, self.size = known, prior, size or REGION[lookup_kind(known)]
+    def __init__(self, known: CostToGo | Goals, prior: Population | Mixture, size: int | None = None) -> None:
+        self.known, self.prior, self.size = known, prior, size or default_size(known)
         self.visited = StateCache(known)
 
 
@@ -83,7 +96,8 @@ class TruncatedPolicy(Policy):
     like : TruncatedPolicy or None
         Policy of another person, whose values are the start of value iteration; this saves time for many people.
     solved : dict
-        Cached estimates, by the parameters of the subproblem with a price of attention; the key is () without one.
+        Cached estimates for each goal, by the parameters of the subproblem with a price of attention; the key is ()
+        without one.
     bounds : dict
         Cached problems for bounds, by the cost of coming and by whether the outer relaxation is included.
     """
@@ -92,8 +106,8 @@ class TruncatedPolicy(Policy):
     setting: Setting
     human: Human | None = None
     like: TruncatedPolicy | None = None
-    solved: dict[tuple[float, ...], LeafEstimates] = field(default_factory=dict, repr=False)
-    bounds: dict[tuple[float, bool], TruncatedProblem] = field(default_factory=dict, repr=False)
+    solved: dict[tuple[float, ...], tuple[LeafEstimates, ...]] = field(default_factory=dict, repr=False)
+    bounds: dict[tuple[float, bool], list[tuple[float, TruncatedProblem]]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of_people(cls, ground: SharedTask, people: Sequence[Human], setting: Setting) -> list[Policy]:
@@ -105,8 +119,12 @@ class TruncatedPolicy(Policy):
 
     @property
     def task(self) -> CostToGo:
-        """The cost-to-go of the whole task."""
-        return self.ground.known
+        """The cost-to-go of the whole task, that of the first goal if there are several."""
+        return first_of(self.ground.known)
+
+    def task_of(self, goal: int) -> CostToGo:
+        """Return the cost-to-go of the whole task for one of the goals."""
+        return each_of(self.ground.known)[goal]
 
     @property
     def size(self) -> float:
@@ -135,27 +153,44 @@ class TruncatedPolicy(Policy):
         return self.local(np.array([self.task.initial]), deep=False).pomdp
 
     @cached_property
-    def region(self) -> TruncatedTask:
-        """The truncated task of the states that the person is most likely to visit."""
+    def regions(self) -> tuple[TruncatedTask, ...]:
+        """The truncated task of the states that the person is most likely to visit, for each goal."""
         ground = self.ground
-        return TruncatedTask.of(ground.known, states=ground.size, population=ground.prior, human=self.human)
+        options: dict[str, Any] = {"states": ground.size, "population": ground.prior, "human": self.human}
+        among = ground.known if isinstance(ground.known, Goals) else None
+        return tuple(TruncatedTask.of(known, among=among, **options) for known in each_of(ground.known))
 
     def problem(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
         beyond = region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
         return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=beyond)
 
-    def bounded(self, entry: float, *, with_outer: bool = False, **limits: float) -> TruncatedProblem:
-        """Return the problem for an upper bound, computed once; arguments as in `truncated_bound.bounded`."""
-        if (entry, True) in self.bounds:  # the problem with the outer relaxation includes everything
-            return self.bounds[entry, True]
-        if (entry, with_outer) not in self.bounds:
-            ground = self.ground
-            self.bounds[entry, with_outer] = bounded(
-                ground.known, self.setting, self.human, ground.prior, entry=entry, size=ground.size,
-                with_outer=with_outer, **limits,
-            )  # fmt: skip
-        return self.bounds[entry, with_outer]
+    def bounded(
+        self, entry: float, *, with_outer: bool = False, until: float = math.inf, kept_mb: float = math.inf, **more: Any
+    ) -> list[tuple[float, TruncatedProblem]]:
+        """Return each goal's probability and its problem for an upper bound, computed once.
+
+        The arguments are those of `truncated_bound.bounded`, for all goals together.
+        """
+        for key in (entry, True), (entry, with_outer):  # with the outer relaxation it includes everything
+            if key in self.bounds:
+                return self.bounds[key]
+        ground, found = self.ground, list[tuple[float, TruncatedProblem]]()
+        among = ground.known if isinstance(ground.known, Goals) else None
+        shares = list(among.prior.values()) if among else [1.0]
+        possible = [number for number, share in enumerate(shares) if share > 0]
+        for done, number in enumerate(possible):
+            left = len(possible) - done
+            found.append((
+                shares[number],
+                bounded(
+                    self.task_of(number), self.setting, self.human, ground.prior, entry=entry, size=ground.size,
+                    with_outer=with_outer, until=time.perf_counter() + (until - time.perf_counter()) / left,
+                    kept_mb=kept_mb / len(possible), among=among, **more,
+                ),
+            ))  # fmt: skip
+        self.bounds[entry, with_outer] = found
+        return found
 
     @cached_property
     def grid(self) -> Grid:
@@ -178,23 +213,28 @@ class TruncatedPolicy(Policy):
         region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
         return LocalProblem(self, self.problem(region), region, len(states), deep)
 
-    def prepare(self) -> LeafEstimates:
-        """Return value estimates for a robot that is always present. They are computed by the first call."""
+    def prepare(self) -> tuple[LeafEstimates, ...]:
+        """Return each goal's value estimates for a robot that is always present, computed by the first call."""
         if () not in self.solved:
             with told(None) as tell:
                 tell(SOLVING, 0, None)
-                region, like = self.region, None if self.like is None else self.like.prepare()
-                self.solved[()] = LeafEstimates.of(self.problem(region), region, like=like, progress=tell)
+                like = [None] * len(self.regions) if self.like is None else self.like.prepare()
+                self.solved[()] = tuple(
+                    LeafEstimates.of(self.problem(region), region, like=start, progress=tell)
+                    for region, start in zip(self.regions, like, strict=True)
+                )
         return self.solved[()]
 
-    def with_robot(self, robot: VisitingRobot) -> LeafEstimates:
-        """Return value estimates for a robot that comes and goes, for each position, computed by the first call."""
+    def with_robot(self, robot: VisitingRobot) -> tuple[LeafEstimates, ...]:
+        """Return each goal's value estimates for a robot that comes and goes, for each position; solved once."""
         if (key := _key(robot)) not in self.solved:
-            region = self.region
-            like = self.prepare() if self.like is None else self.like.with_robot(robot)
-            visits = _visits(self.problem(region), robot)
-            rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
-            self.solved[key] = LeafEstimates.of(visits.at_price(key[-1]), region, rows, like=like)
+            each = self.prepare() if self.like is None else self.like.with_robot(robot)
+            found = []
+            for region, like in zip(self.regions, each, strict=True):
+                visits = _visits(self.problem(region), robot)
+                rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
+                found.append(LeafEstimates.of(visits.at_price(key[-1]), region, rows, like=like))
+            self.solved[key] = tuple(found)
         return self.solved[key]
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
@@ -235,18 +275,22 @@ class LocalProblem(Policy):
 
     @cached_property
     def _policy(self) -> QMDP:
-        estimates = self.source.prepare()
-        value = estimates.at(self.region.states, self.region.choices.h)[:, 0]
-        return self._look_ahead(self.pomdp, value, np.arange(self.count))
+        here = self.pomdp.model.choices.of_goals(np.arange(self.count)).ravel()
+        return self._look_ahead(self.pomdp, self._values(self.source.prepare())[:, 0], here)
+
+    def _values(self, each: tuple[LeafEstimates, ...]) -> Floats:
+        """Return estimates of the value of all rows, shape (n, P, B, T), from those of each goal."""
+        states = self.states[: self.pomdp.task_states]
+        every = np.split(self.region.choices.h, len(each))
+        return np.concatenate([one.at(states, h) for one, h in zip(each, every, strict=True)])
 
     def with_robot(self, robot: VisitingRobot) -> SolvedSubproblem:
         """Return the solved problem of a robot that comes and goes, computed by the first call for this robot."""
         if (key := _key(robot)) not in self.solved:
-            estimates = self.source.with_robot(robot)
             visits = _visits(self.pomdp, robot)
             layout = visits.layout
-            value = estimates.at(self.region.states, self.region.choices.h)[layout.x, layout.position]
-            here = np.flatnonzero(layout.x < self.count)
+            value = self._values(self.source.with_robot(robot))[layout.x, layout.position]
+            here = np.flatnonzero(layout.x % self.pomdp.task_states < self.count)
             policy = self._look_ahead(visits.at_price(key[-1]), value, here)
             self.solved[key] = SolvedSubproblem.of(visits, policy)
         return self.solved[key]

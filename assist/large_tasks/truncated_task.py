@@ -11,25 +11,35 @@ bounds of a solver on the truncated task hold for the whole task:
   theta, and theta grows with every such suggestion. Otherwise the worst case is assumed (`_advised`).
 
 The robot knows h* and not people's misconceptions (`knowledge="exact"`).
+
+Several goals. The person pursues one of G goals, and the robot knows its probability only.
+
+Claim: at a frontier state, under a belief in goal, beta and theta, the mean of the goals' upper bounds is an upper
+bound on the value of every policy. The mean of their lower bounds is a lower bound on the optimal value.
+
+Proof: A robot that knows the goal can ignore it, so that no policy is better than its mean value. `never_erring`
+bounds that value for each goal. The lower bound of each goal is one for a robot that never acts again. That is the same
+policy for all goals, so that its value is the mean of its values for each.
 """
 
 from __future__ import annotations
 
 import heapq
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import CostToGo, Table, Transitions, optimal_choices
+from planner import CostToGo, Table, Transitions
 from planner.system.arrays import outline
 
 from ..people.arguments import check_costs
 from ..people.belief import Grid
-from ..people.choices import Choices
+from ..people.choices import WAIT, Choices
 from ..people.decision import Floats, choice
+from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, joined, optimal_for_each
 from ..people.human import Human, HumanModel, Population
 from ..people.misconception import Misconception
 from ..people.mixture import Mixture
@@ -48,17 +58,18 @@ class TruncatedTask:
 
     Attributes
     ----------
-    known : CostToGo
-        Cost-to-go of the task.
+    known : CostToGo or Goals
+        Cost-to-go of the task, or of each goal.
     choices : Choices
-        Choices in the states of the truncated task; frontier states have none.
+        Choices in the states of the truncated task; frontier states have none. With several goals, they have n rows:
+        one for each pair of a goal and a state (`people.goals`).
     states : int array, shape (n,)
-        Number of each state in `known`.
+        Number in `known` of the state of each row.
     frontier : int array, shape (m,)
-        Indices, in the truncated task, of the frontier states.
+        Rows of the frontier states, without those in which the row's goal is reached.
     """
 
-    known: CostToGo
+    known: CostToGo | Goals
     choices: Choices
     states: NDArray[np.int64]
     frontier: NDArray[np.int64]
@@ -68,23 +79,24 @@ class TruncatedTask:
     @classmethod
     def of(
         cls,
-        known: CostToGo,
+        known: CostToGo | Goals,
         *,
         start: int | None = None,
         states: int = 20_000,
         population: Population | Mixture | None = None,
         human: Human | None = None,
+        among: Goals | None = None,
         time_limit: float | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> TruncatedTask:
         """Collect the states that are most likely to be visited.
 
         The expansion is best-first by the probability of the best path, with choices averaged over beta. An optimal
-        choice counts with a weight of 0.9, since the robot may suggest it.
+        choice counts with a weight of 0.9, since the robot may suggest it. Probabilities of goals are their prior ones.
 
         Parameters
         ----------
-        known : CostToGo
+        known : CostToGo or Goals
         start : int, optional
             First state, by its number in `known`; by default the initial state.
         states : int
@@ -93,27 +105,44 @@ class TruncatedTask:
             Population of the person.
         human : Human, optional
             The person, if their misconceptions are known. The probabilities then follow these.
+        among : Goals, optional
+            The goals of which `known` is one, if the robot may suggest what is optimal for any of them.
         time_limit : float, optional
             Seconds after which the expansion stops.
         progress : callable, optional
             Called with the number of states that were expanded since the last call.
         """
-        start = known.initial if start is None else start
+        start = first_of(known).initial if start is None else start
         growth = _Growth(known, Grid.regular(population or Population()).beta, start, human)
-        begun = time.monotonic()
+        begun, batch = time.monotonic(), BATCH["on-demand" if first_of(known).searches else "sweep"]
         while growth.expanded < states and (time_limit is None or time.monotonic() - begun < time_limit):
-            done = growth.step(min(BATCH["on-demand" if known.searches else "sweep"], states - growth.expanded))
+            done = growth.step(min(batch, states - growth.expanded))
             if not done:
                 break
             if progress is not None:
                 progress(done)
-        return growth.region()
+        return growth.region(among)
+
+    @classmethod
+    def joined(
+        cls, known: CostToGo | Goals, each: Sequence[Choices], states: NDArray[np.int64], cut: NDArray[np.int64]
+    ) -> TruncatedTask:
+        """Return a truncated task with the choices of each goal in some states, shape (m,).
+
+        `cut` are the indices of states without known choices. They are the frontier, except where a goal is reached.
+        """
+        ends = [number * len(states) + cut[~one.goal[cut]] for number, one in enumerate(each)]
+        return cls(known, joined(known, each), np.tile(states, len(each)), np.concatenate(ends))
 
     def local(self, states: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the indices, shape (N,), of states that are numbered as in `known`; -1 outside the truncated task."""
-        order = np.argsort(self.states)
-        at = np.minimum(np.searchsorted(self.states, states, sorter=order), len(order) - 1)
-        return np.where(self.states[order[at]] == states, order[at], -1)
+        """Return the rows, shape (N,), of states that are numbered as in `known`; -1 outside the truncated task.
+
+        With several goals, they are rows of the first one.
+        """
+        own = self.states[: self.choices.task_states]
+        order = np.argsort(own)
+        at = np.minimum(np.searchsorted(own, states, sorter=order), len(order) - 1)
+        return np.where(own[order[at]] == states, order[at], -1)
 
     def problem(
         self,
@@ -144,7 +173,7 @@ class TruncatedTask:
         The upper bound is `never_erring`. The lower bound is for a robot that does nothing, with the largest cost in
         every step.
         """
-        costs = np.append(self.known.task.costs, 1)  # a wait costs 1
+        costs = np.append(first_of(self.known).task.costs, 1)  # a wait costs 1
         upper = never_erring(self.choices.h[self.frontier], costs, gamma)
         floor = -float(costs.max()) / (1 - gamma)
         return LeafBounds(self.frontier, np.full((len(upper), thetas), floor), upper, floor)
@@ -154,26 +183,31 @@ class TruncatedTask:
     ) -> LeafBounds:
         """Return bounds at the frontier for a person without misconceptions, or whose misconceptions are unknown.
 
-        The upper bound is `never_erring`. The lower bound is `_advised` for states from which a goal is reachable. In a
-        dead end the robot may never act again, and no step costs more than the most expensive choice. With an h* above
-        10,000 the lower bound is that of the worst case, because computing every level would take too long. The worst
-        case is also assumed for a trust rule that is neither equation 7 nor constant.
+        The upper bound is `never_erring`, for each goal that the person may pursue: a robot that knows the goal is
+        not worse. The lower bound is `_advised` for states from which a goal is reachable. If the goal is one of
+        several, the robot does nothing, as that policy does not depend on the goal. In a dead end the robot may never
+        act again, and no step costs more than the most expensive choice. With an h* above 10,000 the lower bound is
+        that of the worst case, because computing every level would take too long. The worst case is also assumed for a
+        trust rule that is neither equation 7 nor constant.
         """
-        costs = np.unique(np.append(self.known.task.costs, 1))  # a wait costs 1
-        dear = float(costs[-1])
-        h = self.choices.h[self.frontier]
+        costs = np.unique(np.append(first_of(self.known).task.costs, 1))  # a wait costs 1
+        dear, several = float(costs[-1]), self.choices.goal_count > 1
         anybody = self.bounds_of_anybody(gamma, len(grid.theta))
-        floor = -(dear + c_suggest) / (1 - gamma)
-        lower = np.full((len(h), len(grid.theta)), floor)
-        survey = _Survey.of(self.known, self.choices)
+        floor = -(dear + (0.0 if several else c_suggest)) / (1 - gamma)
         by_equation = trust is None or isinstance(trust, EquationSeven)
-        if trust == constant():
+        if trust == constant() or several:
             model, by_equation = replace(model, eta=0.0), True
-        if survey.highest <= 10_000 and by_equation:
-            levels = _advised(survey, costs, floor, grid, model, gamma, c_suggest)
-            reached = np.isfinite(h)
-            lower[reached] = levels[h[reached].astype(np.int64)]
-        lower[np.isinf(h)] = -dear / (1 - gamma)  # in a dead end the robot does nothing
+        lower = np.full((len(self.frontier), len(grid.theta)), floor)
+        every = np.split(self.choices.h, self.choices.goal_count)
+        goal = self.frontier // len(every[0])
+        for number, (known, own) in enumerate(zip(each_of(self.known), every, strict=True)):
+            survey, at = _Survey.of(known, own), np.flatnonzero(goal == number)
+            h = self.choices.h[self.frontier[at]]
+            if survey.highest <= 10_000 and by_equation:
+                levels = _advised(survey, costs, floor, grid, model, gamma, None if several else c_suggest)
+                reached = np.isfinite(h)
+                lower[at[reached]] = levels[h[reached].astype(np.int64)]
+            lower[at[np.isinf(h)]] = -dear / (1 - gamma)  # in a dead end the robot does nothing
         return LeafBounds(self.frontier, lower, anybody.upper, anybody.floor)
 
 
@@ -227,10 +261,13 @@ class _Survey:
     rise: float
 
     @classmethod
-    def of(cls, known: CostToGo, choices: Choices, *, rows_at_a_time: int = 1_000_000) -> _Survey:
-        """Scan all transitions of a table, in blocks to save memory; use safe values where that is too expensive."""
+    def of(cls, known: CostToGo, own: Floats, *, rows_at_a_time: int = 1_000_000) -> _Survey:
+        """Scan all transitions of a table, in blocks to save memory; use safe values where that is too expensive.
+
+        `own` is the cost-to-go of the truncated task's states.
+        """
         if not isinstance(known, Table):
-            return cls(int(choices.h[np.isfinite(choices.h)].max(initial=0)), len(known.task.actions), np.inf)
+            return cls(int(own[np.isfinite(own)].max(initial=0)), len(known.task.actions), np.inf)
         h = known.lookup(slice(None))
         finite = np.isfinite(h)
         highest = int(h[finite].max(initial=0))
@@ -250,9 +287,12 @@ class _Survey:
 
 def _advised(
     survey: _Survey, costs: NDArray[np.int64], floor: float, grid: Grid, model: HumanModel, gamma: float,
-    c_suggest: float,
+    c_suggest: float | None,
 ) -> Floats:  # fmt: skip
     """Return a lower bound on the value for each h* and theta, shape (highest + 1, T).
+
+    `c_suggest` is None for a robot that does nothing. Then step 1 has p in place of the probability of following, and
+    theta does not move.
 
     Assumptions: the person chooses by equation 5 with the exact cost-to-go; theta lies on the grid and follows equation
     7. The robot suggests an optimal choice in every step.
@@ -283,8 +323,9 @@ def _advised(
     if costs[0] > 0:
         value[0] = 0.0
     p = 1 / survey.actions
-    total = grid.theta * p + (1 - grid.theta) * (1 - p)
-    follows = (1 - model.lapse) * np.divide(grid.theta * p, total, out=np.full_like(total, p), where=total > 0)
+    theta = np.full_like(grid.theta, 0.5) if c_suggest is None else grid.theta  # at 0.5 a suggestion changes nothing
+    total = theta * p + (1 - theta) * (1 - p)
+    follows = (1 - model.lapse) * np.divide(theta * p, total, out=np.full_like(total, p), where=total > 0)
     low, weight = grid.shares(grid.theta + model.eta * costs[:, None] / model.utility_scale)
     for _ in range(200):
         before = value.copy()
@@ -299,7 +340,7 @@ def _advised(
                     wrong = (1 - up) * worst[at] + up * worst[at + 1]
                     outcomes.append(follows * (gamma * right - c) + (1 - follows) * (gamma * wrong - costs[-1]))
             if outcomes:
-                value[h] = np.maximum(value[h], np.min(outcomes, axis=0) - c_suggest)
+                value[h] = np.maximum(value[h], np.min(outcomes, axis=0) - (c_suggest or 0.0))
         if (value - before).max() < 1e-6:
             break
     return value
@@ -316,69 +357,78 @@ def perceived_of_states(human: Human, known: CostToGo, states: NDArray[np.int64]
 
 
 class _Growth:
-    """The best-first expansion of a truncated task."""
+    """The best-first expansion of a truncated task.
 
-    def __init__(self, known: CostToGo, betas: Floats, start: int, human: Human | None) -> None:
+    The probability of a path is a vector: that of the goal and of the person's choices, for each goal.
+    """
+
+    def __init__(self, known: CostToGo | Goals, betas: Floats, start: int, human: Human | None) -> None:
         self.known, self.betas, self.human = known, betas, human
-        self.cost = np.array(known.task.costs)
+        self.each, self.first = each_of(known), first_of(known)
+        self.cost = np.array(self.first.task.costs)
         self.number: dict[int, int] = {}
         self.states: list[int] = []
-        self.h: list[float] = []
-        self.goal: list[bool] = []
+        self.h: list[Floats] = []
+        self.goal: list[NDArray[np.bool_]] = []
         self.rows: list[tuple[NDArray[np.integer], NDArray[np.integer]] | None] = []
-        self.queue: list[tuple[float, int]] = []
+        self.queue: list[tuple[float, int, int]] = []  # the last number is that of the path
+        self.paths: list[Floats] = []
         self.expanded = 0
-        self._add(np.array([start]), np.array([1.0]))
+        shares = np.array(list(known.prior.values()) if isinstance(known, Goals) else [1.0])
+        self.possible = shares > 0
+        self._add(np.array([start]), shares[None])
 
     def _add(self, states: NDArray[np.int64], weights: Floats) -> NDArray[np.int64]:
-        """Add states to the truncated task and to the queue; return their indices."""
+        """Add states and paths to them, of probability `weights`, shape (N, G); return the states' indices."""
         new = np.array(list(dict.fromkeys(int(s) for s in states if int(s) not in self.number)), dtype=np.int64)
         if len(new):
-            for state, h, goal in zip(new.tolist(), self.known.lookup(new), self.known.is_goal(new), strict=True):
-                self.number[state] = len(self.states)
-                self.states.append(state)
-                self.h.append(float(h))
-                self.goal.append(bool(goal))
-                self.rows.append(None)
+            self.number |= zip(new.tolist(), range(len(self.states), len(self.states) + len(new)), strict=True)
+            self.states.extend(new.tolist())
+            self.h.extend(costs_to_go(self.known, new))
+            self.goal.extend(goals_reached(self.known, new))
+            self.rows.extend([None] * len(new))
         local = np.array([self.number[int(state)] for state in states], dtype=np.int64)
-        for at, weight in zip(local.tolist(), weights.tolist(), strict=True):
-            if self.rows[at] is None and not self.goal[at]:
-                heapq.heappush(self.queue, (-weight, at))
+        for at, weight in zip(local.tolist(), weights, strict=True):
+            if self.rows[at] is None and (self.possible & ~self.goal[at]).any():
+                going = weight * ~self.goal[at]
+                heapq.heappush(self.queue, (-float(going.sum()), at, len(self.paths)))
+                self.paths.append(going)
         return local
 
     def step(self, most: int) -> int:
         """Expand the most likely states, at most `most` of them; return their number."""
-        batch: dict[int, float] = {}
+        batch: dict[int, Floats] = {}
         while self.queue and len(batch) < most:
-            weight, at = heapq.heappop(self.queue)
+            _, at, path = heapq.heappop(self.queue)
             if self.rows[at] is None and at not in batch:
-                batch[at] = -weight
+                batch[at] = self.paths[path]
         if not batch:
             return 0
-        rows = self.known.choices(np.array([self.states[at] for at in batch]))
+        rows = self.first.choices(np.array([self.states[at] for at in batch]))
         targets = np.asarray(rows.targets, dtype=np.int64)
         actions, offsets = rows.actions, rows.offsets
         counts = np.diff(offsets)
         source = np.repeat(np.arange(len(batch)), counts)
         slot = np.arange(len(targets)) - offsets[source]
-        after = self.known.lookup(targets)
-        q = np.full((len(batch), int(counts.max(initial=1))), np.inf)
-        applicable = np.zeros(q.shape, dtype=bool)
-        q[source, slot] = self.cost[actions] + after
+        weight = np.array(list(batch.values()))[source]
+        applicable = np.zeros((len(batch), int(counts.max(initial=1))), dtype=bool)
         applicable[source, slot] = True
-        best = q == q.min(axis=1, keepdims=True)
-        if self.human is not None:
-            q[source, slot] = self.cost[actions] + perceived_of_states(self.human, self.known, targets, after)
-        alone = np.mean([choice(q, applicable, beta) for beta in self.betas], axis=0)
-        # An optimal choice is likely, since the robot may suggest it.
-        weight = np.array(list(batch.values()))[source] * np.where(best, 0.9, alone)[source, slot]
+        for number, (known, after) in enumerate(zip(self.each, costs_to_go(self.known, targets).T, strict=True)):
+            q = np.full(applicable.shape, np.inf)
+            q[source, slot] = self.cost[actions] + after
+            best = q == q.min(axis=1, keepdims=True)
+            if self.human is not None:
+                q[source, slot] = self.cost[actions] + perceived_of_states(self.human, known, targets, after)
+            alone = np.mean([choice(q, applicable, beta) for beta in self.betas], axis=0)
+            # An optimal choice is likely, since the robot may suggest it.
+            weight[:, number] *= np.where(best, 0.9, alone)[source, slot]
         local = self._add(targets, weight)
         for at, begin, end in zip(batch, offsets[:-1], offsets[1:], strict=True):
             self.rows[at] = actions[begin:end], local[begin:end]
         self.expanded += len(batch)
         return len(batch)
 
-    def region(self) -> TruncatedTask:
+    def region(self, among: Goals | None) -> TruncatedTask:
         """Return the truncated task of the expanded states."""
         none = np.empty(0, dtype=np.int64)
         expanded = np.array([row is not None for row in self.rows])
@@ -388,11 +438,21 @@ class _Growth:
             np.concatenate([none, *(row[part] for row in self.rows if row is not None)]) for part in range(2)
         )
         goal, h, states = np.array(self.goal), np.array(self.h), np.array(self.states)
-        rows = Transitions(offsets, actions, targets)
-        optimal = optimal_choices(self.known, states, Transitions(offsets, actions, states[targets]))
-        task = self.known.task
-        choices = Choices.arranged(
-            h, goal, rows, optimal, names=task.actions, prices=task.costs, known=expanded,
-            key=keys_of(self.known, states),
-        )  # fmt: skip
-        return TruncatedTask(self.known, choices, states, np.flatnonzero(~expanded & ~goal))
+        rows, there = Transitions(offsets, actions, targets), Transitions(offsets, actions, states[targets])
+        optimal, task = optimal_for_each(self.known, states, there), self.first.task
+        key = keys_of(self.first, states)
+        each = [
+            Choices.arranged(
+                h[:, number], goal[:, number], rows, optimal[:, number], names=task.actions, prices=task.costs,
+                known=expanded, key=key,
+            )
+            for number in range(len(self.each))
+        ]  # fmt: skip
+        found = TruncatedTask.joined(self.known, each, states, np.flatnonzero(~expanded))
+        if among is None:
+            return found
+        offered = np.zeros_like(found.choices.optimal)
+        offered[found.choices.applicable & (found.choices.actions != WAIT)] = optimal_for_each(
+            among, states, there
+        ).any(axis=1)
+        return replace(found, choices=replace(found.choices, offered=offered))

@@ -228,7 +228,8 @@ class DecisionPoint:
     def _known(self, place: int, robot: int) -> tuple[Choices | CostToGo, int]:
         """Return all choices of a person's task, and their state there, with the goal that a suggestion is for."""
         problem, part, _ = self._at(place)
-        return problem.policy.task, problem.place(part, self._row(place, robot)[0])
+        row = self._row(place, robot)[0]
+        return problem.policy.task_of(row // part.policy.pomdp.task_states), problem.place(part, row)
 
     def _row(self, place: int, robot: int) -> tuple[int, str | None, float]:
         """Return the row of the goal that a suggestion is for, with its name (None if it is known) and probability.

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from planner import CostToGo
 
 from ..drawing.picture import Artist
-from ..large_tasks.person_problem import WHOLE, is_whole
+from ..large_tasks.person_problem import WHOLE, is_whole, rows_within
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.action_names import Matcher, UnmatchedError, words_of
 from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
-from ..people.goals import Goals
+from ..people.goals import Goals, first_of
 from ..people.human import Population
 from ..people.memory import choices_of
 from ..people.mixture import Mixture
@@ -214,9 +214,7 @@ class LiveTask:
         return None if isinstance(task, Choices) else Artist(task.task)
 
 
-def require_usable(
-    task: CostToGo | Goals | Policy, setting: Setting, prior: Population | Mixture, *, most_rows: int = 200_000
-) -> None:
+def require_usable(task: CostToGo | Goals | Policy, setting: Setting, prior: Population | Mixture) -> None:
     """Check that people can work on a task, before anything is solved.
 
     Raises
@@ -227,35 +225,31 @@ def require_usable(
     if isinstance(task, Policy):
         if setting.observation is not None:
             task.require_enumerated("observation")
-    elif isinstance(task, Goals):
-        if prior.weights:
-            raise ValueError("people who remember what they did: expected one goal")
-        if len(task) > most_rows:
-            raise ValueError(
-                f"{len(task.tables)} goals: expected at most {most_rows:,} states of all goals together, "
-                f"and there are {len(task):,}"
-            )
+    elif isinstance(task, Goals) and prior.weights:
+        raise ValueError("people who remember what they did: expected one goal")
     elif not is_whole(task):
+        several = isinstance(task, Goals)
         for what, asked in (
             ("people who remember what they did", prior.weights), ("missed or confused actions", setting.observation),
+            ("questions about goals", several and setting.c_ask is not None),
         ):  # fmt: skip
             if asked:
-                raise ValueError(f"{what}: expected a task of at most {WHOLE:,} states")
+                rows = f", and {rows_within(WHOLE):,} for all goals together" if several else ""
+                raise ValueError(f"{what}: expected a task of at most {WHOLE:,} states{rows}")
 
 
 def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population | Mixture) -> Policy:
     """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
-    if isinstance(known, Goals):
-        return qmdp(setting.problem(known.choices(), None, prior))
     if is_whole(known):
-        return qmdp(setting.problem(choices_of(known, tuple(prior.weights)), None, prior))
+        choices = known.choices() if isinstance(known, Goals) else choices_of(known, tuple(prior.weights))
+        return qmdp(setting.problem(choices, None, prior))
     return TruncatedPolicy(SharedTask(known, prior), setting)
 
 
 def _known(task: CostToGo | Goals | Policy) -> CostToGo | Choices:
     """Return a task's cost-to-go, that of the first goal if there are several; of an enumerated policy, the choices."""
     if isinstance(task, Goals):
-        return next(iter(task.tables.values()))
+        return first_of(task)
     return task.task if isinstance(task, Policy) else task
 
 

@@ -66,6 +66,9 @@ class Choices:
         Whether the robot acts as if the most probable goal were certain.
     sharpness : float
         Power of the goals' probabilities on which the robot acts (`goals.Goals`).
+    offered : bool array, shape (n, A), or None
+        Whether the robot may suggest each choice as an optimal one. None if `optimal` says so: the robot may also
+        suggest what is optimal for another goal, if it does not know which one the person pursues.
     """
 
     h: NDArray[np.float64]
@@ -84,6 +87,7 @@ class Choices:
     goals: Mapping[str, float] | None = None
     assume_likeliest: bool = False
     sharpness: float = 1.0
+    offered: NDArray[np.bool_] | None = None
 
     __repr__ = outline
 

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Table
+from planner import CostToGo, Table, Transitions, optimal_choices
 
 from .choices import WAIT, Choices
 from .decision import Floats
@@ -98,6 +98,52 @@ def first_of(task: Task | Goals) -> Task | Table:
     return next(iter(task.tables.values())) if isinstance(task, Goals) else task
 
 
+def each_of(task: CostToGo | Goals) -> tuple[CostToGo, ...]:
+    """Return the cost-to-go of each goal, all on the same states; of any other task, its own."""
+    return tuple(task.tables.values()) if isinstance(task, Goals) else (task,)
+
+
+def costs_to_go(task: CostToGo | Goals, states: NDArray[np.int64]) -> Floats:
+    """Return the exact cost-to-go of states, shape (N,), for each goal: shape (N, G)."""
+    return np.stack([known.lookup(states) for known in each_of(task)], axis=1)
+
+
+def goals_reached(task: CostToGo | Goals, states: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return whether each goal is reached in states, shape (N,): shape (N, G)."""
+    return np.stack([known.is_goal(states) for known in each_of(task)], axis=1)
+
+
+def optimal_for_each(task: CostToGo | Goals, states: NDArray[np.int64], rows: Transitions) -> NDArray[np.bool_]:
+    """Return whether each of m transitions is optimal for each goal, shape (m, G); see `planner.optimal_choices`."""
+    return np.stack([optimal_choices(known, states, rows) for known in each_of(task)], axis=1)
+
+
+def joined(task: CostToGo | Goals, each: Sequence[Choices]) -> Choices:
+    """Return the choices of all goals, from those of each goal in the same m states: m rows for each goal.
+
+    Where no action is applicable, people wait unless they have reached their goal. Rows of one state have the same
+    choices, since the robot does not see which goal was reached.
+    """
+    first, count, m = each[0], len(each), len(each[0])
+    if not isinstance(task, Goals):
+        return first
+    waiting = [np.flatnonzero(one.applicable[:, 0] & (one.actions[:, 0] == WAIT)) for one in each]
+    waits = np.concatenate([one + number * m for one in waiting for number in range(count)])
+
+    def every(name: str) -> np.ndarray:
+        return np.concatenate([getattr(one, name) for one in each])
+
+    applicable, costs = every("applicable"), every("costs")
+    applicable[waits, 0], costs[waits, 0] = True, 1.0
+    return Choices(
+        every("h"), every("goal"), applicable, every("actions"),
+        np.concatenate([one.targets + number * m for number, one in enumerate(each)]), costs, every("optimal"),
+        first.names, first.initial, state=np.tile(np.arange(m), count),
+        key=None if first.key is None else np.tile(first.key, count), goals=task.prior,
+        assume_likeliest=task.assume_likeliest, sharpness=task.sharpness,
+    )  # fmt: skip
+
+
 def acting_belief(choices: Choices, belief: Floats) -> Floats:
     """Return the beliefs, shape (..., G * B, T), on which the robot acts."""
     if choices.assume_likeliest:
@@ -160,26 +206,7 @@ class Goals:
 
     def choices(self) -> Choices:
         """Return the choices of all goals: m rows for each, in the order of the goals."""
-        each = [Choices.of(table) for table in self.tables.values()]
-        count, m = len(each), len(each[0])
-        # Where no action is applicable, people wait unless they have reached their goal. Rows of one state have the
-        # same choices, since the robot does not see which goal was reached.
-        waiting = [np.flatnonzero(one.applicable[:, 0] & (one.actions[:, 0] == WAIT)) for one in each]
-        waits = np.concatenate([one + number * m for one in waiting for number in range(count)])
-
-        def joined(name: str) -> np.ndarray:
-            return np.concatenate([getattr(one, name) for one in each])
-
-        applicable, costs = joined("applicable"), joined("costs")
-        applicable[waits, 0], costs[waits, 0] = True, 1.0
-        first = each[0]
-        return Choices(
-            joined("h"), joined("goal"), applicable, joined("actions"),
-            np.concatenate([one.targets + number * m for number, one in enumerate(each)]), costs, joined("optimal"),
-            first.names, first.initial, state=np.tile(np.arange(m), count),
-            key=None if first.key is None else np.tile(first.key, count), goals=self.prior,
-            assume_likeliest=self.assume_likeliest, sharpness=self.sharpness,
-        )  # fmt: skip
+        return joined(self, [Choices.of(table) for table in self.tables.values()])
 
 
 def drawn_goals(every: Sequence[Choices], model: NDArray[np.int64], uniform: Floats) -> NDArray[np.int64]:

@@ -74,6 +74,11 @@ class Policy:
         """The whole task: the choices in all of its states, or its cost-to-go."""
         return self.pomdp.model.choices
 
+    def task_of(self, goal: int) -> Choices | CostToGo:
+        """Return the whole task, in which the states of a goal, given by its number, are those of `states`."""
+        del goal
+        return self.task
+
     @property
     def size(self) -> float:
         """The number of states whose values are kept; infinite if they are not those of the whole task."""
@@ -121,9 +126,10 @@ class Policy:
         """Return the person's solved problem with a robot that comes and goes (`VisitingRobot.solved`)."""
         return robot.solved(self)
 
-    def bounded(self, entry: float, **limits: Any) -> Any:
-        """Return the problem whose upper bound holds for the whole task; None if that is `pomdp` itself.
+    def bounded(self, entry: float, **limits: Any) -> list[tuple[float, Any]] | None:
+        """Return each goal's probability and the problem whose upper bound holds for the whole task.
 
-        The arguments are those of `large_tasks.truncated_bound.bounded`.
+        None if that is `pomdp` itself. The arguments are those of `large_tasks.truncated_bound.bounded`.
         """
         del entry, limits
+        return None

@@ -279,7 +279,8 @@ class _RobotActions(NamedTuple):
     def of(cls, choices: Choices, suggestions: Suggestions, c_suggest: float, c_execute: float | None) -> _RobotActions:
         """Number the robot actions of each state: nothing, the suggestions, and the executions if they have a cost."""
         execute = c_execute is not None
-        offered = choices.optimal if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
+        best = choices.optimal if choices.offered is None else choices.offered
+        offered = best if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
         offered = offered & ~choices.goal[:, None]
         if choices.goal_count > 1:  # the same in the rows of all goals, even if one has been reached
             count = choices.goal_count

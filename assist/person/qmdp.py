@@ -214,6 +214,7 @@ def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | No
     if pomdp.model.choices.goal_count > 1:  # a suggestion to somebody who has reached their goal costs, and no more
         useless = np.arange(1, q.shape[1]) < pomdp.robot_actions[ends, None]
         q[ends, 1:] = np.where(useless, -pomdp.robot_costs[ends, 1:], -np.inf)[:, :, None, None]
+        q[ends, 1:] += value[ends, None]
     _q_values(q, value, read_only(order), ProblemArrays.of(pomdp))
     return QMDP(pomdp, value, q)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -25,8 +24,6 @@ Ints = NDArray[np.int64]
 @dataclass(frozen=True, eq=False)
 class HiddenGoals:
     """The goals of N teams of K people, and what the robot knows of them.
-
-    Rows of a person's problem contain the goal. The robot sees the rows of the first goal, whatever it is.
 
     Attributes
     ----------
@@ -55,19 +52,6 @@ class HiddenGoals:
             every = [policy.pomdp.model.choices for policy in pool.policies]
             goal = drawn_goals(every, model, random_numbers.draw(4, np.arange(len(model))))
         return cls(pool, model, goal, random_numbers, knowledge)
-
-    @cached_property
-    def states(self) -> Ints:
-        """The number of task states of each person, shape (N, K)."""
-        return np.array([policy.pomdp.task_states for policy in self.pool.policies])[self.model]
-
-    def rows(self, x: Ints) -> Ints:
-        """Return the row of each person with a task state, both of shape (N, K)."""
-        return x + self.goal * self.states
-
-    def seen(self, x: Ints) -> Ints:
-        """Return the rows that the robot sees, where people are in the rows `x`, both of shape (N, K)."""
-        return x % self.states
 
     def told(self, belief: Floats) -> Floats:
         """Return the robot's first beliefs, shape (N, K, G * B, T): given the goals, if it knows them."""

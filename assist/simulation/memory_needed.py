@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from planner import LimitError
 
 from ..people.arguments import positive
@@ -26,6 +28,29 @@ def require_room(one: int, rows: int, models: int, limit_mb: float, goals: int =
             f"policies for {who} on a task of {size} take about {needed:,.0f} MB of memory, and "
             f"{limit_mb:,.0f} MB are allowed; expected {less}a higher memory limit"
         )
+
+
+def states_within(limit_mb: float, goals: int, models: int) -> int:
+    """Return the number of states of a truncated task for each goal, so that all policies are within the limit.
+
+    With one goal, the number is not limited: a policy's truncated task takes some tens of MB.
+
+    Raises
+    ------
+    LimitError
+        There would be fewer than 20 states for each goal.
+    """
+    if goals == 1:
+        return sys.maxsize
+    of_a_state, least = 6_000, 20  # bytes: values with and without a robot that comes and goes, and choices
+    states = int(limit_mb * 1e6 / (of_a_state * goals * (models + 1)))
+    if states < least:
+        needed = of_a_state * goals * (models + 1) * least / 1e6
+        raise LimitError(
+            f"policies for {models:,} people with {goals} goals take about {needed:,.0f} MB of memory even on {least} "
+            f"states, and {limit_mb:,.0f} MB are allowed; expected {ONE_FOR_ALL}a higher memory limit"
+        )
+    return states
 
 
 def require_room_for_people(size: int, one: int, limit_mb: float) -> None:

@@ -42,6 +42,8 @@ class ModelGroup:
         Task state of each row of the problem; None if rows and states are the same.
     trust : TrustOfPeople or None
         How people's own theta changes, if not by equation 7 or as in the robot's model.
+    goals : int
+        Number of goals that are possible.
     """
 
     arrays: ProblemArrays
@@ -50,6 +52,7 @@ class ModelGroup:
     row: Ints
     states: Ints | None = None
     trust: TrustOfPeople | None = None
+    goals: int = 1
 
     @property
     def ends(self) -> NDArray[np.bool_]:
@@ -91,7 +94,13 @@ class ModelGroup:
             if pool.setting.trust not in (None, "paper"):
                 trust, eta = TrustOfPeople(pool.setting.trust_rule(), np.array([mind[2] for mind in minds])), 0.0
         made = Minds(p, v, read_only(choices.optimal), eta=eta, lapse=lapse, on_grid=on_grid)
-        return cls(ProblemArrays.of(pomdp), made, own, row, states, trust)
+        return cls(ProblemArrays.of(pomdp), made, own, row, states, trust, choices.goal_count)
+
+    def states_of(self, rows: Ints) -> Ints:
+        """Return the task state of some rows of the problem, whatever the goal."""
+        if self.states is not None:
+            return self.states[rows]
+        return rows if self.goals == 1 else rows % (len(self.arrays.goal) // self.goals)
 
     def act(self, rows: Ints, people: PeopleArrays) -> None:
         """Let the people of some rows, all of this model, act once."""

@@ -13,10 +13,10 @@ from planner.system.arrays import frozen, outline
 from planner.system.progress import Progress, Wanted, adding, shows_progress
 
 from ..large_tasks.person_problem import WHOLE, is_whole
-from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
+from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy, default_size
 from ..people.arguments import Seed, entropy, require_goal, whole
 from ..people.choices import Choices
-from ..people.goals import Goals
+from ..people.goals import Goals, costs_to_go, each_of, first_of
 from ..people.human import Human, Population
 from ..people.mixture import Mixture
 from ..person.lazy_policy import LazyPolicy
@@ -28,8 +28,8 @@ from ..team.robots import best_robots
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
-from .affordable import affordable_choices, affordable_rows
-from .memory_needed import MEMORY_LIMIT_MB, require_room_for_people
+from .affordable import affordable_choices
+from .memory_needed import MEMORY_LIMIT_MB, require_room_for_people, states_within
 from .union import union
 
 MAX_ENUMERATED = 200_000
@@ -113,8 +113,8 @@ class Pool:
         Parameters
         ----------
         table : CostToGo, Choices or Goals
-            Cost-to-go of the people's task, as a table or on demand. `Choices` are enumerated, whatever their number,
-            as are `Goals`: each person pursues one of them in each episode.
+            Cost-to-go of the people's task, as a table or on demand. `Choices` are enumerated, whatever their number.
+            Of `Goals`, each person pursues one in each episode.
         size : int
             Number of people.
         seed : int or Generator
@@ -132,9 +132,11 @@ class Pool:
             Memory of all QMDP policies in MB; it is estimated before anything is allocated.
         states : int
             Largest number of states of a table that is enumerated. It is `MAX_ENUMERATED` if people have a memory, if
-            actions are executed, or if a solver is given.
+            actions are executed, if a solver is given, or if people are asked about their goals. Tables of several
+            goals are enumerated if their policies do not exceed the memory limit.
         region : int, optional
-            Number of states of a policy's truncated task; by default `assist.large_tasks.truncated_policy.REGION`.
+            Number of states of a policy's truncated task, for each goal; by default
+            `assist.large_tasks.truncated_policy.default_size`, or fewer for many goals, by the memory limit.
         progress : callable or bool, optional
             Receives progress reports, as `planner.system.progress` describes: the number of POMDPs that have been
             built.
@@ -153,28 +155,35 @@ class Pool:
         population = population or Population()
         prior = prior or population
         rng = np.random.default_rng(np.random.SeedSequence(entropy(seed), spawn_key=(0,)))
-        if isinstance(table, Goals):
-            if population.weights or prior.weights:
-                raise ValueError("people with weights of terms: expected one goal")
-            table = affordable_rows(table, setting, size, memory_limit_mb)
+        if isinstance(table, Goals) and (population.weights or prior.weights):
+            raise ValueError("people with weights of terms: expected one goal")
         needed = {
             "weights": population.weights or prior.weights,
             "execute": best_robots(setting).execute,
             "solver": solver != qmdp,
+            "questions about goals": isinstance(table, Goals) and setting.c_ask is not None,
+            "observation": isinstance(table, Goals) and setting.observation is not None,
         }
         people: Sequence[Human]
+        choices: Choices | None = None
         if isinstance(table, Choices) or is_whole(table, MAX_ENUMERATED if any(needed.values()) else states):
-            choices = affordable_choices(table, setting, population, prior, size, memory_limit_mb)
+            choices = affordable_choices(
+                table, setting, population, prior, size, memory_limit_mb, required=any(needed.values())
+            )
+        if choices is not None:
             people = population.sample(choices, size, rng)
             policies = _enumerated(choices, people, setting, prior, solver, progress)
         else:
+            assert not isinstance(table, Choices)
             for name, given in needed.items():
                 if given:
                     raise ValueError(f"{name}: expected an enumerated task, of at most {MAX_ENUMERATED:,} states")
-            require_goal(float(table.lookup([table.initial])[0]))
+            require_goal(float(costs_to_go(table, np.array([first_of(table).initial])).min()))
             require_room_for_people(size, 0, memory_limit_mb)
             people = population.sample(None, size, rng)
-            policies = TruncatedPolicy.of_people(SharedTask(table, prior, region), people, setting)
+            room = states_within(memory_limit_mb, len(each_of(table)), size if setting.knowledge == "own" else 1)
+            ground = SharedTask(table, prior, region or min(default_size(table), room))
+            policies = TruncatedPolicy.of_people(ground, people, setting)
         number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number)
 

@@ -83,14 +83,14 @@ class Run:
         self.sigma = np.array([human.sigma for human in pool.people])[self.people]
         self.first_theta, self.seen = self.theta.copy(), np.zeros(shape, dtype=np.int64)
 
-        self.task_view = TaskView(parts, self.model, self.people, self.mind)
-        self.x = self.task_view.initial.copy()
-        at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
-        self.finished = at_goal[self.people]
         self.goals: HiddenGoals | None = None
         if pool.goals > 1:
             self.goals = HiddenGoals.of(pool, self.model, goal, self.random_numbers, goals)
-            self.x = self.goals.rows(self.x)
+        pursued = np.zeros(shape, dtype=np.int64) if self.goals is None else self.goals.goal
+        self.task_view = TaskView(parts, self.model, self.people, self.mind, pursued)
+        self.x = self.task_view.initial.copy()
+        at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
+        self.finished = at_goal[self.people]
         self.erred = np.zeros(shape, dtype=bool)
         self.robots, self.extra = pool.setting.robot_count, extra_costs(pool.setting)
         self.location = np.full((len(numbers), self.robots), BASE, dtype=np.int64)
@@ -103,8 +103,7 @@ class Run:
                 self.belief = self.goals.told(self.belief)
         self.observed: ObservedPeople | None = None
         if pool.setting.observation is not None:
-            visible = self.x if self.goals is None else self.goals.seen(self.x)
-            self.observed = ObservedPeople.of(pool, self.model, visible, self.belief)
+            self.observed = ObservedPeople.of(pool, self.model, self.x, self.belief)
             self.belief = None
         self.questions = parts.questions if uses_belief and self.belief is not None else None
         self.asked = np.zeros(len(numbers), dtype=np.int64)
@@ -158,7 +157,7 @@ class Run:
             group.act(rows, people)
             to = people.x[rows]
             self.finished.reshape(-1)[rows] = group.ends[to]
-            self.x.reshape(-1)[rows] = to if group.states is None else group.states[to]
+            self.x.reshape(-1)[rows] = group.states_of(to)
         if self.observed is not None and said is not None:
             self.observed.observe(view, before, people, said, running, self.finished, self.erred, self.random_numbers)
         slot, cost = people.slot, people.cost.reshape(self.x.shape)
@@ -188,11 +187,10 @@ class Run:
         if not len(free):
             return robot, charged
         every = slice(None) if len(free) == len(self.x) else free
-        visible, belief = view.x, self.belief
+        visible, belief = view.visible, self.belief
         if self.observed is not None:
             visible, belief = self.observed.x, self.observed.beliefs
         elif self.goals is not None:
-            visible = self.goals.seen(view.x)
             if self.questions is not None and belief is not None:
                 asked = self.goals.ask(self.questions, active, visible, belief, self.asked_about)
                 charged[asked] += self.questions.cost

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 
 def goals_of(
-    problems: Sequence[str], *, domain: str | None, max_states: int, time_limit: float | None, cache: Path | None,
-    jobs: int | None,
+    problems: Sequence[str], *, domain: str | None, max_states: int, time_limit: float | None = None,
+    cache: Path | None = None, jobs: int | None = None, tables: bool = False,
 ) -> dict[str, CostToGo]:  # fmt: skip
     """Return the cost-to-go of each problem's goal, by the problem's name. Expected errors end the command in one line.
 
-    If there are too many states for tables, states are solved on demand.
+    If there are too many states for tables, states are solved on demand, or, with `tables`, a `LimitError` is raised.
     """
     found = find_instances(problems, domain)
     _same_domain(found)
@@ -46,6 +46,8 @@ def goals_of(
         with stages() as show:
             every = sweep_goals(tasks, max_states=max_states, threads=jobs, progress=show)
     except LimitError as error:
+        if tables:
+            raise
         click.echo(f"evaluating states on demand: {error}", err=True)
         limits = Limits(seconds=time_limit)
         every = [OnDemand(task, cache=Cache(task, cache), jobs=jobs, limits=limits) for task in tasks]
@@ -123,8 +125,13 @@ def several_goals(
     *,
     domain: str | None,
     max_states: int = SolveOptions.max_states,
+    asked: int | None = None,
 ) -> Goals | None:
-    """Return the goals of INSTANCE and of further problems; None if there is one only."""
+    """Return the goals of INSTANCE and of further problems; None if there is one only.
+
+    `asked` is the largest number of states of a task about whose goals a robot can ask; None for a robot that does not.
+    A larger task ends the command before any goal is searched for.
+    """
     from ...people.goals import Goals
 
     if not problems:
@@ -132,7 +139,12 @@ def several_goals(
             raise click.UsageError("--goal-prior: expected --goals, too")
         return None
     every = list(dict.fromkeys(str(found.problem) for found in find_instances([instance, *problems], domain)))
-    known = goals_of(every, domain=domain, max_states=max_states, time_limit=None, cache=None, jobs=None)
+    most = max_states if asked is None else min(max_states, asked)
+    try:
+        known = goals_of(every, domain=domain, max_states=most, tables=True)
+    except LimitError as error:
+        option = "--goals" if most == max_states else "--ask"
+        fail(f"{option}: {error}; expected a task of at most {most:,} states", ExitCode.FAILED)
     try:
         return Goals(known, prior_of(prior, "--goal-prior") or {})  # type: ignore[arg-type]
     except ValueError as error:

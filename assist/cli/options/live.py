@@ -111,6 +111,7 @@ def plan_of(
 ) -> ServedTeam:  # fmt: skip
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
+    from ...large_tasks.person_problem import WHOLE
     from ...people.goals import first_of
     from ...person.observation_model import ObservationModel
     from ...team.robots import best_robots
@@ -135,7 +136,13 @@ def plan_of(
             raise click.UsageError(
                 f"--goals with {len(found)} instances: expected one INSTANCE, which has the first goal"
             )
-        goals = several_goals(str(next(iter(found.values())).problem), problems, goal_prior, domain=domain)
+        goals = several_goals(
+            str(next(iter(found.values())).problem),
+            problems,
+            goal_prior,
+            domain=domain,
+            asked=None if ask is None else WHOLE,
+        )
         tasks: dict[str, CostToGo | Goals] = {
             name: goals or costs_of(one, max_states=SolveOptions.max_states, memory_limit_mb=None)
             for name, one in found.items()

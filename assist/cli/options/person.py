@@ -12,7 +12,18 @@ import click
 from planner import CostToGo, Instance
 from planner.system.progress import progress_bar
 
-from .common import NUMBER, SEED, Command, Option, Range, domain_option, lapse_option, scale_option, with_options
+from .common import (
+    NUMBER,
+    SEED,
+    Command,
+    Option,
+    Range,
+    domain_option,
+    is_given,
+    lapse_option,
+    scale_option,
+    with_options,
+)
 from .population import people_option, population_of, population_options, with_rule_of
 from .task import one_instance
 
@@ -107,17 +118,19 @@ def person_problem(
         Seconds for choosing the states of a truncated problem.
     """
     from ...large_tasks.person_problem import PersonProblem, is_whole
-    from ...people.goals import Goals, first_of
+    from ...people.goals import each_of
 
     found = one_instance(instance, domain)
     population = population_of(beta, theta, file=population_file, people=people)
     known = known_of(found)
     if states is None:
         states = len(known)
-    whole = is_whole(first_of(known), states)
-    for name, given in (("--sigma", sigma > 0), ("--execute", execute), ("--goals", isinstance(known, Goals))):
+    whole = is_whole(known, states)
+    for name, given in (("--sigma", sigma > 0), ("--execute", execute)):
         if given and not whole:
             raise click.UsageError(f"{name}: expected a task of at most {states:,} states (--region-states)")
+    if not whole and not is_given("region_states"):  # a state takes memory for each goal
+        states = max(1, states // len(each_of(known)))
     try:
         with nullcontext() if whole else progress_bar("collecting states", states) as advance:
             problem = PersonProblem.of(

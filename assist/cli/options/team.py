@@ -63,7 +63,8 @@ def team_options(command: Command) -> Command:
         max_states_option("Largest number of states solved exhaustively. States of larger tasks are solved on demand."),
         region_states_option(
             "Size of the truncated problem used for policies on large tasks (states most likely to be visited). "
-            "Unless given, 3,000 if symmetries were used, and 200 if states are solved on demand."
+            "Unless given, 3,000 if symmetries were used, 200 if states are solved on demand, and 1,000 or more for "
+            "each of several goals."
         ),
     )  # fmt: skip
     return with_options(command, options)
@@ -116,7 +117,7 @@ def team_of(
         pool = Pool.sample(
             known, size, seed=seed, setting=chosen, population=population, prior=believed,
             memory_limit_mb=memory_limit, states=region_states,
-            region=region_states if known.method == "sweep" or is_given("region_states") else None,
+            region=region_states if (goals is None and known.method == "sweep") or is_given("region_states") else None,
         )  # fmt: skip
     except LimitError as error:
         fail(f"{found}: {error} (--memory-limit)", ExitCode.FAILED)

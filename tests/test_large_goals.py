@@ -1,0 +1,248 @@
+"""People who pursue one of several goals on a task that is too large to enumerate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import invoke
+from teams import equal
+from test_unknown_goals import KITS, TASKS
+
+from assist.certify import upper_bound
+from assist.large_tasks import PersonProblem, TruncatedTask
+from assist.large_tasks.truncated_policy import TruncatedPolicy, default_size
+from assist.live import Assistant, TraceReasons
+from assist.live import live_task as live
+from assist.people import Goals, Human, HumanModel
+from assist.people.misconception import Misconception
+from assist.person import AssistPOMDP
+from assist.person.qmdp import evaluate, qmdp
+from assist.person.solver import solve
+from assist.simulation import Pool, simulate
+from assist.simulation.memory_needed import states_within
+from assist.team import Setting
+from planner import LimitError
+
+EVERYTHING = 10_000  # states, more than these tasks have
+SETTING = Setting(c_suggest=0.2, c_move=0.1, max_steps=60)
+OPTIONS: dict[str, Any] = {"humans": 2, "episodes": 64, "seed": 3}
+
+
+def pools(goals: Goals, setting: Setting, region: int = EVERYTHING) -> tuple[Pool, Pool]:
+    """The same people, on the whole task and on a truncated one."""
+    return (
+        Pool.sample(goals, 3, seed=1, setting=setting),
+        Pool.sample(goals, 3, seed=1, setting=setting, states=1, region=region),
+    )
+
+
+@pytest.mark.parametrize("world", ["people", "model"])
+@pytest.mark.parametrize("policy", ["none", "attention", "priority", "whittle"])
+def test_with_all_states_episodes_are_those_of_the_whole_task(policy: str, world: Any) -> None:
+    whole, part = pools(TASKS["tiny"], SETTING)
+    assert isinstance(part.policies[0], TruncatedPolicy)
+    found = [simulate(pool, policy, world=world, **OPTIONS) for pool in (whole, part)]
+    assert equal(*found)
+    assert (policy == "none") == (not found[0].interventions.any())
+
+
+@pytest.mark.parametrize("knows", ["inferred", "likeliest", "known"])
+def test_of_whom_only_the_task_is_known(knows: Any) -> None:
+    setting = Setting(c_suggest=0.05, c_move=0.1, max_steps=60, knowledge="exact")
+    found = [simulate(pool, "attention", goals=knows, **OPTIONS) for pool in pools(TASKS["tiny"], setting)]
+    assert equal(*found)
+    assert found[0].interventions.any()
+
+
+@pytest.mark.parametrize("suggestions", ["optimal", "all"])
+@pytest.mark.parametrize("knowledge", ["own", "exact"])
+def test_values_with_all_states_are_those_of_the_whole_task(knowledge: Any, suggestions: Any) -> None:
+    """For beliefs in all goals; the robot may suggest what is optimal for any of them."""
+    goals, rng = TASKS["tiny"], np.random.default_rng(4)
+    setting = Setting(c_suggest=0.05, knowledge=knowledge, suggestions=suggestions)
+    whole, part = (pool.policies[0] for pool in pools(goals, setting))
+    x = np.arange(len(goals.tables["a"]))
+    belief = rng.dirichlet(np.ones(whole.pomdp.prior.size), len(x)).reshape(-1, *whole.pomdp.prior.shape)
+    expected, found = (policy.q_values(x, belief) for policy in (whole, part))
+    assert np.isfinite(expected[:, : found.shape[1]]).sum() == np.isfinite(expected).sum()
+    np.testing.assert_allclose(found, expected[:, : found.shape[1]], atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["attention", "priority"])
+def test_so_it_is_where_goals_have_dead_ends(policy: str) -> None:
+    assert equal(*(simulate(pool, policy, **OPTIONS) for pool in pools(TASKS["sealed"], SETTING)))
+
+
+def test_a_small_part_is_nearly_as_good() -> None:
+    whole, part = pools(TASKS["sealed"], Setting(c_suggest=0.2, c_move=0.1, knowledge="exact"), region=40)
+    options = {**OPTIONS, "episodes": 200}
+    none, best, found = (
+        simulate(pool, policy, **options).discounted_return.mean()
+        for pool, policy in ((whole, "none"), (whole, "attention"), (part, "attention"))
+    )
+    assert found - none > 0.8 * (best - none) > 0
+    (policy,) = part.policies
+    assert isinstance(policy, TruncatedPolicy)
+    assert [len(one.states) - len(one.frontier) - one.choices.goal.sum() for one in policy.regions] == [40, 40, 40]
+
+
+def test_a_trace_has_the_same_goals_and_reasons() -> None:
+    traces: list[list[dict[str, Any]]] = []
+    goals = TASKS["tiny"]
+    for pool in pools(goals, SETTING):
+        trace: list[dict[str, Any]] = []
+        reasons = TraceReasons(pool.policies, goals)
+        simulate(pool, "priority", humans=2, episodes=16, seed=3, trace=trace, reasons=reasons)
+        traces.append(trace)
+    for whole, part in zip(*traces, strict=True):
+        assert whole.pop("explanation", {}).get("text") == part.pop("explanation", {}).get("text")
+        assert whole == part
+    assert any(row["suggestion"] for row in traces[0])
+
+
+def test_a_live_robot_infers_goals_of_a_large_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    goals, said, parts = TASKS["tiny"], list[list[Any]](), list[bool]()
+    setting = Setting(c_suggest=0.05, c_move=0.0)
+    for whole in (True, False):
+        if not whole:
+            monkeypatch.setattr(live, "is_whole", lambda _: False)
+        desk = Assistant(goals, ["ann"], setting=setting)
+        found: list[Any] = []
+        for action in ("(fetch box-a)", "(place hammer slot-2 box-a)", "(return box-a)"):
+            advice = desk.recommend().as_dict()
+            seen = desk.person("ann")
+            text = desk.explain().text()
+            found.append((advice["suggestion"], text, seen.applicable, seen.cost_to_go, dict(seen.goals)))
+            found.append(seen.belief.tobytes())
+            desk.observe("ann", action)
+        said.append(found)
+        parts.append(isinstance(desk.person("ann") and desk._team.records[0].problem.policy, TruncatedPolicy))
+    assert parts == [False, True]
+    assert said[0] == said[1]
+
+
+@pytest.mark.parametrize("states", [4, 60])
+def test_a_truncated_task_of_all_goals_has_bounds_for_each(states: int) -> None:
+    """Compared with the values on the whole task: of a robot that is told the goal, and of one that does nothing."""
+    goals = TASKS["sealed"]
+    part = TruncatedTask.of(goals, states=states)
+    full, size = goals.choices(), len(goals.tables["a"])
+    goal = np.repeat(np.arange(3), len(part.states) // 3)
+    rows = part.states + size * goal
+    np.testing.assert_array_equal(part.choices.h, full.h[rows])
+    np.testing.assert_array_equal(part.choices.goal, full.goal[rows])
+    inside = np.setdiff1d(np.flatnonzero(part.choices.applicable.any(axis=1)), part.frontier)
+    for x in inside[:: max(1, len(inside) // 200)].tolist():
+        count = part.choices.applicable[x].sum()
+        theirs = rows[x]
+        assert count == full.applicable[theirs].sum()
+        assert set(part.choices.actions[x][part.choices.optimal[x]]) == set(full.actions[theirs][full.optimal[theirs]])
+        assert sorted(rows[part.choices.targets[x, :count]]) == sorted(full.targets[theirs, :count])
+    setting = {"gamma": 0.97, "c_suggest": 0.3}
+    problem = AssistPOMDP.of(HumanModel.exact(full), **setting)  # type: ignore[arg-type]
+    frontier = part.problem(**setting).frontier  # type: ignore[arg-type]
+    assert frontier is not None
+    assert len(frontier.states) == len(part.frontier) > 0
+    leaves = rows[part.frontier]
+    assert (qmdp(problem).value_mdp[leaves] <= frontier.upper[:, None, None] + 1e-9).all()
+    never = evaluate(problem, np.zeros(len(full), dtype=np.int64))
+    assert (never[leaves] >= frontier.lower[:, None, :] - 1e-8).all()  # `evaluate` is lowered by its rounding errors
+    assert frontier.floor is not None
+    assert (frontier.lower > frontier.floor).any()
+
+
+def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
+    """The value is bounded independently, on all states; with all of them, the problem is the same."""
+    goals, setting = TASKS["tiny"], {"gamma": 0.9, "c_suggest": 0.05}
+    size = len(goals.tables["a"])
+    problems = [PersonProblem.of(goals, states=states, **setting) for states in (size, 4, 12)]  # type: ignore[arg-type]
+    exact, *found = (solve(one.pomdp, gap=1e-2, time_limit=20) for one in problems)
+    for one, truncated in zip(found, problems[1:], strict=True):
+        assert one.lower <= exact.upper
+        assert exact.lower <= one.upper
+        assert one.value_never <= exact.upper
+        assert len(truncated.states) == truncated.pomdp.task_states
+    assert found[0].upper - found[0].lower > found[1].upper - found[1].lower > 0
+    part = TruncatedTask.of(goals, states=size)
+    assert (len(part.frontier), sorted(part.states)) == (0, sorted(3 * [*range(size)]))
+    same = solve(part.problem(**setting), gap=1e-2, time_limit=20)  # type: ignore[arg-type]
+    assert same.lower <= exact.upper
+    assert exact.lower <= same.upper
+    assert same.value_qmdp == pytest.approx(exact.value_qmdp, abs=1e-5)
+    assert same.value_never == pytest.approx(exact.value_never, abs=1e-3)
+
+
+def test_a_truncated_task_holds_the_likeliest_states_of_all_goals() -> None:
+    """With the whole prior on one goal it is that goal's, and misconceptions are the same in every goal's rows."""
+    goals = TASKS["sealed"]
+    for number, (name, table) in enumerate(goals.tables.items()):
+        certain = Goals(goals.tables, {other: float(other == name) for other in goals.tables})
+        own, joint = (TruncatedTask.of(task, states=20) for task in (table, certain))
+        expanded = [
+            np.delete(part.states[:count], part.frontier[part.frontier < count] if count else [])
+            for part, count in ((own, len(own.states)), (joint, len(joint.states) // 3))
+        ]
+        assert set(expanded[0][table.h[expanded[0]] > 0]) <= set(expanded[1])
+        human = Human(1.0, 0.5, 1.0, Misconception(1.0, 5))
+        one = TruncatedTask.of(table, states=20, among=goals)
+        assert one.choices.offered is not None
+        assert (one.choices.offered >= one.choices.optimal)[~one.choices.goal].all()
+        perceived = human.expects(joint.choices).reshape(3, -1)[number]
+        place = joint.local(one.states)
+        np.testing.assert_array_equal(perceived[place[place >= 0]], human.expects(one.choices)[place >= 0])
+
+
+def test_the_size_of_a_part_counts_goals_and_memory() -> None:
+    goals = TASKS["sealed"]
+    assert default_size(goals.tables["a"]) == 20_000
+    assert default_size(goals) == 20_000 // 3
+    assert states_within(4000, 50, 12) > 1_000 > states_within(4000, 50, 100)
+    values = 4 * len(goals) * 60 * 8 / 1e6  # of enumerated policies for three people, and of a copy
+    found = Pool.sample(goals, 3, seed=1, memory_limit_mb=values / 2)
+    assert isinstance(found.policies[0], TruncatedPolicy)
+    with pytest.raises(LimitError, match="policies for 3 people with 3 goals take about 1 MB of memory even on 20"):
+        Pool.sample(goals, 3, seed=1, memory_limit_mb=0.5)
+
+
+def test_what_needs_an_enumerated_task_is_refused_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    goals = TASKS["tiny"]
+    monkeypatch.setattr("assist.simulation.pool.MAX_ENUMERATED", 5)
+    with pytest.raises(ValueError, match="questions about goals: expected an enumerated task, of at most 5 states"):
+        Pool.sample(goals, 2, seed=1, setting=Setting(c_ask=0.1))
+    monkeypatch.setattr(live, "is_whole", lambda _: False)
+    with pytest.raises(
+        ValueError, match=r"questions about goals: .* 20,000 states, and 200,000 for all goals together"
+    ):
+        Assistant(goals, ["ann"], setting=Setting(c_ask=0.1))
+
+
+def test_the_command_refuses_questions_before_it_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("assist.simulation.pool.MAX_ENUMERATED", 100)
+    swept: list[Any] = []
+    monkeypatch.setattr("planner.costtogo.goals.distances", lambda *given: swept.append(given))
+    given = ["simulate", KITS / "travel.pddl", "--goals", KITS, "--humans", 1, "--policy", "none"]
+    for more, option in ((["--ask", "0.1"], "--ask"), (["--max-states", "100"], "--goals")):
+        done = invoke(*given, *more)
+        assert (done.exit_code, done.stdout, swept) == (1, "", [])
+        said = f"{option}: more than 100 states; expected a task of at most 100 states"
+        assert done.stderr.splitlines()[-1] == said
+
+
+@pytest.mark.parametrize("knowledge", ["own", "exact"])
+def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any) -> None:
+    """It is at least that on all states, whose robot is told the goals as well, and above what policies reach."""
+    setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge, gamma=0.9)
+    goals = TASKS["tiny"]
+    whole = Pool.sample(goals, 2, seed=1, setting=setting)
+    exact = upper_bound(whole, time_limit=20)
+    least = exact.upper - exact.slack
+    for region in (2, 8, EVERYTHING):
+        part = Pool.sample(goals, 2, seed=1, setting=setting, states=1, region=region)
+        found = upper_bound(part, time_limit=20)
+        assert found.upper >= least - 1e-6
+        value = found.certify("priority", episodes=500, seed=2)
+        assert value.value - 4 * value.value_stderr <= found.upper
+    assert found.upper <= exact.upper + 0.5
