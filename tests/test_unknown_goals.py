@@ -483,4 +483,4 @@ def test_the_command(tmp_path: Path) -> None:
     result = invoke(*given[:2], *given[4:], "--ask", "1")
     assert (result.exit_code, "--ask: expected --goals, too" in result.stderr) == (2, True)
     result = invoke(*given, "--max-states", "10")
-    assert (result.exit_code, "expected a table of all states" in result.stderr) == (2, True)
+    assert (result.exit_code, "expected a task of at most 10 states" in result.stderr) == (1, True)
