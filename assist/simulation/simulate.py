@@ -38,8 +38,7 @@ from .traced_run import TracedRun
 
 SOLVING = "solving people's POMDPs"
 PEOPLE_AT_A_TIME = 16_384
-"""Number of people who are simulated together, so that their data fit into the processor's cache; fewer of many goals.
-"""
+"""Number of people who are simulated together, so that their data fit into the processor's cache."""
 
 
 @shows_progress
@@ -129,7 +128,9 @@ def simulate(
         raise ValueError(f"travel for {len(travel)}, presence for {len(presence.joins)}: expected {places} people")
     called = name or (policy if isinstance(policy, str) else str(getattr(policy, "__name__", "policy")))
     policy = pool.policy(policy, travel) if isinstance(policy, str) else policy
-    together = max(1, PEOPLE_AT_A_TIME // (places * pool.goals * BLOCK)) * BLOCK
+    together = max(1, PEOPLE_AT_A_TIME // (places * BLOCK)) * BLOCK
+    if pool.goals > 1:  # a state on a large task has a row for each goal, and so have its successors
+        together = max(1, PEOPLE_AT_A_TIME // (places * pool.goals * 8))
     jobs = 1 if trace is not None else whole("jobs", jobs, 1)  # a trace has the order of the episodes
     seed_number, parts = entropy(seed), TaskParts(pool, world)
 
