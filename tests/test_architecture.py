@@ -57,8 +57,8 @@ ROOMS = {
         robot_places saved_team assistant old_journal store people_store
         erasing recent_events course event_sourced header session simulated_person trace_reasons""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
-    "assist.certify": """options memory_needed prices certificate visited_beliefs computation truncated_prices
-        sample_paths team_bound relaxed_value comparison""",
+    "assist.certify": """options memory_needed action_prices prices certificate visited_beliefs computation
+        truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.coupled": """agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",

@@ -24,7 +24,9 @@ from ..person.policy import Policy
 from ..person.solver import Solution, solve
 from ..simulation.pool import Pool
 from ..team.attention_subproblem import AttentionSubproblem
+from ..team.robots import ExtraCosts
 from ..team.travel import Travel
+from .action_prices import needed, paid
 from .options import BoundOptions
 from .prices import SubproblemKind, kinds_of, search, window_of
 from .visited_beliefs import BeliefRecorder
@@ -37,6 +39,7 @@ class Relaxation:
     kinds: list[SubproblemKind]
     parts: list[tuple[AttentionSubproblem, Solution]]
     price: Floats
+    """Prices of attention, shape (W,), or (3, W) with those of actions."""
 
     def _all(self, each: Callable[[Solution], float]) -> float:
         return sum(kind.count * each(solution) for kind, (_, solution) in zip(self.kinds, self.parts, strict=True))
@@ -44,8 +47,7 @@ class Relaxation:
     @property
     def paid(self) -> float:
         """The discounted sum of the prices that all robots pay, in cost units."""
-        gamma = self.kinds[0].pool.setting.gamma
-        return self.kinds[0].pool.setting.robot_count * float(self.price @ gamma ** np.arange(len(self.price)))
+        return paid(self.price, self.kinds[0].pool.setting)
 
     @property
     def upper(self) -> float:
@@ -124,9 +126,14 @@ class Computation:
         kinds = self.kinds(steps, False)
         return steps, kinds, self.optimised(kinds, steps, 0.4)
 
+    @cached_property
+    def extra(self) -> ExtraCosts | None:
+        """What actions of robots that differ cost more if these have prices: on whole tasks without sample paths."""
+        return None if self.paths or self.needs_outer else needed(self.pool.setting)
+
     def needs_prices(self, steps: int) -> bool:
         """Return whether prices of some steps can lower the bound; otherwise robots never have to choose."""
-        return len(self.team) > self.pool.setting.robot_count and steps > 0
+        return steps > 0 and (len(self.team) > self.pool.setting.robot_count or self.extra is not None)
 
     def optimised(self, kinds: list[SubproblemKind], steps: int, share: float) -> Floats:
         """Return prices that are optimised until a share of the time for people's problems has passed."""
@@ -135,6 +142,7 @@ class Computation:
         return search(
             kinds, steps, rounds=self.options.price_rounds, episodes=self.options.price_episodes, seed=self.seed,
             deadline=self.start + share * self.for_people, tell=self.tell, robots=self.pool.setting.robot_count,
+            extra=self.extra,
         )  # fmt: skip
 
     def relaxed(

@@ -26,10 +26,11 @@ from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
 from ..team.attention_subproblem import AttentionSubproblem, backwards
-from ..team.robots import best_robots
+from ..team.robots import ExtraCosts, best_robots
 from ..team.state import TeamAction, TeamState
 from ..team.time_expansion import HERE
 from ..team.travel import Travel
+from .action_prices import supply
 from .memory_needed import refuse_above, require_room
 
 Ints = NDArray[np.int64]
@@ -77,8 +78,10 @@ class SubproblemKind:
         return backwards(visits, self.tail)
 
     def at(self, price: Floats) -> AttentionSubproblem:
-        """Return the subproblem at given prices; the number of steps may differ."""
+        """Return the subproblem at given prices, as in `AttentionSubproblem.priced`; the number of steps may differ."""
         alone, entry, steps = self.visits.alone, self.visits.entry, self.visits.entry_steps
+        if price.ndim > 1:
+            return AttentionSubproblem.of(alone, entry, steps, price[0]).priced(price)
         if self.outer is None or not len(price):
             return AttentionSubproblem.of(alone, entry, steps, price)
         visits = AttentionSubproblem.of(alone, entry, steps, price, kept=likely(alone, len(price), self.pairs))
@@ -101,17 +104,21 @@ class SubproblemKind:
     def simulated(self, price: Floats, steps: int, episodes: int, seed: int) -> tuple[Floats, Floats]:
         """Simulate QMDP's policy in the subproblem at these prices, for `steps` steps.
 
-        Return the share of people who receive attention at each step with a price, and the return of each episode.
+        Return the share of people who receive attention at each step with a price, and the return of each episode. If
+        actions have prices, the shares of those who receive a suggestion or an execution follow.
         """
         visits, policy = self._acting(price)
-        number = np.zeros(len(price))
+        number = np.zeros_like(np.atleast_2d(price))
+        acted = visits.acted() if len(number) > 1 else ()
 
         def act(team: TeamState) -> TeamAction:
             x, belief = team.known_of(np.arange(len(team.x)))
             robot = policy(team.step, x).choose(x, belief)
-            if team.step < len(price):
+            if team.step < number.shape[1]:
                 # A robot on its way has no other choice than to continue.
-                number[team.step] += np.sum((robot > 0) | (visits.layout.position[team.x[:, 0]] > HERE))
+                number[0, team.step] += np.sum((robot > 0) | (visits.layout.position[team.x[:, 0]] > HERE))
+                for count, done in zip(number[1:], acted, strict=True):
+                    count[team.step] += np.sum(done[team.x[:, 0], robot])
             return TeamAction(np.zeros_like(robot), robot)
 
         human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
@@ -119,7 +126,7 @@ class SubproblemKind:
         setting = replace(best_robots(self.pool.setting), c_move=0.0, travel_time=0.0, max_steps=steps, robots=1)
         pool = Pool(setting, (human,), (policy(0, np.arange(1)),), np.zeros(1, dtype=np.int64))
         run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
-        return number / episodes, run.discounted_return
+        return number.reshape(price.shape) / episodes, run.discounted_return
 
 
 def kinds_of(
@@ -204,6 +211,7 @@ def search(
     deadline: float,
     tell: Progress,
     robots: int = 1,
+    extra: ExtraCosts | None = None,
 ) -> Floats:
     """Optimise prices by a stochastic subgradient method, until `rounds` rounds are done or the deadline has passed.
 
@@ -223,17 +231,20 @@ def search(
         Receives progress reports.
     robots : int
         Number of robots of the team.
+    extra : ExtraCosts, optional
+        What actions of robots that differ cost more. If given, actions have prices, too (`certify.action_prices`).
 
     Returns
     -------
-    float array, shape (W,)
+    float array, shape (W,), or (3, W) if actions have prices
         Mean of the last half of the rounds, in cost units, up to the last price of at least 0.01.
     """
-    price, past, later = np.zeros(window), np.zeros(window), list[Floats]()
+    shape = (window,) if extra is None else (3, window)
+    price, past, later = np.zeros(shape), np.zeros(shape), list[Floats]()
     for round_ in range(rounds):
         tell("optimising prices", round_, rounds)
         # Every round has other random numbers, so that the prices do not overfit one sample.
-        busy = np.zeros(window)
+        busy = np.zeros(shape)
         for kind in kinds:
             if time.perf_counter() > deadline:
                 break
@@ -244,12 +255,14 @@ def search(
             # far enough. Gradients are relative to the number of busy robots. Otherwise the first rounds of a large
             # team, with dozens of busy robots, would make all later steps too short. A first step changes a price by at
             # most 0.5 cost units.
-            slope = (busy - robots) / np.maximum(busy, robots)
+            there = robots if extra is None else supply(price, extra)
+            slope = (busy - there) / np.maximum(np.maximum(busy, there), 1e-12)
             past += slope**2
             price = np.maximum(0.0, price + 0.5 * slope / np.sqrt(past + 1e-12))
             if round_ >= rounds // 2:
                 later.append(price)
             continue
         break  # the rest of an incomplete round is not used
-    mean = sum((one / len(later) for one in later), np.zeros(window)) if later else price
-    return mean[: int(np.flatnonzero(mean > 0.01).max(initial=-1)) + 1]
+    mean = sum((one / len(later) for one in later), np.zeros(shape)) if later else price
+    priced = np.atleast_2d(mean > 0.01).any(axis=0)
+    return mean[..., : int(np.flatnonzero(priced).max(initial=-1)) + 1]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ..people.arguments import Seed, entropy, whole
+from .action_prices import paid
 from .certificate import horizon
 from .prices import kinds_of
 from .team_bound import TeamBound
@@ -22,11 +23,11 @@ def relaxed_value(bound: TeamBound, *, episodes: int = 20_000, seed: Seed = 0) -
         policy.require_enumerated("relaxed_value")
     episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
     gamma = bound.pool.setting.gamma
-    paid = bound.pool.setting.robot_count * float(bound.price @ gamma ** np.arange(len(bound.price)))
-    total, variance = paid, 0.0
+    price = bound.price if bound.on_actions is None else np.vstack([bound.price, bound.on_actions])
+    total, variance = paid(price, bound.pool.setting), 0.0
     kinds = kinds_of(bound.pool, bound.team, bound.travel, len(bound.price))
     for number, kind in enumerate(kinds):  # independent random numbers, so that variances add up
-        value = kind.simulated(bound.price, horizon(gamma), episodes, seed_number + number)[1]
+        value = kind.simulated(price, horizon(gamma), episodes, seed_number + number)[1]
         total += kind.count * float(value.mean())
         variance += kind.count**2 * float(value.var(ddof=1)) / episodes
     return total, math.sqrt(variance)

@@ -32,7 +32,7 @@ without prices need no step in their states, so that the solver gets further in 
 account for the conflicts.
 
 Why the bound also holds for people with unknown goals and for robots that differ stands at `person.known_goals` and
-`team.robots`.
+`team.robots`. Prices of actions lower that of robots that differ (`certify.action_prices`).
 
 The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated
 in the same model.
@@ -44,6 +44,8 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from planner.system.arrays import outline
 from planner.system.machine import processors
@@ -87,6 +89,8 @@ class TeamBound:
     seconds : float
     proven : float
         The bound that holds with certainty.
+    on_actions : float array, shape (2, W), or None
+        Additional prices of a suggestion and of an execution at these steps, if the robots differ.
     sampled : SampledBound or None
         The mean over sample paths; None if none were requested, or if there was no time for any. With fewer than
         `confidence.FEWEST` paths it is only reported, and `upper` is `proven`.
@@ -102,6 +106,7 @@ class TeamBound:
     seconds: float
     proven: float
     sampled: SampledBound | None = None
+    on_actions: Floats | None = None
 
     __repr__ = outline
 
@@ -231,9 +236,10 @@ def upper_bound(
         relaxed = sample_paths.without_prices(run, relaxed, recorder)
         sampled = sample_paths.sampled(run, relaxed, together)
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper
+    rows = np.atleast_2d(relaxed.price)
     return TeamBound(
-        pool, members, travel, upper, relaxed.slack, relaxed.upper_seen, relaxed.price,
-        time.perf_counter() - start, relaxed.upper, sampled,
+        pool, members, travel, upper, relaxed.slack, relaxed.upper_seen, rows[0],
+        time.perf_counter() - start, relaxed.upper, sampled, rows[1:] if len(rows) > 1 else None,
     )  # fmt: skip
 
 

@@ -45,6 +45,8 @@ class AttentionSubproblem:
         Number of steps of coming.
     layout : TimeExpansion
         Meaning of each state.
+    on_actions : float array, shape (2, W), or None
+        Additional prices of a suggestion and of an execution at these steps, in cost units; None if there are none.
     """
 
     pomdp: AssistPOMDP
@@ -53,6 +55,7 @@ class AttentionSubproblem:
     entry: float
     entry_steps: int
     layout: TimeExpansion
+    on_actions: Floats | None = None
 
     @classmethod
     def of(
@@ -122,11 +125,21 @@ class AttentionSubproblem:
         return free.priced(price) if len(price) else free
 
     def priced(self, price: Floats) -> AttentionSubproblem:
-        """Return the same subproblem with other prices of the same steps."""
-        more = np.append(price - self.price, 0.0)[self.layout.step]
-        costs = self.pomdp.robot_costs + np.where(self.attended(), more[:, None], 0.0)
-        frontier = frontier_of(self.alone, self.layout, price, self.entry)
-        return replace(self, pomdp=replace(self.pomdp, robot_costs=costs, frontier=frontier), price=price)
+        """Return the same subproblem with other prices of the same steps.
+
+        `price` has the shape (W,), or (3, W) with additional prices of a suggestion and of an execution.
+        """
+        rows, nothing = np.atleast_2d(price), np.zeros((2, len(self.price)))
+        if len(rows) == 1 and self.on_actions is not None:
+            rows = np.vstack([rows, nothing])
+        before = np.vstack([self.price, nothing if self.on_actions is None else self.on_actions])[: len(rows)]
+        more = np.pad(rows - before, ((0, 0), (0, 1)))[:, self.layout.step]
+        costs = self.pomdp.robot_costs + np.where(self.attended(), more[0][:, None], 0.0)
+        for change, done in zip(more[1:], self.acted() if len(rows) > 1 else (), strict=True):
+            costs += np.where(done, change[:, None], 0.0)
+        frontier = frontier_of(self.alone, self.layout, rows[0], self.entry)
+        pomdp = replace(self.pomdp, robot_costs=costs, frontier=frontier)
+        return replace(self, pomdp=pomdp, price=rows[0], on_actions=rows[1:] if len(rows) > 1 else None)
 
     def at_price(self, price: float) -> AssistPOMDP:
         """Return the problem with an additional price that is the same at all steps."""
@@ -138,6 +151,13 @@ class AttentionSubproblem:
         under_way = self.layout.position[:, None] > HERE
         attended = ((number > 0) | under_way) & (number < self.pomdp.robot_actions[:, None])
         return attended & ~(self.pomdp.final & (self.pomdp.model.choices.goal_count == 1))[:, None]
+
+    def acted(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which robot actions make a suggestion, and which execute an action, both of shape (m, R)."""
+        moves = RobotMoves.of(self.layout.positions, self.alone.suggested.shape[1], self.entry_steps)
+        acts = self.attended() & (moves.meant[self.layout.position] > 0)
+        executes = acts & (self.pomdp.suggested == NOTHING)
+        return acts & ~executes, executes
 
     def states(self, step: int, position: int) -> NDArray[np.int64]:
         """Return the numbers of the states, shape (n,), of a step and a position; -1 where one does not exist."""

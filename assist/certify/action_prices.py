@@ -1,0 +1,72 @@
+"""Prices of actions in a bound for robots that differ, beside the price of their attention.
+
+In people's problems every robot has the best ability and the lowest costs of any (`best_robots`). Prices of
+suggestions and of executions account for it that not every robot of the team has them. Let e_m(a) be what an action of
+class a costs robot m more than the best robot: infinite if it cannot execute.
+
+Claim. For all prices lambda_t >= 0 of attention and mu_t(a) >= 0 of the two classes of actions, the optimal value J* of
+a team of robots 1, ..., M is at most
+
+    sum_t gamma^t sum_m (lambda_t + max(0, max_a (mu_t(a) - e_m(a))))  +  sum_k V_k(lambda, mu),
+
+where V_k is the optimal value of person k's subproblem with the best robot, at these prices: each step of attention has
+the price lambda_t, and an action of class a the price mu_t(a) in addition.
+
+Proof. Consider any policy of the team, as a policy of the best robots that has the costs e_m(a) in addition
+(`assist.team.robots`). In a step, a robot either attends to nobody, or attends to somebody without an action, or
+takes one action, of some class a. In its part of the first sum the robot has at least as much as the prices of what it
+does, minus e_m(a): nothing, lambda_t, or lambda_t + mu_t(a). So the return increases or stays the same if the first sum
+is added, and the prices are subtracted and the costs e_m(a) added back. The result is the first sum plus, for each
+person, a return with the best robot's costs at these prices. The robots' behaviour towards person k is a policy of
+their subproblem, so that its mean is at most V_k.
+
+With mu = 0 it is the bound of the best robots, as e_m(a) >= 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..people.decision import Floats
+from ..team.robots import ExtraCosts, extra_costs
+from ..team.settings import Setting
+
+
+def needed(setting: Setting) -> ExtraCosts | None:
+    """Return what actions of each robot cost more, if prices of actions can lower a bound; otherwise None."""
+    extra = extra_costs(setting)
+    return extra if extra is not None and (extra.suggesting.any() or extra.executing.any()) else None
+
+
+def paid(price: Floats, setting: Setting) -> float:
+    """Return the discounted sum that all robots pay at most, in cost units.
+
+    Parameters
+    ----------
+    price : float array, shape (W,) or (3, W)
+        Prices of attention, and of a suggestion and of an execution, at each step.
+    setting : Setting
+    """
+    discount = setting.gamma ** np.arange(price.shape[-1])
+    attention = setting.robot_count * float(np.atleast_2d(price)[0] @ discount)
+    if price.ndim == 1:
+        return attention
+    extra = extra_costs(setting)
+    assert extra is not None
+    return attention + float(np.maximum(*_worth(price, extra)).clip(0).sum(axis=0) @ discount)
+
+
+def supply(price: Floats, extra: ExtraCosts) -> Floats:
+    """Return how many robots attend, suggest and execute at the most if prices rise slightly, shape (3, W).
+
+    These are the derivatives of what robots pay, as in `paid`, in the prices of each step.
+    """
+    suggesting, executing = _worth(price, extra)
+    every = np.full(price.shape[1], len(extra.suggesting))
+    suggest, execute = suggesting >= executing.clip(0), executing >= suggesting.clip(0)
+    return np.array([every, suggest.sum(axis=0), execute.sum(axis=0)], dtype=float)
+
+
+def _worth(price: Floats, extra: ExtraCosts) -> tuple[Floats, Floats]:
+    """Return the price of each action minus what it costs each robot more, both of shape (M, W)."""
+    return price[1] - extra.suggesting[:, None], price[2] - extra.executing[:, None]
