@@ -48,6 +48,20 @@ def number(name: str, value: object) -> float:
     return read
 
 
+def within(name: str, value: object, low: float, high: float) -> float:
+    """Return a value as a float between two limits, which it may equal."""
+    found = number(name, value)
+    if not low <= found <= high:
+        raise ValueError(f"{name} {found:g}: expected a number from {low:g} to {high:g}")
+    return found
+
+
+def one_of(name: str, value: object, choices: Sequence[str]) -> None:
+    """Check that a value is one of some words."""
+    if value not in choices:
+        raise ValueError(f"{name} {value!r}: expected {' or '.join(map(repr, choices))}")
+
+
 def span(name: str, value: object) -> tuple[float, float]:
     """Return a value as a range of two numbers."""
     pair = list(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else []

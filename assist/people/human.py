@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from planner.system.arrays import frozen, outline
 
-from .arguments import MOST, number, span
+from .arguments import MOST, number, one_of, span
 from .choice_model import ChoiceModel, boltzmann, chances, value
 from .choices import Choices
 from .decision import Floats, perceived_cost
@@ -116,8 +116,7 @@ class Population:
                 raise ValueError(
                     f"weight range ({low:g}, {high:g}) of {name}: expected -{MOST:g} <= low <= high <= {MOST:g}"
                 )
-        if self.noise not in ("state", "action"):
-            raise ValueError(f"noise '{self.noise}': expected 'state' or 'action'")
+        one_of("noise", self.noise, get_args(Noise))
         for name, (low, high), most in (
             ("beta", self.beta, MOST), ("theta", self.theta, 1.0), ("sigma", self.sigma, MOST),
         ):  # fmt: skip

@@ -9,11 +9,12 @@ variables' values. So a person is the same in a task of any size, whatever the o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arguments import one_of
 from .choices import Choices
 from .state_keys import mix
 
@@ -57,8 +58,7 @@ class Misconception:
     noise: Noise = "state"
 
     def __post_init__(self) -> None:
-        if self.noise not in ("state", "action"):
-            raise ValueError(f"noise '{self.noise}': expected 'state' or 'action'")
+        one_of("noise", self.noise, get_args(Noise))
 
     @classmethod
     def drawn(cls, sigma: float, rng: np.random.Generator, noise: Noise = "state") -> Misconception:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from planner.system.arrays import outline
 
 from ..people import belief as beliefs
-from ..people.arguments import check_costs
+from ..people.arguments import check_costs, one_of
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, chances, value
 from ..people.choices import Choices
@@ -151,8 +151,7 @@ class AssistPOMDP:
             A number is out of its range, or `execute` is used with a frontier or with people who have a memory.
         """
         check_costs(gamma, c_suggest=c_suggest, c_execute=c_execute)
-        if suggestions not in ("optimal", "all"):
-            raise ValueError(f"suggestions '{suggestions}': expected 'optimal' or 'all'")
+        one_of("suggestions", suggestions, get_args(Suggestions))
         if execute and frontier is not None:
             raise ValueError("execute: expected a problem of all states, and this one is truncated")
         if execute:

@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..people.arguments import whole
+from ..people.arguments import one_of, whole
 from .common_random_numbers import CommonRandomNumbers
 from .hidden_goals import GoalKnowledge
 from .model_group import World
@@ -19,8 +19,7 @@ def require_possible(pool: Pool, world: World, goals: GoalKnowledge) -> None:
     """Raise an error if the pool is none, or if people and robot of these kinds cannot be simulated."""
     if not isinstance(pool, Pool):
         raise TypeError(f"pool: expected people at a task, a Pool, not what is a {type(pool).__name__}")
-    if world not in get_args(World):
-        raise ValueError(f"world {world!r}: expected {' or '.join(map(repr, get_args(World)))}")
+    one_of("world", world, get_args(World))
     if goals not in get_args(GoalKnowledge):
         raise ValueError(f"goals {goals!r}: expected {', '.join(map(repr, get_args(GoalKnowledge)))}")
     if goals == "likeliest" and pool.setting.observation is not None:

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..people.arguments import MOST, number, whole
+from ..people.arguments import MOST, number, one_of, whole, within
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
@@ -100,25 +100,19 @@ class Setting:
     ask_error: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("gamma", "c_suggest", "c_move", "travel_time", "eta", "utility_scale", "lapse", "c_execute"):
+        for name in ("gamma", "c_move", "travel_time", "lapse", "ask_error"):
             object.__setattr__(self, name, number(name, getattr(self, name)))
+        for name in ("c_suggest", "c_execute", "eta", *(() if self.c_ask is None else ("c_ask",))):
+            object.__setattr__(self, name, within(name, getattr(self, name), 0, MOST))
+        object.__setattr__(self, "utility_scale", within("utility_scale", self.utility_scale, 1 / MOST, MOST))
         if not 0 < self.gamma < 1:
             raise ValueError(f"gamma {self.gamma:g}: expected 0 < gamma < 1")
         if not 0 <= self.lapse < 1:
             raise ValueError(f"lapse {self.lapse:g}: expected 0 <= lapse < 1")
-        if not 1 / MOST <= self.utility_scale <= MOST:
-            raise ValueError(f"utility_scale {self.utility_scale:g}: expected a number from {1 / MOST:g} to {MOST:g}")
-        if self.c_ask is not None:
-            object.__setattr__(self, "c_ask", number("c_ask", self.c_ask))
-        object.__setattr__(self, "ask_error", number("ask_error", self.ask_error))
         if not 0 <= self.ask_error < 1 / 2:
             raise ValueError(f"ask_error {self.ask_error:g}: expected 0 <= ask_error < 0.5")
-        for cost in ("c_suggest", "c_execute", "eta", *(() if self.c_ask is None else ("c_ask",))):
-            if not 0 <= getattr(self, cost) <= MOST:
-                raise ValueError(f"{cost} {getattr(self, cost):g}: expected a number from 0 to {MOST:g}")
-        for name, expected in (("knowledge", get_args(Knowledge)), ("suggestions", get_args(Suggestions))):
-            if getattr(self, name) not in expected:
-                raise ValueError(f"{name} {getattr(self, name)!r}: expected {' or '.join(map(repr, expected))}")
+        one_of("knowledge", self.knowledge, get_args(Knowledge))
+        one_of("suggestions", self.suggestions, get_args(Suggestions))
         if not isinstance(self.execute, bool | np.bool_):
             raise ValueError(f"execute {self.execute!r}: expected True or False")  # noqa: TRY004
         object.__setattr__(self, "execute", bool(self.execute))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.system.arrays import frozen
 
-from ..people.arguments import MOST, number, whole
+from ..people.arguments import MOST, whole, within
 from ..people.decision import Floats
 
 
@@ -39,9 +39,7 @@ class Travel:
     c_move: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "c_move", number("c_move", self.c_move))
-        if not 0 <= self.c_move <= MOST:
-            raise ValueError(f"c_move {self.c_move:g}: expected a number from 0 to {MOST:g}")
+        object.__setattr__(self, "c_move", within("c_move", self.c_move, 0, MOST))
         if self.distance.ndim != 2 or self.distance.shape[0] != self.distance.shape[1] or len(self.distance) < 2:
             raise ValueError(
                 f"distance, shape {self.distance.shape}: expected a square, one row for each place and base"
@@ -75,9 +73,7 @@ class Travel:
         places = whole("places", places, 1)
         if places > 1_000_000:
             raise ValueError(f"places {places:,}: expected at most 1,000,000")
-        travel_time = number("travel_time", travel_time)
-        if not 0 <= travel_time <= MOST:
-            raise ValueError(f"travel_time {travel_time:g}: expected a number from 0 to {MOST:g}")
+        travel_time = within("travel_time", travel_time, 0, MOST)
         if distance is None:
             row = np.ones(2 * places + 1)
             row[places] = 0.0
