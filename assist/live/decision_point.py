@@ -6,6 +6,7 @@ little while a decision is made, and all else is computed only on request.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -46,10 +47,10 @@ class DecisionPoint:
         Robot action towards each person that is open; 0 for none.
     present, ended, erred : bool arrays, shape (P,)
     belief : float array, shape (P, B, T)
-    joint : tuple of JointBelief or None
-        The belief over task states, too, of each person whose actions were uncertain.
-    questions : tuple of WhyQuestion or None
-        The open question to each person.
+    joint : mapping of int to JointBelief
+        The belief over task states, too, of each person whose actions were uncertain, by place.
+    questions : mapping of int to WhyQuestion
+        The open questions, by the place of the person.
     here : int
         Place of the robot before the decision; -1 for its base.
     moving : float array, shape (P,)
@@ -70,8 +71,8 @@ class DecisionPoint:
     ended: NDArray[np.bool_]
     erred: NDArray[np.bool_]
     belief: Floats
-    joint: tuple[JointBelief | None, ...]
-    questions: tuple[WhyQuestion | None, ...]
+    joint: Mapping[int, JointBelief]
+    questions: Mapping[int, WhyQuestion]
     here: int
     moving: Floats
     rule: str
@@ -88,8 +89,9 @@ class DecisionPoint:
         return cls(
             tuple(team.by_name), tuple([record.problem for record in team.records]), list(team.parts),
             copy(team.x), copy(team.model), copy(team.robot), copy(team.present), copy(team.ended), copy(team.erred),
-            copy(team.belief), tuple([record.joint for record in team.records]),
-            tuple([_why(record.question) for record in team.records]), here, moving[:count], rule, extra,
+            copy(team.belief), {k: one.joint for k, one in enumerate(team.records) if one.joint is not None},
+            {k: _why(one.question) for k, one in enumerate(team.records) if one.question is not None},
+            here, moving[:count], rule, extra,
         )  # fmt: skip
 
     def explanation(
@@ -170,7 +172,7 @@ class DecisionPoint:
             return Explanation(nothing=WhyNothing("finished" if certain else "probably-finished", rule, about=name))
         if rule == "none":
             return Explanation(nothing=WhyNothing("never", rule, about=name))
-        if (asked := self.questions[place]) is not None:
+        if (asked := self.questions.get(place)) is not None:
             return Explanation(nothing=WhyNothing("asked", rule, about=name, question=asked))
         if rule == "reactive":
             nothing = WhyNothing("mistake-elsewhere" if self.erred[place] else "no-mistake", rule, about=name)
@@ -183,7 +185,7 @@ class DecisionPoint:
     def _certainly_ended(self, place: int) -> bool:
         """Return whether a person has certainly reached their goal."""
         _, part, row = self._at(place)
-        joint = self.joint[place] or JointBelief.at(row, self.belief[place])
+        joint = self.joint.get(place) or JointBelief.at(row, self.belief[place])
         return is_certain(joint.finished(part.choices))
 
     def nothing_at_all(self) -> Explanation:
@@ -194,7 +196,7 @@ class DecisionPoint:
         if self.rule == "none":
             return Explanation(nothing=WhyNothing("never", self.rule))
         if not self._free.any():
-            asked = [one for one, there in zip(self.questions, working, strict=True) if there and one is not None]
+            asked = [one for k, one in self.questions.items() if working[k]]
             cause: Cause = "asked" if asked else "waiting"
             return Explanation(nothing=WhyNothing(cause, self.rule, question=asked[0] if asked else None))
         if self.rule == "reactive":
@@ -210,7 +212,7 @@ class DecisionPoint:
         return self._in_words(place, Explanation(nothing=nothing))
 
     def _in_words(self, place: int, explanation: Explanation) -> Explanation:
-        joint = self.joint[place]
+        joint = self.joint.get(place)
         share = 1.0 if joint is None else float(joint.probability[joint.x == self.x[place]].sum())
         said = explanation.in_words(self.problems[place].words(explanation.actions))
         return said.in_state(1.0 if is_certain(share) else share)
@@ -299,7 +301,7 @@ class DecisionPoint:
     def _values(self, policy: Policy, places: NDArray[np.int64]) -> Floats:
         """Return the Q-values of the robot actions towards some people of one policy, expected over task states."""
         x, belief = self.x[places], self.belief[places]
-        joint = [self.joint[place] for place in places.tolist()]
+        joint = [self.joint.get(place) for place in places.tolist()]
         if all(one is None for one in joint):
             return worth_of_actions(policy, x, belief)
         known = [one or JointBelief.at(int(at), own) for one, at, own in zip(joint, x, belief, strict=True)]
@@ -308,8 +310,9 @@ class DecisionPoint:
     @property
     def _free(self) -> NDArray[np.bool_]:
         """Who is at work, and has neither a suggestion nor an open question."""
-        unasked = np.array([one is None for one in self.questions], dtype=bool)
-        return self.present & ~self.ended & (self.robot == 0) & unasked
+        free = self.present & ~self.ended & (self.robot == 0)
+        free[list(self.questions)] = False
+        return free
 
     @cached_property
     def _prospects(self) -> dict[int, Prospect]:
@@ -324,5 +327,5 @@ class DecisionPoint:
         return dict(sorted(found.items()))
 
 
-def _why(question: Question | None) -> WhyQuestion | None:
-    return None if question is None else WhyQuestion(question.person, question.goal, question.worth)
+def _why(question: Question) -> WhyQuestion:
+    return WhyQuestion(question.person, question.goal, question.worth)

@@ -62,10 +62,11 @@ class TraceReasons:
         way = team.travel.of_robot(number)
         here = int(team.location.reshape(len(team.x), -1)[row, number])
         count, joint = len(names), team.joint if isinstance(team, HiddenTeamState) else [None] * team.x.size
+        known = {k: one for k, one in enumerate(joint[row * count : (row + 1) * count]) if one is not None}
         point = DecisionPoint(
             tuple(names), tuple(self._problem(int(model[one])) for one in own), parts, team.x[row], own,
             np.zeros(count, dtype=np.int64), team.active[row], ~team.active[row], team.erred[row], team.belief[row],
-            tuple(joint[row * count : (row + 1) * count]), (None,) * count, here, way.c_move * way.distance[here], rule,
+            known, {}, here, way.c_move * way.distance[here], rule,
             0.0 if team.extra is None else float(team.extra.suggesting[number]),
         )  # fmt: skip
         found = point.suggested(place, robot, arrived=True)

@@ -9,6 +9,7 @@ nearest point would freeze trust whenever a step is shorter than half a cell.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,7 @@ from planner.system.arrays import frozen
 from .decision import Floats
 from .human import Population
 from .mixture import Mixture
-from .spread import Spread
+from .spread import Cells, Spread
 
 
 class ImpossibleObservationError(ValueError):
@@ -86,8 +87,13 @@ class Grid:
         """Return the means and intervals of beta and theta under a belief, shape (B, T) or (G * B, T)."""
         belief = belief.reshape(-1, *self.shape).sum(axis=0)
         each = belief.sum(axis=0).reshape(-1, len(self.values)).sum(axis=0)  # over the counts of outcomes
-        theta = Spread.of(self.values, each, limits=(0.0, 1.0))
-        return Spread.of(self.beta, belief.sum(axis=1)), theta
+        beta, theta = self._cells
+        return beta.spread(belief.sum(axis=1)), theta.spread(each)
+
+    @cached_property
+    def _cells(self) -> tuple[Cells, Cells]:
+        """The cells of beta and theta."""
+        return Cells.of(self.beta, (0.0, np.inf)), Cells.of(self.values, (0.0, 1.0))
 
     def shares(self, theta: ArrayLike, count: ArrayLike = 0) -> tuple[NDArray[np.int64], Floats]:
         """Divide values of theta, with a number of outcomes each, between neighbouring grid points.
