@@ -89,7 +89,7 @@ def _differences(study: UserStudy, tables: Tables) -> dict[tuple[str, str], dict
 
 @click.command()
 @click.option("--studies", type=click.IntRange(min=1), default=1000, show_default=True)
-@click.option("--people", type=click.IntRange(min=6), default=24, show_default=True, help="Participants of a study.")
+@click.option("--people", type=click.IntRange(min=6), default=36, show_default=True, help="Participants of a study.")
 @record_option
 def main(studies: int, people: int, record: Path | None) -> None:
     """Print the coverage of each kind of interval and the family-wise error."""
