@@ -62,9 +62,14 @@ class _Leaf(Behaviour):
 class _Request(_Leaf):
     """A leaf that asks the service for the errand, in a thread of its own."""
 
-    def __init__(self, name: str, namespace: str) -> None:
-        super().__init__(name, namespace)
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
+    usual_name: str
+
+    def __init__(
+        self, client: Client, name: str | None = None, namespace: str = NAMESPACE, number: int = 1
+    ) -> None:  # fmt: skip
+        super().__init__(name or self.usual_name, namespace)
+        self._client, self._number = client, number
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=self.name)
         self._answer: Future[dict[str, Any]] | None = None
 
     def _asks(self) -> Callable[[], dict[str, Any]] | None:
@@ -106,11 +111,7 @@ class GetAdvice(_Request):
         Number of the robot, from 1.
     """
 
-    def __init__(
-        self, client: Client, name: str = "get advice", namespace: str = NAMESPACE, number: int = 1
-    ) -> None:  # fmt: skip
-        super().__init__(name, namespace)
-        self._client, self._number = client, number
+    usual_name = "get advice"
 
     def _asks(self) -> Callable[[], dict[str, Any]]:
         return lambda: self._client.robot(self._number)
@@ -174,11 +175,7 @@ class ReportArrival(_Request):
         Number of the robot, from 1.
     """
 
-    def __init__(
-        self, client: Client, name: str = "report arrival", namespace: str = NAMESPACE, number: int = 1
-    ) -> None:  # fmt: skip
-        super().__init__(name, namespace)
-        self._client, self._number = client, number
+    usual_name = "report arrival"
 
     def _asks(self) -> Callable[[], dict[str, Any]] | None:
         person = self.errand["person"]

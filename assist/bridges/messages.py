@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from assist.texts.typed_toml import fault, regular_expression
 
@@ -19,6 +21,9 @@ from ..people.action_names import wrong_form
 
 Fields = dict[str, str]
 """Fields of a message, as texts."""
+
+Names = Annotated[dict[str, str], Meta(description="a table of texts")]
+ObserveTables = Annotated[dict[str, Any] | list[dict[str, Any]], Meta(description="a table, or a list of tables")]
 
 FIELD = re.compile(r"\{(\w+)\}")
 LEVEL = re.compile(r"\{(\w+)\}|[^{}+#]*")
@@ -273,6 +278,26 @@ def source_of(table: Any, topic: Topic, names: Mapping[str, str], file: Path, pl
     parts["id"], parts["person"] = parts["id"] or "{id}", parts["person"] or "{person}"
     pattern = regular_expression(table.pattern, file, f"{place}.pattern")
     return Source(topic, **parts, pattern=pattern, names=names, begins=getattr(table, "begins", False))
+
+
+def observed_in(tables: ObserveTables, file: Path) -> Iterator[tuple[str, Any]]:
+    """Yield the place and the content of each table `observe` of a file, of which there is one or more."""
+    if tables == []:
+        raise fault(file, "observe", "is empty; expected a table or more")
+    if isinstance(tables, dict):
+        yield "observe", tables
+    else:
+        yield from ((f"observe[{number}]", one) for number, one in enumerate(tables, start=1))
+
+
+def chosen(
+    fields: tuple[str, ...] | None, usual: tuple[str, ...], known: set[str], file: Path, place: str
+) -> tuple[str, ...]:
+    """Return the fields of a view that a file names, or the usual ones."""
+    for name in fields or ():
+        if name not in known:
+            raise fault(file, f"{place}.fields", f"{name!r}; expected some of {', '.join(sorted(known))}")
+    return fields or usual
 
 
 def _whole(template: str | None, fields: Fields, least: int) -> int | None:

@@ -12,16 +12,15 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct, field
 
 from assist.texts import typed_toml
-from assist.texts.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
+from assist.texts.typed_toml import Text, Texts, Truth, convert, fault, located
 
-from .messages import Source, Topic, source_of
+from .messages import Names, ObserveTables, Source, Topic, chosen, observed_in, source_of
 
 ENVIRONMENT = "KITASSIST_MQTT_"
 """Prefix of the environment variables PASSWORD, CA, CERTIFICATE and KEY."""
 
 Port = Annotated[int, Meta(ge=1, le=65535, description="a port, 1 to 65535")]
 Seconds = Annotated[float, Meta(gt=0, le=3600, description="seconds above 0, at most 3600")]
-Names = Annotated[dict[str, str], Meta(description="a table of texts")]
 
 
 class BrokerTable(Struct, forbid_unknown_fields=True):
@@ -63,7 +62,7 @@ class TopicTable(Struct, forbid_unknown_fields=True):
 class FileTables(Struct, forbid_unknown_fields=True):
     """The whole file."""
 
-    observe: Annotated[AnyTable | list[dict[str, Any]], Meta(description="a table, or a list of tables")]
+    observe: ObserveTables
     broker: BrokerTable = field(default_factory=BrokerTable)
     advice: OutputTable | None = None
     answers: TopicTable | None = None
@@ -147,12 +146,8 @@ class MqttSettings:
             tables = convert(typed_toml.load(file), FileTables, file)
             broker = tables.broker
             port = broker.port or (8883 if broker.tls else 1883)
-            several = tables.observe if isinstance(tables.observe, list) else [tables.observe]
             names = tables.names or {}
-            sources = tuple(_source(one, names, file, _place("observe", number, tables.observe))
-                            for number, one in enumerate(several, start=1))  # fmt: skip
-            if not sources:
-                raise fault(file, "observe", "is empty; expected a table or more")
+            sources = tuple(_source(one, names, file, place) for place, one in observed_in(tables.observe, file))
             return cls(
                 sources, broker.host, port, broker.client, broker.username, broker.tls,
                 advice=_output(tables.advice, ["person"], ADVICE, VIEW, file, "advice"),
@@ -189,10 +184,6 @@ class MqttSettings:
         return environment.get(f"{ENVIRONMENT}PASSWORD")
 
 
-def _place(name: str, number: int, tables: Any) -> str:
-    return f"{name}[{number}]" if isinstance(tables, list) else name
-
-
 def _checked(text: str, names: list[str], file: Path, place: str) -> Topic:
     """Return a topic that has exactly the given fields."""
     try:
@@ -219,10 +210,7 @@ def _output(
 ) -> Output | None:
     if table is None:
         return None
-    for name in table.fields or ():
-        if name not in known:
-            raise fault(file, f"{place}.fields", f"{name!r}; expected some of {', '.join(sorted(known))}")
-    return Output(_checked(table.topic, names, file, place), table.fields or usual)
+    return Output(_checked(table.topic, names, file, place), chosen(table.fields, usual, known, file, place))
 
 
 def _source(content: Any, names: Mapping[str, str], file: Path, place: str) -> Source:

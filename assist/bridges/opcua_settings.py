@@ -13,9 +13,8 @@ from msgspec import Meta, Struct
 from assist.texts import typed_toml
 from assist.texts.typed_toml import Text, Truth, convert, fault, located
 
-from .messages import Source, Topic, source_of
+from .messages import Names, Source, Topic, source_of
 
-Names = Annotated[dict[str, str], Meta(description="a table of texts")]
 PASSWORD = "KITASSIST_OPCUA_PASSWORD"
 NODE = re.compile(r"(ns=\d+;)?[isgb]=.+")
 

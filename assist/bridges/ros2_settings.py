@@ -13,7 +13,20 @@ from msgspec import Meta, Struct
 from assist.texts import typed_toml
 from assist.texts.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
 
-from .messages import FIELD, Fields, MessageError, Source, Topic, fields_of, source_of, texts_of
+from .messages import (
+    FIELD,
+    Fields,
+    MessageError,
+    Names,
+    ObserveTables,
+    Source,
+    Topic,
+    chosen,
+    fields_of,
+    observed_in,
+    source_of,
+    texts_of,
+)
 from .mqtt_settings import ADVICE, VIEW
 
 STRING = "std_msgs/msg/String"
@@ -23,7 +36,6 @@ TYPE = re.compile(r"[a-z]\w*/((msg|action)/)?[A-Z]\w*", re.ASCII)
 ANSWER = "person", "id", "status", "detail", "seq"
 NULLABLE = {"reason", "cost_to_go"}  # which messages of ROS cannot contain
 
-Names = Annotated[dict[str, str], Meta(description="a table of texts")]
 Places = Annotated[dict[str, dict[str, Any]], Meta(description="a table for each person")]
 
 
@@ -67,7 +79,7 @@ class FileTables(Struct, forbid_unknown_fields=True):
     """The whole file."""
 
     rosbridge: RosbridgeTable
-    observe: Annotated[AnyTable | list[dict[str, Any]], Meta(description="a table, or a list of tables")]
+    observe: ObserveTables
     advice: OutputTable | None = None
     answers: OutputTable | None = None
     go_to: GoToTable | None = None
@@ -209,13 +221,8 @@ class Ros2Settings:
             tables = convert(typed_toml.load(file), FileTables, file)
             if not re.fullmatch(r"wss?://[^\s/:]+(:\d+)?(/\S*)?", tables.rosbridge.url):
                 raise fault(file, "rosbridge.url", f"{tables.rosbridge.url!r}; expected ws://host:port or wss://host")
-            several = tables.observe if isinstance(tables.observe, list) else [tables.observe]
-            if not several:
-                raise fault(file, "observe", "is empty; expected a table or more")
-            observed = tuple(
-                _observed(one, tables.names or {}, file, "observe" if one is tables.observe else f"observe[{number}]")
-                for number, one in enumerate(several, start=1)
-            )
+            names = tables.names or {}
+            observed = tuple(_observed(one, names, file, place) for place, one in observed_in(tables.observe, file))
             if len({one.topic for one in observed}) < len(observed):
                 raise fault(file, "observe", "a topic occurs twice; expected one table for each")
             return cls(
@@ -250,10 +257,7 @@ def _output(
         return None
     _checked(table.topic, table.type, file, place)
     known = known if table.type == STRING else known - NULLABLE
-    for name in table.fields or ():
-        if name not in known:
-            raise fault(file, f"{place}.fields", f"{name!r}; expected some of {', '.join(sorted(known))}")
-    return Output(table.topic, table.type, table.fields or usual)
+    return Output(table.topic, table.type, chosen(table.fields, usual, known, file, place))
 
 
 def _go_to(table: GoToTable | None, file: Path, robots: int) -> GoToAction | None:

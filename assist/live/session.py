@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,6 +40,8 @@ from .header import header_of, require_same
 from .live_task import InapplicableError, UnknownError
 from .people_store import PeopleStore, model_of
 from .store import EventStore, JournalError, Tombstone, utc
+
+T = TypeVar("T")
 
 Refused = (UnknownError, InapplicableError, InvalidError)
 """Errors of an event that is not possible, which leave the session as it was. After any other it is restored."""
@@ -435,9 +437,7 @@ class Session:
         AbsentError
             The person is not present.
         """
-        with self.lock:
-            self._course.require(person)
-            return self._course.person(person)
+        return self._of(person, lambda course: course.person(person))
 
     def entry(self, person: str) -> dict[str, Any]:
         """Return the operator's view of a person, including beliefs.
@@ -447,9 +447,7 @@ class Session:
         AbsentError
             The person is not present.
         """
-        with self.lock:
-            self._course.require(person)
-            return self._course.entry(person)
+        return self._of(person, lambda course: course.entry(person))
 
     def outlook(self) -> Outlook:
         """Return the team's part of the operator's view: the robot, the last events, and whether it is paused."""
@@ -486,9 +484,13 @@ class Session:
 
     def place(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
+        return self._of(person, lambda course: course.place(person))
+
+    def _of(self, person: str, view: Callable[[EventSourced], T]) -> T:
+        """Return a view of a person who is present."""
         with self.lock:
             self._course.require(person)
-            return self._course.place(person)
+            return view(self._course)
 
     def beliefs(self) -> dict[str, bytes]:
         """Return the belief about each present person, as the bytes of its array."""
