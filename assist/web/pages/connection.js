@@ -1,7 +1,7 @@
 // Connection to the service: a socket that reconnects, and requests that are repeated under the same id until they are
 // answered, even after the page was reloaded.
 
-import { text, wait } from "./page.js";
+import { at, keep, recall, sentence, text, wait } from "./page.js";
 
 const root = new URL("../", import.meta.url); // address of the service, under any path
 const parts = location.pathname.slice(root.pathname.length).split("/").filter(Boolean);
@@ -96,11 +96,7 @@ export class Outbox {
     this.refused = refused;
     this.waiting = waiting;
     this.running = false;
-    try {
-      this.kept = JSON.parse(sessionStorage.getItem(this.key) ?? "null");
-    } catch {
-      this.kept = null;
-    }
+    this.kept = recall(this.key);
   }
 
   get busy() {
@@ -109,12 +105,7 @@ export class Outbox {
 
   keep(request) {
     this.kept = request;
-    try {
-      if (request === null) sessionStorage.removeItem(this.key);
-      else sessionStorage.setItem(this.key, JSON.stringify(request));
-    } catch {
-      // no storage: the request is lost when the page is closed
-    }
+    keep(this.key, request);
   }
 
   send(path, body) {
@@ -205,6 +196,36 @@ export class Channel {
     clearTimeout(this.timer);
     this.socket?.close();
   }
+}
+
+/**
+ * Keep the view of the page's person current; return a function that asks for it now.
+ * @param {Outbox} outbox
+ * @param {{ take: (view: any) => void, gone: (why: string) => void, over?: () => void }} tells `over`: the person has left
+ */
+export function follow(outbox, { take, gone, over }) {
+  async function refresh() {
+    try {
+      take(await askJson(pathOf(person)));
+    } catch (error) {
+      if (error instanceof Refused && [401, 403, 404].includes(error.status)) {
+        channel.end();
+        at("connection").textContent = text("page.over");
+        gone(text("page.invalid_because", { why: sentence(error.message) }));
+      }
+    }
+  }
+  const channel = new Channel(pathOf(person, "/events"), {
+    message: take,
+    state(state) {
+      at("connection").textContent = text(`page.${state}`);
+      at("connection").classList.toggle("lost", state !== "connected");
+      if (state === "connected") outbox.resume();
+      else if (state === "over" && over) over();
+      else refresh();
+    },
+  });
+  return refresh;
 }
 
 if (token !== null) exchange();

@@ -32,6 +32,34 @@ export const sentence = (why) => `${why.charAt(0).toUpperCase()}${why.slice(1)}$
 /** A promise that is kept after some milliseconds. */
 export const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
+/**
+ * What the browser keeps under a key, in this tab or for all; null if there is nothing, or no storage.
+ * @param {string} key
+ * @param {"sessionStorage" | "localStorage"} where
+ */
+export function recall(key, where = "sessionStorage") {
+  try {
+    return JSON.parse(globalThis[where].getItem(key) ?? "null");
+  } catch {
+    return null;
+  }
+}
+
+/**
+ * Keep a value under a key, or nothing if it is null; without storage it is lost when the page is closed.
+ * @param {string} key
+ * @param {unknown} value
+ * @param {"sessionStorage" | "localStorage"} where
+ */
+export function keep(key, value, where = "sessionStorage") {
+  try {
+    if (value === null) globalThis[where].removeItem(key);
+    else globalThis[where].setItem(key, JSON.stringify(value));
+  } catch {
+    // no storage
+  }
+}
+
 /** Minutes and seconds. */
 export const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 

@@ -1,7 +1,7 @@
 // A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
-import { Channel, Outbox, Refused, askJson, passes, pageOf, pathOf, person, place } from "./connection.js";
-import { all, at, clock, complain, element, figure, first, focused, language, sentence, text } from "./page.js";
+import { Outbox, askJson, follow, passes, pageOf, pathOf, person, place } from "./connection.js";
+import { all, at, clock, complain, element, figure, first, focused, keep, language, recall, sentence, text } from "./page.js";
 
 const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
 const WIDTHS = [320, 400, 520, 640, 760, 960];
@@ -383,18 +383,6 @@ async function redraw() {
   }
 }
 
-async function refresh() {
-  try {
-    take(await askJson(pathOf(person)));
-  } catch (error) {
-    if (error instanceof Refused && [401, 403, 404].includes(error.status)) {
-      channel.end();
-      at("connection").textContent = text("page.over");
-      leave(text("page.invalid_because", { why: sentence(error.message) }));
-    }
-  }
-}
-
 /** Disable the page of a person who has left the team. */
 function leave(why) {
   closeMenu(false);
@@ -402,33 +390,16 @@ function leave(why) {
   complain(why);
 }
 
-const channel = new Channel(pathOf(person, "/events"), {
-  message: take,
-  state(state) {
-    at("connection").textContent = text(`page.${state}`);
-    at("connection").classList.toggle("lost", state !== "connected");
-    if (state === "connected") outbox.resume();
-    if (state === "lost") refresh();
-    if (state === "over") leave(text("task.removed"));
-  },
-});
+const refresh = follow(outbox, { take, gone: leave, over: () => leave(text("task.removed")) });
 
 // Steps and time.
 
 function remember(when) {
   started = when;
-  try {
-    sessionStorage.setItem(`kitassist began ${place}`, String(when));
-  } catch {
-    // no storage: the clock restarts when the page is reloaded
-  }
+  keep(`kitassist began ${place}`, when);
 }
 
-try {
-  started = Number(sessionStorage.getItem(`kitassist began ${place}`)) || null;
-} catch {
-  started = null;
-}
+started = recall(`kitassist began ${place}`);
 setInterval(() => {
   if (started === null || (view?.finished && !probably())) return;
   at("time").textContent = clock(Math.max(0, Math.round((Date.now() - started) / 1000)));

@@ -1,7 +1,7 @@
 // A participant's page: consent, instructions, questionnaires and the end. It redirects to the page of tasks.
 
-import { Channel, Outbox, Refused, askJson, passes, pageOf, pathOf, person, place } from "../../pages/connection.js";
-import { all, at, complain, element, language, sentence, text } from "../../pages/page.js";
+import { Outbox, askJson, follow, passes, pageOf, person, place } from "../../pages/connection.js";
+import { all, at, complain, element, keep, language, recall, sentence, text } from "../../pages/page.js";
 import { Questions } from "./questions.js";
 
 const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${rest}`;
@@ -15,25 +15,9 @@ let shown = null; // the stage that the page shows
 
 const draftKey = () => `kitassist draft ${place} ${view.study.stage}`;
 
-function draft() {
-  try {
-    return JSON.parse(sessionStorage.getItem(draftKey()) ?? "{}");
-  } catch {
-    return {};
-  }
-}
-
-function keepDraft(answers) {
-  try {
-    sessionStorage.setItem(draftKey(), JSON.stringify(answers));
-  } catch {
-    // no storage: answers are lost when the page is closed
-  }
-}
-
 function questionnaire(study) {
   const asked = form.questionnaires[study.what];
-  const questions = new Questions(asked.items, study.items, draft(), keepDraft);
+  const questions = new Questions(asked.items, study.items, recall(draftKey()) ?? {}, (answers) => keep(draftKey(), answers));
   title(asked.title);
   if (asked.introduction) at("body").append(element("p", {}, asked.introduction));
   at("form").append(...questions.elements(), buttons([text("page.continue"), null]));
@@ -87,7 +71,7 @@ function ends(study, heading = text("study.thanks"), words = form.texts.thanks) 
     }
   });
   at("body").append(element("p", { class: "code" }, element("label", { for: "code" }, text("study.code")), code, copy), element("p", {}, text("study.close")));
-  askJson(`/api/study/participants/${encodeURIComponent(person)}/withdrawal`).then(({ code, address: place, until }) => {
+  askJson(own("withdrawal")).then(({ code, address: place, until }) => {
     const day = until === null ? "" : new Date(until).toLocaleDateString(language, { dateStyle: "long", timeZone: "UTC" });
     at("body").append(element("p", { class: "hint", id: "withdrawal" }, text(day ? "study.later_until" : "study.later", { day, code, address: place })));
   }).catch(() => {}); // the page works without it
@@ -191,26 +175,7 @@ function take(next) {
   show();
 }
 
-async function refresh() {
-  try {
-    take(await askJson(pathOf(person)));
-  } catch (error) {
-    if (error instanceof Refused && [401, 403, 404].includes(error.status)) {
-      channel.end();
-      complain(text("page.invalid_because", { why: sentence(error.message) }));
-    }
-  }
-}
-
-const channel = new Channel(pathOf(person, "/events"), {
-  message: take,
-  state(state) {
-    at("connection").textContent = text(`page.${state}`);
-    at("connection").classList.toggle("lost", state !== "connected");
-    if (state === "connected") outbox.resume();
-    if (state !== "connected") refresh();
-  },
-});
+const refresh = follow(outbox, { take, gone: complain });
 
 const back = () => {
   history.replaceState(null, "", location.pathname + location.hash);

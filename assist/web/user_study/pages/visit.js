@@ -1,25 +1,9 @@
 // The page of the join link: each browser becomes one participant, always the same one.
 
 import { Refused, address, askJson, newId, passes, place } from "../../pages/connection.js";
-import { at, sentence, text, wait } from "../../pages/page.js";
+import { at, keep, recall, sentence, text, wait } from "../../pages/page.js";
 
 const KEY = `kitassist visit ${place}`;
-
-function kept() {
-  try {
-    return JSON.parse(localStorage.getItem(KEY) ?? "null");
-  } catch {
-    return null;
-  }
-}
-
-function keep(visit) {
-  try {
-    localStorage.setItem(KEY, JSON.stringify(visit));
-  } catch {
-    // no storage: the address of the next page identifies the participant
-  }
-}
 
 /** Participants sent by another system bring its id. With a signature they are the same participant on every device. */
 function sent() {
@@ -66,7 +50,7 @@ async function visit(id) {
 
 async function enter(id) {
   tell(text("study.wait"));
-  keep({ id });
+  keep(KEY, { id }, "localStorage"); // without storage, the address of the next page identifies the participant
   try {
     const seat = await visit(id);
     location.replace(address(seat.part));
@@ -80,7 +64,7 @@ async function enter(id) {
 
 /** In a laboratory, several participants use one browser. After one has finished, the next may begin. */
 async function begin() {
-  const id = sent() ?? kept()?.id ?? null;
+  const id = sent() ?? recall(KEY, "localStorage")?.id ?? null;
   if (id === null) {
     await enter(newId());
     return;
