@@ -497,6 +497,10 @@ def test_a_folder_of_another_study_is_refused(opened: Open) -> None:
 def test_the_example_is_a_study_and_the_documentation_shows_it() -> None:
     file = ROOT / "docs" / "examples" / "kitting-study.toml"
     assert [one.name for one in read(file).conditions] == ["none", "reactive", "attention", "priority"]
+    promise = " ".join(
+        read(file).texts["thanks"].split()
+    )  # codes can be traced as long as there is the key, and not after
+    assert "we delete the key that connects codes with browsers. Then nobody can trace the code to you." in promise
     whole, page = tomllib.loads(file.read_text()), (ROOT / "docs" / "userstudy.md").read_text()
     shown = tomllib.loads(page.split("```toml\n")[1].split("```")[0])
     assert shown

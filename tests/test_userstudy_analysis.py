@@ -19,7 +19,7 @@ from scipy import special, stats
 from userstudies import PLAN, SCORES, written
 
 from assist.cli import main
-from assist.reports.effects import between_groups, within_participants
+from assist.reports.effects import between_groups, cronbach_alpha, within_participants
 from assist.reports.hypothesis_tests import (
     fisher_p,
     holm,
@@ -293,6 +293,23 @@ def test_who_does_not_finish_counts_in_completion_and_has_the_worst_rank(tmp_pat
     assert worst["effect"] == pytest.approx((2 * 5 - 3 * 5) / 25)  # two pairs won by the unfinished, three lost
     (likert, _) = summary["likert"]
     assert (likert["item"], likert["effect"], likert["n"]) == ("rely", 1.0, 5)
+
+
+def test_alpha_is_that_of_each_condition_where_participants_answer_in_several(tmp_path: Path) -> None:
+    """Answers of one participant are not independent."""
+    rng = np.random.default_rng(6)
+    rows = [(f"{one} > {other}", name, period, 9.0, 4) for number in range(6)
+            for one, other in [("none", "attention") if number % 2 else ("attention", "none")]
+            for period, name in enumerate((one, other), start=1)]  # fmt: skip
+    tables = rows_of(rows, who=lambda n: f"P{n // 2}")
+    for row in tables.answers:
+        row["score"] = int(rng.integers(1, 8))
+    found = {one["questionnaire"]: one for one in summarise(study_with(tmp_path, WITHIN), tables)["questionnaires"]}
+    scores: dict[str, list[list[int]]] = {"none": [], "attention": []}
+    for first, second in zip(tables.answers[::2], tables.answers[1::2], strict=True):
+        scores[first["condition"]].append([first["score"], second["score"]])
+    assert found["trust"]["alpha"] is None
+    assert found["trust"]["alphas"] == {name: pytest.approx(cronbach_alpha(own)) for name, own in scores.items()}
 
 
 def test_only_the_named_outcomes_are_confirmatory_and_their_family_is_adjusted(tmp_path: Path) -> None:
