@@ -54,7 +54,7 @@ ROOMS = {
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.explain": "continuations contrast explanation",
     "assist.live": """live_task events advice roster uncertain_actions beliefs live_questions decision_point
-        robot_places saved_team assistant old_journal store people_store
+        robot_places decisions saved_team assistant old_journal store people_store
         erasing recent_events course event_sourced header session simulated_person trace_reasons""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options memory_needed action_prices prices certificate visited_beliefs computation

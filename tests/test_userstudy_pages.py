@@ -346,6 +346,11 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         code = page.input_value("#code")
         is_well()
         assert second.input_value("#code") == code
+        page.click("#leave-button")
+        page.wait_for_selector(named("h2", "study.withdrawing"))
+        is_well()
+        page.click("#stay")
+        assert page.input_value("#code") == code
         second.goto(study.links["everybody"])
         is_well(second)
         second.click(named("button", "study.begin_next"))

@@ -21,28 +21,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
 from ..explain.explanation import Explanation
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING
 from ..people.goals import Goals
 from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
-from ..team.action_check import check
-from ..team.policies import POLICIES, named, prepare
-from ..team.robots import Robot, best_robots, extra_costs
+from ..team.robots import Robot, best_robots
 from ..team.setting_table import plain_setting
 from ..team.settings import Setting
-from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
+from ..team.state import BASE, NOBODY, TeamPolicy
 from ..team.travel import Travel
 from .advice import Advice, PersonState, Question
 from .beliefs import (
@@ -54,12 +52,10 @@ from .beliefs import (
     hear,
     is_uncertain,
     likeliest_cost_to_go,
-    reason_of,
     worth_of_asking,
 )  # fmt: skip
-from .decision_point import DecisionPoint
+from .decisions import Decisions
 from .events import InvalidError
-from .live_questions import LiveQuestions
 from .live_task import InapplicableError, LiveTask, digest, population_of
 from .robot_places import RobotPlaces
 from .roster import Roster, Step, Told
@@ -68,17 +64,6 @@ from .uncertain_actions import seen_of
 
 FORMAT = "kitassist team 1"
 """Format identifier of saved teams."""
-
-
-@dataclass(frozen=True)
-class _LiveTeam(TeamState):
-    """A team state that caches the answers about people who have not acted since."""
-
-    roster: Roster
-
-    def of_each(self, ask: Ask) -> Floats:
-        """Return the answers about each person, as `TeamState.of_each` does."""
-        return np.where(self.active[:, :, None], self.roster.of_each(ask, self.active[0])[None], -np.inf)
 
 
 class Assistant:
@@ -133,20 +118,16 @@ class Assistant:
         if policy == "rollout":
             self.setting.require_all_seen("policy 'rollout'")
         self._task = task
-        self._problems: dict[tuple[int, Population | Mixture], LiveTask] = {}
-        self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
-        self._asks: LiveQuestions | None = None
-        if isinstance(policy, str) and policy not in POLICIES:
-            named(policy, (), self.setting.travel(1))  # raises an error that lists the names
         self._advice: tuple[Advice, ...] | None = None
         self._step = 0
         names = list(people)
         self._places = RobotPlaces(self.setting, len(names), distance)
         self._team = Roster(len(self._places.travel))
+        self._decisions = Decisions(self.setting, policy, self._team, self._places)
         for name in names:
             self.join(name, people[name] if isinstance(people, Mapping) else None)
         if names:
-            self._policy()
+            self._decisions.team_policy()
 
     # Joining and leaving.
 
@@ -248,18 +229,10 @@ class Assistant:
         self._advice = None
 
     def _problem(self, task: CostToGo | Goals | Policy | None, population: Population | Mixture | None) -> LiveTask:
-        task, population = task or self._task, population or self.population
+        task = task or self._task
         if task is None:
             raise ValueError("there is no task; expected one for the team, or for each person")
-        key = (id(task), population)
-        if key not in self._problems:
-            self._problems[key] = made = LiveTask(task, self.setting, population)
-            if self.setting.observation is not None:
-                self.setting.observation.evidence(made.at(made.initial)[0].choices, 0)  # raises an error if unsuitable
-            if isinstance(self.policy, str):  # the team policy is then built again
-                self._made = None
-            self._asks = None
-        return self._problems[key]
+        return self._decisions.problem(task, population or self.population)
 
     # Observations.
 
@@ -452,7 +425,7 @@ class Assistant:
     def recommend_all(self) -> tuple[Advice, ...]:
         """Return what each robot does next."""
         if self._advice is None:
-            self._advice = self._decide()
+            self._advice = self._decisions.decide(self._step)
             self._step += 1
         return self._advice
 
@@ -488,8 +461,7 @@ class Assistant:
         """
         self._places.rearrange(distance, len(self._team.records))
         self._team.resize(len(self._places.travel))
-        if isinstance(self.policy, str):  # the team policy is then built again
-            self._made = None
+        self._decisions.renew()
         self._advice = None
 
     def other_travel(self, distance: ArrayLike) -> Travel:
@@ -547,93 +519,9 @@ class Assistant:
         number = self._places.at.index(place) if place in self._places.at else 0
         location = self._places.at[number]
         return partial(
-            self._decision_point(number).explanation, place, None if location == BASE else location,
+            self._decisions.point(number).explanation, place, None if location == BASE else location,
             arrived=not self._places.under_way[number], against=against,
         )  # fmt: skip
-
-    def _decision_point(self, number: int = 0) -> DecisionPoint:
-        policy: Any = self.policy
-        rule = policy if isinstance(policy, str) else getattr(policy, "name", getattr(policy, "__name__", "your own"))
-        location = self._places.at[number]
-        moving = self._places.cost(number, location)
-        return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number))
-
-    def _extra(self, number: int) -> float:
-        """Return what a suggestion by a robot costs more than in people's problems."""
-        extra = extra_costs(self.setting)
-        return 0.0 if extra is None else float(extra.suggesting[number])
-
-    def _decide(self) -> tuple[Advice, ...]:
-        places = self._places
-        places.stop_for_absent(self._team.present)
-        active, question = self._team.present & ~self._team.ended & (self._team.robot == 0), None
-        if not all(places.under_way) and active.any():
-            active, question = self._asking(active)
-        points = [self._decision_point(number) for number in range(self.setting.robot_count)]
-        advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all) for point in points]
-        for number, location in enumerate(places.at):
-            if places.under_way[number]:
-                going_to = self._team.records[location]
-                reason = reason_of(self._team, going_to.place, 0, 0.0, self._extra(number))
-                on_its_way = Advice(going_to.name, None, reason, arrived=False)
-                source = partial(points[number].suggested, going_to.place, 0, arrived=False)
-                advice[number] = on_its_way.explained_by(source)
-        if all(places.under_way) or not active.any():
-            return (advice[0].asking(question), *advice[1:])
-        team = self._as_policies_see_it(active)
-        action = self._policy()(team)
-        check(team, action)
-        origins = list(places.at)
-        places.make_room(action.person)
-        chosen = zip(action.person.reshape(-1).tolist(), action.robot.reshape(-1).tolist(), strict=True)
-        for number, (k, robot) in enumerate(chosen):
-            if k != NOBODY:
-                advice[number] = self._sent(number, origins[number], k, robot, points[number])
-        return (advice[0].asking(question), *advice[1:])
-
-    def _asking(self, active: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Question | None]:
-        """Return who may get a suggestion, as no question to them is open, and the question that is worth most."""
-        if self.setting.c_ask is None or self.policy == "none":
-            return active, None
-        if self._asks is None:
-            self._asks = LiveQuestions(self.setting, [problem.policy for problem in self._problems.values()])
-        asked = np.array([record.question is not None for record in self._team.records])
-        active = active & ~np.pad(asked, (0, len(active) - len(asked)))
-        question = self._asks.best(self._team, active)
-        if question is not None:
-            self._team.ask(question)
-            active[self._team.by_name[question.person].place] = False
-        return active, question
-
-    def _sent(self, number: int, origin: int, k: int, robot: int, point: DecisionPoint) -> Advice:
-        """Send a robot from its place to a person's, and return its advice there."""
-        self._team.robot[k] = robot
-        there = self._places.send(number, origin, k)
-        reason, record = (
-            reason_of(self._team, k, robot, float(point.moving[k]), self._extra(number)),
-            self._team.records[k],
-        )
-        advice = Advice(record.name, self._team.suggestion(record), reason, arrived=there)
-        return advice.explained_by(partial(point.suggested, k, robot, arrived=there))
-
-    def _as_policies_see_it(self, active: NDArray[np.bool_]) -> TeamState:
-        t, several = self._team, self.setting.robot_count > 1
-        location = np.array([self._places.at] if several else self._places.at)
-        return _LiveTeam(
-            self._step, t.x[None], active[None], t.erred[None], location, t.model[None], t.belief[None],
-            [part.policy for part in t.parts], self._places.travel, t,
-            free=~np.array([self._places.under_way]) if several else None, extra=extra_costs(self.setting),
-        )  # fmt: skip
-
-    def _policy(self) -> TeamPolicy:
-        if self._made is None:
-            assert isinstance(self.policy, str)
-            # Without given distances all places are equally far, so that two represent any number.
-            travel = self._places.travel if self._places.distance is not None else self.setting.travel(2)
-            policies = [problem.policy for problem in self._problems.values()]
-            prepare(made := named(self.policy, policies, travel), policies)
-            self._made = made
-        return self._made
 
     # Views.
 
@@ -683,16 +571,7 @@ class Assistant:
         missed : bool
             Whether time steps are included in which an action was perhaps missed; their action is None.
         """
-        rows = []
-        for record in self._team.records:
-            for number, (_, steps, _) in enumerate(record.episodes(), start=1):
-                count = 0
-                for step in steps:
-                    if step["action"] is not None or missed:
-                        plain = {name: step[name] for name in ("action", "suggestion")}
-                        rows.append({"person": record.name, "episode": str(number), "step": count, **plain})
-                    count += step["action"] is not None
-        return rows
+        return self._team.log(missed=missed)
 
     # Saving and restoring.
 

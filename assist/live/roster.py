@@ -314,6 +314,19 @@ class Roster:
         """Return how often what is known of the person at a place has changed."""
         return int(self._change[place])
 
+    def log(self, *, missed: bool) -> list[Named]:
+        """Return all actions as `fit` reads them, of each person in order; perhaps with those that were missed."""
+        rows = []
+        for record in self.records:
+            for number, (_, steps, _) in enumerate(record.episodes(), start=1):
+                count = 0
+                for step in steps:
+                    if step["action"] is not None or missed:
+                        plain = {name: step[name] for name in ("action", "suggestion")}
+                        rows.append({"person": record.name, "episode": str(number), "step": count, **plain})
+                    count += step["action"] is not None
+        return rows
+
     def joint(self, place: int) -> JointBelief:
         """Return the belief over task states and types of the person at a place."""
         return self.records[place].joint or JointBelief.at(int(self.x[place]), self.belief[place])

@@ -120,15 +120,18 @@ function show() {
   at("leave").hidden = !(under || ended) || leaves || study.kind === "consent";
   at("leave-button").textContent = at("leave-now").textContent = text(ended ? "study.withdraw" : "page.leave");
   at("stay").textContent = text(ended ? "study.keep" : "study.stay");
-  at("leaving").hidden = !(leaves && (under || ended));
-  at("stage").hidden = leaves && (under || ended);
+  at("leaving-title").textContent = text(ended ? "study.withdrawing" : "study.leaving");
+  at("leaving-text").textContent = text(ended ? "study.withdraw_text" : "study.leaving_text");
+  const leaving = leaves && (under || ended);
+  at("leaving").hidden = !leaving;
+  at("stage").hidden = leaving;
   if (study.waiting) {
     at("said").textContent = at("progress-word").textContent = text("study.here", { here: study.waiting.here, all: study.waiting.of });
     at("progress").max = study.waiting.of;
     at("progress").value = study.waiting.here;
   }
   for (const button of all("main .buttons button")) button.disabled = outbox.busy;
-  if (shown === key(study) && !(leaves && under)) return;
+  if (shown === key(study) && !leaving) return;
   const first = shown === null;
   shown = key(study);
   complain(null);
@@ -136,7 +139,7 @@ function show() {
   at("form").replaceChildren();
   at("form").onsubmit = (event) => event.preventDefault();
   at("stage").removeAttribute("aria-busy");
-  if (leaves && under) at("leaving-title").focus();
+  if (leaving) at("leaving-title").focus();
   else {
     STAGES[study.kind](study);
     scrollTo(0, 0);

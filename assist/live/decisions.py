@@ -1,0 +1,165 @@
+"""The decisions of a live team: to whom its robots go, with which suggestions, and what they ask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import CostToGo
+
+from ..people.decision import Floats
+from ..people.goals import Goals
+from ..people.human import Population
+from ..people.mixture import Mixture
+from ..person.policy import Policy
+from ..team.action_check import check
+from ..team.policies import POLICIES, named, prepare
+from ..team.robots import extra_costs
+from ..team.settings import Setting
+from ..team.state import NOBODY, Ask, TeamPolicy, TeamState
+from .advice import Advice, Question
+from .beliefs import reason_of
+from .decision_point import DecisionPoint
+from .live_questions import LiveQuestions
+from .live_task import LiveTask
+from .robot_places import RobotPlaces
+from .roster import Roster
+
+
+@dataclass(frozen=True)
+class _LiveTeam(TeamState):
+    """A team state that caches the answers about people who have not acted since."""
+
+    roster: Roster
+
+    def of_each(self, ask: Ask) -> Floats:
+        """Return the answers about each person, as `TeamState.of_each` does."""
+        return np.where(self.active[:, :, None], self.roster.of_each(ask, self.active[0])[None], -np.inf)
+
+
+class Decisions:
+    """Decides for the robots of a live team.
+
+    Parameters
+    ----------
+    setting : Setting
+    policy : str or callable
+        A team policy, as in `Assistant`.
+    team : Roster
+    places : RobotPlaces
+    """
+
+    def __init__(self, setting: Setting, policy: str | TeamPolicy, team: Roster, places: RobotPlaces) -> None:
+        self._setting, self._rule, self._team, self._places = setting, policy, team, places
+        self._problems: dict[tuple[int, Population | Mixture], LiveTask] = {}
+        self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
+        self._asks: LiveQuestions | None = None
+        if isinstance(policy, str) and policy not in POLICIES:
+            named(policy, (), setting.travel(1))  # raises an error that lists the names
+
+    def problem(self, task: CostToGo | Goals | Policy, population: Population | Mixture) -> LiveTask:
+        """Return the problem of a task with a prior, which is kept: people with the same task share it."""
+        key = (id(task), population)
+        if key not in self._problems:
+            self._problems[key] = made = LiveTask(task, self._setting, population)
+            if self._setting.observation is not None:
+                self._setting.observation.evidence(made.at(made.initial)[0].choices, 0)  # raises an error if unsuitable
+            self.renew()
+            self._asks = None
+        return self._problems[key]
+
+    def renew(self) -> None:
+        """Build the team policy again, because problems or distances have changed."""
+        if isinstance(self._rule, str):
+            self._made = None
+
+    def point(self, number: int) -> DecisionPoint:
+        """Return the team as it is now, from which a decision about a robot is explained later."""
+        policy: Any = self._rule
+        rule = policy if isinstance(policy, str) else getattr(policy, "name", getattr(policy, "__name__", "your own"))
+        location = self._places.at[number]
+        moving = self._places.cost(number, location)
+        return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number))
+
+    def _extra(self, number: int) -> float:
+        """Return what a suggestion by a robot costs more than in people's problems."""
+        extra = extra_costs(self._setting)
+        return 0.0 if extra is None else float(extra.suggesting[number])
+
+    def decide(self, step: int) -> tuple[Advice, ...]:
+        """Return what each robot does next, and send them; `step` is the number of decisions before."""
+        places = self._places
+        places.stop_for_absent(self._team.present)
+        active, question = self._team.present & ~self._team.ended & (self._team.robot == 0), None
+        if not all(places.under_way) and active.any():
+            active, question = self._asking(active)
+        points = [self.point(number) for number in range(self._setting.robot_count)]
+        advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all) for point in points]
+        for number, location in enumerate(places.at):
+            if places.under_way[number]:
+                going_to = self._team.records[location]
+                reason = reason_of(self._team, going_to.place, 0, 0.0, self._extra(number))
+                on_its_way = Advice(going_to.name, None, reason, arrived=False)
+                source = partial(points[number].suggested, going_to.place, 0, arrived=False)
+                advice[number] = on_its_way.explained_by(source)
+        if all(places.under_way) or not active.any():
+            return (advice[0].asking(question), *advice[1:])
+        team = self._as_policies_see_it(active, step)
+        action = self.team_policy()(team)
+        check(team, action)
+        origins = list(places.at)
+        places.make_room(action.person)
+        chosen = zip(action.person.reshape(-1).tolist(), action.robot.reshape(-1).tolist(), strict=True)
+        for number, (k, robot) in enumerate(chosen):
+            if k != NOBODY:
+                advice[number] = self._sent(number, origins[number], k, robot, points[number])
+        return (advice[0].asking(question), *advice[1:])
+
+    def _asking(self, active: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Question | None]:
+        """Return who may get a suggestion, as no question to them is open, and the question that is worth most."""
+        if self._setting.c_ask is None or self._rule == "none":
+            return active, None
+        if self._asks is None:
+            self._asks = LiveQuestions(self._setting, [problem.policy for problem in self._problems.values()])
+        asked = np.array([record.question is not None for record in self._team.records])
+        active = active & ~np.pad(asked, (0, len(active) - len(asked)))
+        question = self._asks.best(self._team, active)
+        if question is not None:
+            self._team.ask(question)
+            active[self._team.by_name[question.person].place] = False
+        return active, question
+
+    def _sent(self, number: int, origin: int, k: int, robot: int, point: DecisionPoint) -> Advice:
+        """Send a robot from its place to a person's, and return its advice there."""
+        self._team.robot[k] = robot
+        there = self._places.send(number, origin, k)
+        reason, record = (
+            reason_of(self._team, k, robot, float(point.moving[k]), self._extra(number)),
+            self._team.records[k],
+        )
+        advice = Advice(record.name, self._team.suggestion(record), reason, arrived=there)
+        return advice.explained_by(partial(point.suggested, k, robot, arrived=there))
+
+    def _as_policies_see_it(self, active: NDArray[np.bool_], step: int) -> TeamState:
+        t, several = self._team, self._setting.robot_count > 1
+        location = np.array([self._places.at] if several else self._places.at)
+        return _LiveTeam(
+            step, t.x[None], active[None], t.erred[None], location, t.model[None], t.belief[None],
+            [part.policy for part in t.parts], self._places.travel, t,
+            free=~np.array([self._places.under_way]) if several else None, extra=extra_costs(self._setting),
+        )  # fmt: skip
+
+    def team_policy(self) -> TeamPolicy:
+        """Return the team policy, built for all problems of the team."""
+        if self._made is None:
+            assert isinstance(self._rule, str)
+            # Without given distances all places are equally far, so that two represent any number.
+            travel = self._places.travel if self._places.distance is not None else self._setting.travel(2)
+            policies = [problem.policy for problem in self._problems.values()]
+            prepare(made := named(self._rule, policies, travel), policies)
+            self._made = made
+        return self._made
