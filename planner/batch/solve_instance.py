@@ -185,13 +185,13 @@ def _grounded(reading: Reading, checker: ValidationProcess, phases: _Phases, unt
 
 def _load_search(instance: Instance, phases: _Phases, until_solved: ExitStack) -> None:
     """Load the compiled code by solving the smallest task, a switch. This saves 0.1 of 1.1 seconds."""
-    from ..system.jit import compiling
-
-    until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
-    from ..costtogo.sweep import sweep
-
     switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
-    with suppress(MemoryError, RuntimeError):  # the search that follows will report them
+    with suppress(Exception):  # what fails here fails again in the search, which reports it
+        from ..system.jit import compiling
+
+        until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
+        from ..costtogo.sweep import sweep
+
         sweep(Task(instance, switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)), progress=False)
 
 
