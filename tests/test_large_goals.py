@@ -18,6 +18,7 @@ from assist.live import live_task as live
 from assist.people import Goals, Human, HumanModel
 from assist.people.misconception import Misconception
 from assist.person import AssistPOMDP
+from assist.person.memory_needed import depth_within, first_bounds_bytes
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
 from assist.simulation import Pool, simulate
@@ -246,3 +247,19 @@ def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any) -> None
         value = found.certify("priority", episodes=500, seed=2)
         assert value.value - 4 * value.value_stderr <= found.upper
     assert found.upper <= exact.upper + 0.5
+
+
+def test_a_problem_has_as_many_states_as_a_solver_can_keep() -> None:
+    goals = TASKS["sealed"]
+    sizes = []
+    for limit in (np.inf, 17.0, 1.0):
+        found = PersonProblem.of(goals, states=100, memory_limit_mb=limit)
+        assert found.pomdp.frontier is not None
+        sizes.append(found.pomdp.task_states)
+        if limit > 1:
+            depth = depth_within(found.pomdp, limit)
+            assert first_bounds_bytes(found.pomdp, depth) <= 0.8e6 * limit
+            assert depth == (500 if limit == np.inf else 125)
+    assert sizes[0] > sizes[1] > sizes[2] > 20
+    bounds = solve(found.pomdp, time_limit=1, memory_limit_mb=20.0)
+    assert bounds.lower < bounds.upper

@@ -61,7 +61,9 @@ def policy(
         return goals or costs_of(found, max_states=max_states, memory_limit_mb=memory_limit)
 
     with one_line_errors():
-        found, problem = person_problem(instance, known_of, states=region_states, time_limit=time_limit, **person)
+        found, problem = person_problem(
+            instance, known_of, states=region_states, time_limit=time_limit, memory_limit=memory_limit, **person
+        )
         with status_line("first bounds") as show:
             solution = solve(
                 problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit,

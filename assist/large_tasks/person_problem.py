@@ -20,6 +20,7 @@ from ..people.memory import choices_of
 from ..people.misconception import perceived_cost_to_go
 from ..people.mixture import Mixture
 from ..people.trust_rules import TrustRule, trust_rule
+from ..person.memory_needed import depth_within, first_bounds_bytes
 from ..person.pomdp import AssistPOMDP, Suggestions
 from .truncated_task import TruncatedTask
 
@@ -101,6 +102,7 @@ class PersonProblem:
         sigma: float = 0.0,
         seed: int | np.random.Generator = 0,
         time_limit: float | None = None,
+        memory_limit_mb: float = np.inf,
         progress: Callable[[int], None] | None = None,
     ) -> PersonProblem:
         """Build the problem on all states or on a truncated task, as `is_whole` decides.
@@ -123,6 +125,9 @@ class PersonProblem:
             Random seed of the misconception.
         time_limit : float, optional
             Seconds for collecting the states of a truncated task.
+        memory_limit_mb : float
+            Memory of a solver in MB. The number of states of a truncated task is halved until its first bounds take
+            at most 0.8 times as much, but not below 20.
         progress : callable, optional
             Called with the number of states that were expanded since the last call.
 
@@ -154,6 +159,12 @@ class PersonProblem:
             known, start=start, states=states, population=population, time_limit=time_limit, progress=progress
         )
         problem = region.problem(population=population, **person, **robot)
+        while (states := states // 2) >= 20:
+            needed = first_bounds_bytes(problem, depth_within(problem, memory_limit_mb))
+            if needed <= 0.8e6 * memory_limit_mb:
+                break
+            region = TruncatedTask.of(known, start=start, states=states, population=population, time_limit=time_limit)
+            problem = region.problem(population=population, **person, **robot)
         return cls(known, problem, region.states[: problem.task_states])
 
 

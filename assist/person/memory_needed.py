@@ -16,6 +16,14 @@ def first_bounds_bytes(pomdp: AssistPOMDP, depth: int = SolverOptions.depth) -> 
     return 8 * hidden * (states * (2 * robots + 12) + depth * (8 + robots * slots))
 
 
+def depth_within(pomdp: AssistPOMDP, limit_mb: float) -> int:
+    """Return the largest length of a trial, of 500, 250 and 125 steps, that leaves a fifth of the memory limit free."""
+    depth = SolverOptions.depth
+    while depth > 125 and first_bounds_bytes(pomdp, depth) > 0.8e6 * limit_mb:
+        depth //= 2
+    return depth
+
+
 def require_room(pomdp: AssistPOMDP, depth: int, limit_mb: float) -> None:
     """Raise a `LimitError` if the first bounds would exceed the memory limit."""
     needed = first_bounds_bytes(pomdp, depth) / 1e6

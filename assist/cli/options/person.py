@@ -104,7 +104,7 @@ def person_options(command: Command) -> Command:
 def person_problem(
     instance: str, known_of: Callable[[Instance], CostToGo | Goals], *, states: int | None, domain: str | None,
     beta: Range, theta: Range, population_file: Path | None, people: str | None, sigma: float, execute: bool,
-    time_limit: float | None = None, **setting: Any,
+    time_limit: float | None = None, memory_limit: float = float("inf"), **setting: Any,
 ) -> tuple[Instance, PersonProblem]:  # fmt: skip
     """Build one person's problem from the values of `person_options`. Invalid options raise usage errors.
 
@@ -116,6 +116,8 @@ def person_problem(
         Largest number of states in the problem; a larger task is truncated to it. None: all states of the task.
     time_limit : float, optional
         Seconds for choosing the states of a truncated problem.
+    memory_limit : float
+        Memory of the solver in MB. A truncated problem has fewer states if it is short, unless their number was given.
     """
     from ...large_tasks.person_problem import PersonProblem, is_whole
     from ...people.goals import each_of
@@ -131,10 +133,13 @@ def person_problem(
             raise click.UsageError(f"{name}: expected a task of at most {states:,} states (--region-states)")
     if not whole and not is_given("region_states"):  # a state takes memory for each goal
         states = max(1, states // len(each_of(known)))
+    else:
+        memory_limit = float("inf")
     try:
         with nullcontext() if whole else progress_bar("collecting states", states) as advance:
             problem = PersonProblem.of(
                 known, states=states, population=population, sigma=sigma, execute=execute, time_limit=time_limit,
+                memory_limit_mb=memory_limit,
                 progress=advance, **with_rule_of(population_file, setting),
             )  # fmt: skip
     except ValueError as error:
