@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from planner.system.jit import njit
 
@@ -103,7 +104,7 @@ class AdviceModel:
 
     def _likelihood(self, found: Floats, log: AdviceLog) -> Floats:
         own = self.parameters
-        start = np.clip(1 / (1 + np.exp(-(own["mu"] + own["sigma"] * POINTS))), LEAST, 1 - LEAST)
+        start = np.clip(expit(own["mu"] + own["sigma"] * POINTS), LEAST, 1 - LEAST)
         slopes, weights = self._nodes()
         rule = np.array(self.rule.coefficients(*self.values[len(BASES[self.base]) :]), dtype=float)
         by_agreement = self.base != "A"
