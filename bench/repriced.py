@@ -2,8 +2,8 @@
 
     python bench/repriced.py [--people 1000] [--robots 1] [--instance kitting/paper] [--steps 300] [--record FILE]
 
-`bench/robots.py` compares it with the policies of the package. It has its place here, as it is not clearly better than
-priority, whose price is the same in all teams and at all times.
+`bench/robots.py` compares it with the policies of the package. It has its place here, as it gains
+nothing over priority, whose price is always the same, in teams of up to 24 people, and 0.2 % in teams of 100.
 
 The price has the form of a period: it is c in the next L steps, and afterwards that of priority. At every decision c
 and L minimise the Lagrangian bound from the present states and beliefs,
