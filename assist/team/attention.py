@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..people.decision import Floats
 from ..person.policy import Policy
 from .assignment import assigned
-from .extra_costs import extra_costs_of
+from .extra_costs import scores_of_each
 from .state import BASE, NOBODY, TeamAction, TeamState
 from .travel import Travel
 
@@ -101,11 +101,7 @@ class AttentionSwitching:
         q = team.q_values()
         reference = self.reference(team, q)
         if team.extra is not None:
-            each = q[:, None] - extra_costs_of(team, q.shape[2])
-            robot = each.argmax(axis=3)
-            useful = team.active[:, None] & (robot > 0)
-            score = np.subtract(each.max(axis=3), reference[:, None], out=np.full(robot.shape, -np.inf), where=useful)
-            return robot, score - team.to()
+            return scores_of_each(team, q, reference)
         robot = q.argmax(axis=2)
         worth = np.take_along_axis(q, robot[:, :, None], axis=2)[:, :, 0]  # faster than a maximum over so few entries
         # People who are not active score minus infinity.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
 from .state import TeamState
@@ -23,3 +24,25 @@ def extra_costs_of(team: TeamState, actions: int) -> Floats:
     costs = team.extra.of(each, executes.reshape(len(team.x), 1, *team.x.shape[1:], actions))
     costs[..., 0] = 0.0
     return costs
+
+
+def scores_of_each(team: TeamState, q: Floats, reference: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """Return each robot's action towards each person, and its score, as `AttentionSwitching.scores` does.
+
+    Parameters
+    ----------
+    team : TeamState
+        N teams of K people and M robots that differ.
+    q : float array, shape (N, K, R)
+        Q-values of the robot actions in people's problems.
+    reference : float array, shape (N, K)
+
+    Returns
+    -------
+    robot, score : int and float arrays, shape (N, M, K)
+    """
+    each = q[:, None] - extra_costs_of(team, q.shape[2])
+    robot = each.argmax(axis=3)
+    useful = team.active[:, None] & (robot > 0)
+    score = np.subtract(each.max(axis=3), reference[:, None], out=np.full(robot.shape, -np.inf), where=useful)
+    return robot, score - team.to()
