@@ -201,7 +201,7 @@ def test_what_is_expected_beyond_is_known() -> None:
 
 
 def test_memory_is_asked_for_beforehand() -> None:
-    with pytest.raises(LimitError, match=r"^bounding what somebody gets on \d+ states takes about \d+ MB"):
+    with pytest.raises(LimitError, match=r"^bounding a person's value on \d+ states takes about \d+ MB"):
         bounded(kit("tiny"), Setting(), somebody(), PRIOR, entry=ENTRY, size=2, memory_limit_mb=0.01)
 
 

@@ -83,5 +83,5 @@ def test_states_are_met_layer_by_layer() -> None:
 
 def test_people_who_are_mistaken_about_actions_are_refused() -> None:
     (human,) = Population(noise="action").sample(None, 1, np.random.default_rng(0))
-    with pytest.raises(ValueError, match="expected somebody who is mistaken about states"):
+    with pytest.raises(ValueError, match="expected a person who is mistaken about states"):
         solved("tiny", human, Grid(np.array([1.0]), np.array([0.0, 1.0])), 0.2, 10**6)

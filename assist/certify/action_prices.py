@@ -1,4 +1,4 @@
-"""Prices of actions in a bound for robots that differ, beside the price of their attention.
+"""Prices of actions in a bound for robots that differ, in addition to the price of their attention.
 
 In people's problems every robot has the best ability and the lowest costs of any (`best_robots`). Prices of
 suggestions and of executions account for it that not every robot of the team has them. Let e_m(a) be what an action of
@@ -13,7 +13,7 @@ where V_k is the optimal value of person k's subproblem with the best robot, at 
 the price lambda_t, and an action of class a the price mu_t(a) in addition.
 
 Proof. Consider any policy of the team, as a policy of the best robots that has the costs e_m(a) in addition
-(`assist.team.robots`). In a step, a robot either attends to nobody, or attends to somebody without an action, or
+(`assist.team.robots`). In a step, a robot attends to no person, or to a person without an action, or
 takes one action, of some class a. In its part of the first sum the robot has at least as much as the prices of what it
 does, minus e_m(a): nothing, lambda_t, or lambda_t + mu_t(a). So the return increases or stays the same if the first sum
 is added, and the prices are subtracted and the costs e_m(a) added back. The result is the first sum plus, for each
@@ -57,7 +57,7 @@ def paid(price: Floats, setting: Setting) -> float:
 
 
 def supply(price: Floats, extra: ExtraCosts) -> Floats:
-    """Return how many robots attend, suggest and execute at the most if prices rise slightly, shape (3, W).
+    """Return how many robots attend, suggest and execute at most if prices rise slightly, shape (3, W).
 
     These are the derivatives of what robots pay, as in `paid`, in the prices of each step.
     """

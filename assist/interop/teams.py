@@ -126,7 +126,7 @@ class Teams:
     def reachable(self) -> NDArray[np.bool_]:
         """Return to which people each robot may be sent, shape (N, K), or (N, M, K) with M robots.
 
-        Nobody to whom another robot is under way, and nobody while the robot itself is.
+        No person to whom another robot is under way, and none while the robot itself is.
         """
         free = self.free()
         going = np.repeat(free[..., None], self.x.shape[1], axis=-1)
@@ -165,7 +165,7 @@ class Teams:
         """Return which of several robots are sent to where another one is or goes, shape (N, M).
 
         Of two robots that are sent to a person, the first one goes there. A robot that is not sent stays, so that
-        nobody else can come to its place; but if robots differ, it makes room for another one.
+        no other can come to its place; but if robots differ, it makes room for another one.
         """
         refused = np.zeros(person.shape, dtype=bool)
         while True:

@@ -128,7 +128,7 @@ def compliance_bounds(
         The person has misconceptions about actions, not states.
     """
     if human is not None and not mistaken_about_states(human):
-        raise ValueError("expected somebody who is mistaken about states, not about actions")
+        raise ValueError("expected a person who is mistaken about states, not about actions")
     rows = known.choices(states)
     place = np.minimum(np.searchsorted(states, rows.targets), len(states) - 1)
     inside = states[place] == rows.targets

@@ -447,7 +447,7 @@ def _values(
     needed = _bytes(problem) / 1e6
     if needed > memory_limit_mb:
         raise LimitError(
-            f"bounding what somebody gets on {len(problem.robot_actions):,} states takes about {needed:,.0f} MB of "
+            f"bounding a person's value on {len(problem.robot_actions):,} states takes about {needed:,.0f} MB of "
             f"memory, and {memory_limit_mb:,.0f} MB are allowed; expected a smaller region or a higher limit"
         )
     visits = AttentionSubproblem.of(problem, entry)

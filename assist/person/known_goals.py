@@ -4,7 +4,7 @@ They bound teams whose goals are unknown. If person k pursues goal g with probab
 `certify.team_bound` holds with sum_g p_k(g) V_kg(lambda) in place of V_k(lambda), where V_kg is the optimal value of
 their subproblem if the goal is known to be g.
 
-Proof. A robot that is told all goals at the beginning can ignore them, so that no policy is better than its optimum.
+Proof. A robot that knows all goals from the beginning can ignore them, so that no policy is better than its optimum.
 For each vector of goals the claim bounds this optimum. Its mean over the goals is as stated, since prices do not depend
 on goals and the sum over people is linear; goals of different people may depend on each other. The robot actions of
 V_kg are those with the unknown goal: steps that are optimal for any goal may be suggested. V_kg ends when the goal is

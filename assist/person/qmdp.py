@@ -211,7 +211,7 @@ def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | No
     q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
     q[ends] = -np.inf
     q[ends, 0] = value[ends]
-    if pomdp.model.choices.goal_count > 1:  # a suggestion to somebody who has reached their goal costs, and no more
+    if pomdp.model.choices.goal_count > 1:  # a suggestion after the goal costs, and does no more
         useless = np.arange(1, q.shape[1]) < pomdp.robot_actions[ends, None]
         q[ends, 1:] = np.where(useless, -pomdp.robot_costs[ends, 1:], -np.inf)[:, :, None, None]
         q[ends, 1:] += value[ends, None]

@@ -4,8 +4,8 @@ The algorithm is heuristic search value iteration (Smith and Simmons, "Point-bas
 and implementation", 2005), adapted to this problem: x is observed, so that every state has bounds of its own, over
 beliefs of B * T numbers.
 
-If the goal is hidden, too, a state is a task state, and beliefs have G * B * T numbers. Whoever reaches their goal
-stops, which the robot sees.
+If the goal is hidden, too, a state is a task state, and beliefs have G * B * T numbers. A person who reaches their
+goal stops, which the robot sees.
 
 - Lower bound: each state has alpha vectors. The first ones belong to policies that depend on x only (`qmdp.evaluate`).
   Each backup adds the vector of a robot action that is followed by existing vectors. So the lower bound is the value of

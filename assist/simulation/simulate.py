@@ -85,7 +85,7 @@ def simulate(
         prior, on its grid, and people have lapses. A model's bounds hold in the second world.
     goals : "inferred", "likeliest" or "known"
         What the robot knows of people's goals, where each pursues one of several. It infers them from actions, acts on
-        the most probable one alone, or is told the goal at the beginning of each episode.
+        the most probable one alone, or knows the goal from the beginning of each episode.
     trace : list, optional
         A dictionary is appended for every action of every person.
     reasons : Reasons, optional
