@@ -321,7 +321,7 @@ class Assistant:
     @property
     def questions(self) -> tuple[Question, ...]:
         """The open questions, of people who have not answered them or acted since."""
-        return tuple(record.question for record in self._team.records if record.question is not None)
+        return tuple(question for _, question in sorted(self._team.questions.items()))
 
     def answer(self, person: str, answer: str | bool | None) -> None:
         """Record a person's answer, after which the open question is closed.

@@ -87,10 +87,9 @@ class DecisionPoint:
             return array[:count].copy()
 
         return cls(
-            tuple(team.by_name), tuple([record.problem for record in team.records]), list(team.parts),
+            tuple(team.by_name), tuple(team.problems), list(team.parts),
             copy(team.x), copy(team.model), copy(team.robot), copy(team.present), copy(team.ended), copy(team.erred),
-            copy(team.belief), {k: one.joint for k, one in enumerate(team.records) if one.joint is not None},
-            {k: _why(one.question) for k, one in enumerate(team.records) if one.question is not None},
+            copy(team.belief), dict(team.joints), {k: _why(one) for k, one in sorted(team.questions.items())},
             here, moving[:count], rule, extra,
         )  # fmt: skip
 

@@ -125,8 +125,8 @@ class Decisions:
             return active, None
         if self._asks is None:
             self._asks = LiveQuestions(self._setting, [problem.policy for problem in self._problems.values()])
-        asked = np.array([record.question is not None for record in self._team.records])
-        active = active & ~np.pad(asked, (0, len(active) - len(asked)))
+        active = active.copy()
+        active[list(self._team.questions)] = False
         question = self._asks.best(self._team, active)
         if question is not None:
             self._team.ask(question)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,8 @@ from ..team.hidden_states import expected_answers
 from ..team.state import Ask, by_model
 from .advice import Question
 from .live_task import LiveTask, TaskPart, UnknownError
+
+V = TypeVar("V")
 
 Named = dict[str, Any]
 """An action and a suggestion, in PDDL notation, and what was seen if the action is uncertain."""
@@ -103,24 +105,48 @@ class FinishedTasks:
 class RosterEntry:
     """A person's current task, the steps in it, and the belief about the person at its beginning.
 
-    `carried` is the belief with which the person joined, or None if it was the prior. `joint` is the belief over task
-    states and types, or None if all actions of this task were certain; `earlier` is that before the last action.
-    `told` holds the answers about the goal of this task, `question` the open question, and `asked` the kinds of
-    questions since the last action.
+    `carried` is the belief with which the person joined, or None if it was the prior. `earlier` is the joint belief
+    before the last action. `told` holds the answers about the goal of this task, and `asked` the kinds of questions
+    since the last action. What every decision copies is kept by the team, by place: a copy of few objects is fast.
     """
 
     name: str
     place: int
-    problem: LiveTask
+    team: Roster = field(repr=False, compare=False)
     before: Floats
     past: FinishedTasks
     steps: list[Step] = field(default_factory=list)
     carried: Floats | None = None
-    joint: JointBelief | None = None
     earlier: JointBelief | None = None
     told: list[Told] = field(default_factory=list)
-    question: Question | None = None
     asked: set[str] = field(default_factory=set)
+
+    @property
+    def problem(self) -> LiveTask:
+        """The present task."""
+        return self.team.problems[self.place]
+
+    @problem.setter
+    def problem(self, problem: LiveTask) -> None:
+        self.team.problems[self.place] = problem
+
+    @property
+    def joint(self) -> JointBelief | None:
+        """The belief over task states and types, or None if all actions of this task were certain."""
+        return self.team.joints.get(self.place)
+
+    @joint.setter
+    def joint(self, joint: JointBelief | None) -> None:
+        _set(self.team.joints, self.place, joint)
+
+    @property
+    def question(self) -> Question | None:
+        """The open question."""
+        return self.team.questions.get(self.place)
+
+    @question.setter
+    def question(self, question: Question | None) -> None:
+        _set(self.team.questions, self.place, question)
 
     def episodes(self) -> list[tuple[LiveTask, list[Named], list[Told]]]:
         """Return all tasks of the person, with their steps and the answers about their goals."""
@@ -130,6 +156,14 @@ class RosterEntry:
         """Close the open question, because the person has acted."""
         self.question = None
         self.asked.clear()
+
+
+def _set(values: dict[int, V], place: int, value: V | None) -> None:
+    """Set or, with None, remove the value at a place."""
+    if value is None:
+        values.pop(place, None)
+    else:
+        values[place] = value
 
 
 @dataclass
@@ -152,6 +186,12 @@ class Roster:
         Parts of the tasks in which people are. A part without people may be replaced by another one.
     records : list of RosterEntry
         Records by place.
+    problems : list of LiveTask
+        Present tasks by place.
+    joints : dict of int to JointBelief
+        Beliefs over task states and types, by place, of people whose actions were uncertain.
+    questions : dict of int to Question
+        Open questions by place.
     x, model : int arrays, shape (P,)
         Row of each person's state, and the index of its part in `parts`.
     robot : int array, shape (P,)
@@ -168,6 +208,9 @@ class Roster:
         self._number: dict[TaskPart, int] = {}
         self._actions: Numbers = {}
         self.records: list[RosterEntry] = []
+        self.problems: list[LiveTask] = []
+        self.joints: dict[int, JointBelief] = {}
+        self.questions: dict[int, Question] = {}
         self.by_name: dict[str, RosterEntry] = {}
         self.x, self.model, self.robot = (np.zeros(places, dtype=np.int64) for _ in range(3))
         self.erred, self.present, self.ended = (np.zeros(places, dtype=bool) for _ in range(3))
@@ -211,9 +254,10 @@ class Roster:
         if carried is not None and part.choices.goals is not None and part.choices.goal_count > 1:
             before = np.concatenate([share * carried for share in part.choices.goals.values()])
         record = RosterEntry(
-            name, len(self.records), problem, before.copy(), FinishedTasks(self._actions), carried=carried
+            name, len(self.records), self, before.copy(), FinishedTasks(self._actions), carried=carried
         )  # fmt: skip
         self.records.append(record)
+        self.problems.append(problem)
         self.by_name[name] = record
         self.present[record.place] = True
         self.belief[record.place] = before
@@ -306,7 +350,7 @@ class Roster:
     def answers_about(self, ask: Ask, number: int, places: NDArray[np.int64]) -> Floats:
         """Return the answers about people of one part, given by their places, shape (N, W)."""
         policy, x = self.parts[number].policy, self.x[places]
-        if all(self.records[k].joint is None for k in places.tolist()):
+        if not self.joints or all(k not in self.joints for k in places.tolist()):
             return ask(policy, x, self.belief[places])
         return expected_answers(ask, policy, x, [self.joint(k) for k in places.tolist()])
 
