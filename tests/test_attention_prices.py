@@ -162,9 +162,9 @@ def test_time_and_memory_are_shared_among_kinds(monkeypatch: pytest.MonkeyPatch)
     asked: list[tuple[float, dict[str, Any]]] = []
 
     def policy(number: int) -> SimpleNamespace:
-        def bounded(entry: float, **options: Any) -> TruncatedProblem | None:
+        def bounded(entry: float, **options: Any) -> list[tuple[float, TruncatedProblem]] | None:
             asked.append((entry, options))
-            return TruncatedProblem(pool.policies[number].pomdp, pairs=7) if number else None
+            return [(1.0, TruncatedProblem(pool.policies[number].pomdp, pairs=7))] if number else None
 
         return SimpleNamespace(bounded=bounded, pomdp=pool.policies[number].pomdp)
 

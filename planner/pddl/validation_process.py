@@ -130,7 +130,8 @@ class _Process:
 
     def answer(self, seconds: float) -> dict[str, Any] | None:
         """Wait for the next answer. If none arrives, the result contains the reason under "failed"."""
-        if not self._connection.poll(seconds):
+        # One system call waits at most 2^31 - 1 milliseconds, 25 days.
+        if not self._connection.poll(min(seconds, 2_000_000.0)):
             self._popen.kill()
             return {"failed": f"it takes more than {seconds:.0f} s"}
         try:

@@ -87,7 +87,7 @@ def question_options(command: Command) -> Command:
         (
             click.option(
                 "--ask", type=click.FloatRange(min=0), metavar="COST",
-                help="Cost of a question to a person: about the goal or, in live sessions, the last action.",
+                help="Cost of asking a person for the goal or, live, the last action.",
             ),
             click.option(
                 "--ask-error", type=click.FloatRange(0, 0.5, max_open=True), default=0.0, show_default=True,
