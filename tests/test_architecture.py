@@ -44,8 +44,8 @@ ROOMS = {
         diagnostics population person_estimate fit joint_states goals goal_fit comparison rule_families trust_log
         posterior_sample influence_population rule_search trust_fit trust_comparison""",
     "assist.team": """by_policy robots travel travel_of_each state extra_costs hidden_states action_check settings
-        setting_table assignment attention attention_never questions time_expansion memory_needed subproblem_frontier
-        attention_subproblem priority whittle rollout policies""",
+        plain_setting setting_table assignment attention attention_never questions time_expansion memory_needed
+        subproblem_frontier attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
     "assist.simulation": """memory_needed affordable union pool schedule common_random_numbers hidden_goals trace
@@ -224,6 +224,33 @@ def test_what_is_not_needed_is_not_loaded(module: str) -> None:
     script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+PLAIN = """
+import sys
+for name in "msgspec fastapi uvicorn websockets httpx2 aiomqtt asyncua matplotlib pandas jinja2".split():
+    sys.modules[name] = None  # an import of it fails
+from assist.cli import main
+from assist.live import Assistant
+from planner import load, sweep
+
+tiny = "domains/kitting/tiny.pddl"
+for words in (
+    ["simulate", tiny, "--humans", "2", "--episodes", "2", "--policy", "priority", "--trace", "TRACE"],
+    ["policy", tiny, "--gap", "0.5"],
+    ["bound", tiny, "--humans", "2", "--policy", "none", "--episodes", "2", "--gap", "1"],
+    ["fit", tiny, "TRACE"],
+):
+    main(words, standalone_mode=False)
+print(Assistant(sweep(load(tiny)), ["ann"]).recommend().person)
+"""
+
+
+def test_a_plain_installation_is_enough_for_commands_that_need_no_extra(tmp_path: Path) -> None:
+    script = PLAIN.replace("TRACE", str(tmp_path / "trace.jsonl"))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("ann\n") or done.stdout.endswith("None\n")
 
 
 def test_the_overview_of_commands_says_what_they_say() -> None:

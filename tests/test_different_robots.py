@@ -34,9 +34,9 @@ from assist.simulation.trace import Trace
 from assist.study.protocol import read
 from assist.team.action_check import check
 from assist.team.assignment import assigned
+from assist.team.plain_setting import plain_setting
 from assist.team.policies import POLICIES
 from assist.team.robots import ExtraCosts, Robot, best_robots, each_alone, extra_costs
-from assist.team.setting_table import plain_setting
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
 from assist.team.travel import Travel

@@ -21,8 +21,8 @@ from assist.people.human import Population
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
+from assist.team.plain_setting import plain_setting
 from assist.team.robots import Robot
-from assist.team.setting_table import plain_setting
 from assist.team.settings import Setting
 from assist.web.app import make_app
 from assist.web.service import Service

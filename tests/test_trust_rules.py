@@ -44,7 +44,7 @@ from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.study.protocol import read
-from assist.team.setting_table import plain_setting
+from assist.team.plain_setting import plain_setting
 from assist.team.settings import Setting
 
 ALL: dict[str, TrustRule] = {

@@ -24,8 +24,8 @@ from assist.person import AssistPOMDP, qmdp
 from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team import Setting
+from assist.team.plain_setting import plain_setting
 from assist.team.questions import Questions, answered, benefit
-from assist.team.setting_table import plain_setting
 from planner import LimitError, Table, sweep, sweep_goals
 from planner.system.errors import ResultsExistError
 

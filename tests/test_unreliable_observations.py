@@ -22,7 +22,7 @@ from assist.person.problem_arrays import ProblemArrays
 from assist.simulation import Episodes, Pool, simulate
 from assist.team import Setting
 from assist.team.hidden_states import expected_answers
-from assist.team.setting_table import plain_setting
+from assist.team.plain_setting import plain_setting
 from assist.team.state import worth_of_actions
 
 Steps = list[tuple[ObservationModel, str | None, str | None]]

@@ -46,7 +46,7 @@ def bound(
     """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
     from ..certify.comparison import certify
     from ..certify.information_relaxation.confidence import CONFIDENCE
-    from ..team.setting_table import plain_setting
+    from ..team.plain_setting import plain_setting
     from .output.person_bounds import show_samples
 
     start = time.perf_counter()

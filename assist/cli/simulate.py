@@ -59,7 +59,7 @@ def simulate(
     from ..simulation.illustration import Illustration
     from ..simulation.pool import MAX_ENUMERATED
     from ..simulation.simulate import simulate as run
-    from ..team.setting_table import plain_setting
+    from ..team.plain_setting import plain_setting
     from .output.episode_summaries import show_summaries
 
     size = size or max(12, team["humans"])

@@ -37,8 +37,8 @@ from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
+from ..team.plain_setting import plain_setting
 from ..team.robots import Robot, best_robots
-from ..team.setting_table import plain_setting
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy
 from ..team.travel import Travel

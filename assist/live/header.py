@@ -22,7 +22,7 @@ from ..people.decision import perceived_cost
 from ..people.goals import Goals, first_of
 from ..people.human import Population
 from ..people.mixture import Mixture
-from ..team.setting_table import plain_setting
+from ..team.plain_setting import plain_setting
 from .assistant import Assistant
 from .live_task import digest
 

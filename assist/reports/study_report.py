@@ -20,7 +20,7 @@ from ..person.suggestion_threshold import SuggestionThreshold
 from ..plots import style
 from ..study.runner import load_study, without_suggestions
 from ..study.study import OWN, Study
-from ..team.setting_table import plain_setting
+from ..team.plain_setting import plain_setting
 from . import study_claims
 from .html_page import html_page, require_packages
 from .statistics import FEW

@@ -24,7 +24,7 @@ from planner import Instance
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..people.user_code import UserChoiceModel
-from ..team.setting_table import plain_setting
+from ..team.plain_setting import plain_setting
 from ..team.settings import Setting
 
 SCHEMA = 1
