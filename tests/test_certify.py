@@ -30,6 +30,7 @@ from assist.simulation.pool import Pool
 from assist.team.attention import NoAssistance
 from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.memory_needed import policy_bytes
+from assist.team.robots import Robot
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
 from assist.team.time_expansion import AWAY, HERE, TimeExpansion
@@ -96,6 +97,28 @@ def test_what_an_episode_that_is_cut_off_could_still_cost(pool: Pool, monkeypatc
     travel = SETTING.travel(2)
     done = Pool.sample(Choices.of(sweep(graph_task([(1, 0, 1)]))), 2, seed=1, setting=SETTING)
     np.testing.assert_allclose(returns(done, "none", (0, 1), travel, episodes=3, seed=0), -2.0)
+
+
+@pytest.mark.parametrize(
+    ("best", "other", "more"),
+    [
+        ({}, {"c_suggest": 0.4}, 0.3),
+        ({"c_move": 0.2}, {"c_move": 0.7, "c_suggest": 0.4}, 0.3 + 0.5),
+        ({"execute": True, "c_execute": 0.5}, {"execute": True, "c_execute": 1.2, "c_suggest": 0.3}, 0.7),
+        ({"execute": True, "c_execute": 0.5}, {"c_suggest": 0.7}, 0.6),
+    ],
+)
+def test_what_robots_that_differ_could_still_cost(
+    choices: Choices, monkeypatch: pytest.MonkeyPatch, best: dict[str, Any], other: dict[str, Any], more: float
+) -> None:
+    """Each of two people could still pay what the worse robot's most expensive action costs more."""
+    monkeypatch.setattr(certificate, "horizon", lambda _: 2)
+    found = []
+    for robots in ((Robot(**best), Robot(**best)), (Robot(**best), Robot(**other))):
+        setting = replace(SETTING, robots=robots)
+        team = Pool.sample(choices, 2, seed=1, setting=setting)
+        found.append(returns(team, NoAssistance(), (0, 1), setting.travel(2), episodes=50, seed=0))
+    np.testing.assert_allclose(found[0] - found[1], 2 * more * 0.25 / 0.5)
 
 
 def test_who_comes_from_far_away_pays_for_it(pool: Pool) -> None:
