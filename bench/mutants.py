@@ -43,10 +43,10 @@ TESTS = {
     "planner/costtogo/table.py": "test_costtogo test_ondemand test_tables",
     "assist/large_tasks/truncated_task.py": "test_region test_frontier",
     "assist/team/attention.py": "test_attention test_policies",
-    "assist/team/attention_subproblem.py": "test_attention_subproblem test_bounds",
-    "assist/certify/team_bound.py": "test_certify test_upper_bound",
+    "assist/team/attention_subproblem.py": "test_attention_subproblem test_bounds test_different_robots",
+    "assist/certify/team_bound.py": "test_certify test_upper_bound test_different_robots",
     "assist/certify/certificate.py": "test_certify",
-    "assist/certify/prices.py": "test_attention_prices test_certify",
+    "assist/certify/prices.py": "test_attention_prices test_certify test_different_robots",
 }
 """The modules, and the tests that should detect changes of them."""
 
