@@ -53,7 +53,7 @@ class HiddenGoals:
             goal = drawn_goals(every, model, random_numbers.draw(4, np.arange(len(model))))
         return cls(pool, model, goal, random_numbers, knowledge)
 
-    def told(self, belief: Floats) -> Floats:
+    def first_beliefs(self, belief: Floats) -> Floats:
         """Return the robot's first beliefs, shape (N, K, G * B, T): given the goals, if it knows them."""
         if self.knowledge != "known":
             return belief

@@ -100,7 +100,7 @@ class Run:
         if uses_belief or self.keeps_beliefs:
             self.belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
             if self.goals is not None:
-                self.belief = self.goals.told(self.belief)
+                self.belief = self.goals.first_beliefs(self.belief)
         self.observed: ObservedPeople | None = None
         if pool.setting.observation is not None:
             self.observed = ObservedPeople.of(pool, self.model, self.x, self.belief)
