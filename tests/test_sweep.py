@@ -26,7 +26,7 @@ module = importlib.import_module("planner.costtogo.sweep")
 successor_generator = importlib.import_module("planner.search.successor_generator")
 ranked_index = importlib.import_module("planner.search.ranked_index")
 sweep, SweepOptions = module.sweep, module.SweepOptions
-UNLISTED = SweepOptions(transitions_per_move=-1)  # a denser ranking is sought before any state is listed
+UNLISTED = SweepOptions(transitions_per_pair=-1)  # a denser ranking is sought before any state is listed
 
 
 def with_blocks_of(ranks: int, patch: pytest.MonkeyPatch) -> None:

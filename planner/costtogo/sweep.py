@@ -45,9 +45,9 @@ class SweepOptions:
     ----------
     small_bitmap : int
         Number of ranks up to which nothing else than the ranked search is tried. The bitmap of so many takes 64 MB.
-    transitions_per_move : int
-        Transitions per move that are enumerated before a denser ranking is sought, which takes longer than such a
-        search.
+    transitions_per_pair, most_transitions : int
+        Transitions that are enumerated before a denser ranking is sought: so many per pair of a move and a fact, as the
+        time for seeking it grows with their number, but at most `most_transitions`.
     ranks_per_transition : int
         If a bitmap would be larger, one transition for so many ranks is enumerated first, in case that the bitmap would
         be sparse.
@@ -57,7 +57,8 @@ class SweepOptions:
     """
 
     small_bitmap: int = 1 << 29
-    transitions_per_move: int = 128
+    transitions_per_pair: int = 4
+    most_transitions: int = 1 << 22
     ranks_per_transition: int = 1 << 14
     ranking_share: float = 0.25
 
@@ -133,10 +134,11 @@ def explored(
         space: SearchSpace | None = None
         moves, coding = _plain(task, budget)
         if coding is None or coding.size > options.small_bitmap:
-            # Seeking a denser ranking takes seconds, and enumerating a million transitions about one.
             size = math.inf if coding is None else coding.size
-            per_move = options.transitions_per_move
-            most = per_move * (len(moves) + (1 << 13)) if size > MANY else size // options.ranks_per_transition
+            most = size // options.ranks_per_transition
+            if size > MANY:
+                pairs = len(moves) * sum(task.sizes)
+                most = min(options.transitions_per_pair * pairs, options.most_transitions)
             with suppress(MemoryLimitError, MemoryError):  # a ranked search may need less memory
                 space = registry(most)
         if space is None:
