@@ -47,12 +47,18 @@ def problem(drawn: list[tuple[int, int, int]], **options: bool) -> AssistPOMDP:
     return AssistPOMDP.of(model, grid=GRID, gamma=0.9, c_suggest=0.1, suggestions="all", trust=outcome(), **options)
 
 
-def is_as_defined(found: AttentionSubproblem, price: list[float]) -> None:
-    """Compare each state's robot actions and choices with those of the person alone."""
+def is_as_defined(
+    found: AttentionSubproblem, price: list[float], on_actions: tuple[list[float], list[float]] = ([], [])
+) -> None:
+    """Compare each state's robot actions and choices with those of the person alone.
+
+    `price` is charged for attention, and `on_actions` in addition for a suggestion and for an execution.
+    """
     alone, pomdp, layout = found.alone, found.pomdp, found.layout
     own, choices = alone.model.choices, pomdp.model.choices
     several, attended = own.goal_count > 1, found.attended()
     charged = [*price, 0.0]
+    more = [[*prices, *[0.0] * len(charged)] for prices in on_actions]
     for i in range(len(layout)):
         x, step, position = int(layout.x[i]), int(layout.step[i]), int(layout.position[i])
         final = bool(alone.final[x]) or bool(layout.cut[i])
@@ -64,7 +70,10 @@ def is_as_defined(found: AttentionSubproblem, price: list[float]) -> None:
             assert attended[i, r] == busy
             assert pomdp.suggested[i, r] == alone.suggested[x, robot]
             assert pomdp.afterstate[i, r] == layout.number(step, then, alone.afterstate[x, robot])
+            suggests = robot > 0 and alone.suggested[x, robot] != NOTHING
+            executes = robot > 0 and not suggests
             cost = alone.robot_costs[x, robot] + found.entry * comes + charged[step] * busy
+            cost += (more[0][step] * suggests + more[1][step] * executes) * busy
             assert pomdp.robot_costs[i, r] == pytest.approx(cost)
             for name in ("unsuggested", "low", "weight", "followed_low", "followed_weight"):
                 one, other = getattr(pomdp, name), getattr(alone, name)
@@ -142,6 +151,28 @@ def test_each_state_is_as_defined(
         for step, position in ((0, AWAY), (len(price), HERE)):
             at = found.states(step, position)
             np.testing.assert_array_equal(at, [found.layout.number(step, position, x) for x in range(len(alone.final))])
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(edges, min_size=2, max_size=9), st.sampled_from([0, 2]), st.integers(1, 3), st.booleans(),
+    st.integers(0, 10**6),
+)  # fmt: skip
+def test_actions_have_prices_of_their_own(
+    drawn: list[tuple[int, int, int]], steps: int, length: int, execute: bool, seed: int
+) -> None:
+    """Prices of suggestions and executions are added, changed and taken off again."""
+    alone = problem(drawn, execute=execute)
+    first, second = np.random.default_rng(seed).uniform(0.1, 2.0, (2, 3, length))
+    free = AttentionSubproblem.of(alone, 0.4, steps, [0.5] * length)
+    assert free.on_actions is None
+    one = free.priced(first)
+    other = one.priced(second)
+    back = other.priced(first[0])
+    for found, rows in ((one, first), (other, second), (back, np.vstack([first[:1], np.zeros((2, length))]))):
+        np.testing.assert_array_equal(found.price, rows[0])
+        np.testing.assert_array_equal(found.on_actions, rows[1:])
+        is_as_defined(found, rows[0].tolist(), (rows[1].tolist(), rows[2].tolist()))
 
 
 def test_other_prices_change_the_bounds_where_the_task_ends() -> None:
