@@ -24,7 +24,7 @@ ROOMS = {
     "planner.grounding": "fast_downward cross_check task load semantics",
     "planner.states": "packing state_space",
     "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors
-        expansion relaxation""",
+        expansion distance_updates""",
     "planner.search.ranking": "transition_normal_form mutexes linear_invariants variable_clusters state_ranking",
     "planner.search.symmetry": "automorphisms canonical_states",
     "planner.search": """distances search_space successor_generator state_registry orbit_index ranked_index

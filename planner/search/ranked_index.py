@@ -18,7 +18,7 @@ from ..states.packing import Ints, Words
 from ..states.state_space import Part
 from ..system.limits import Budget
 from ..system.threads import on_threads
-from .kernels import expansion, rank_set, relaxation, unranking
+from .kernels import distance_updates, expansion, rank_set, unranking
 from .kernels.rank_set import RankSet
 from .kernels.ranked_successors import RankedOperators
 from .ranking.state_ranking import MANY, StateRanking
@@ -235,6 +235,6 @@ class RankedSpace:
             rank_set.label(states, distance, d, block)
             return [(0, ranks) for ranks, _ in self._new(self._inverse, self._closed, block) if len(ranks)]
         relax = partial(
-            relaxation.relax_moves, self._inverse, decoder, states, self._closed, self._kinds, costs, distance
+            distance_updates.relax_moves, self._inverse, decoder, states, self._closed, self._kinds, costs, distance
         )
         return relaxed(relax, block, d, max(RANKS_AT_A_TIME, 4 * self._inverse.tree.most), len(costs))

@@ -23,10 +23,10 @@ from ..grounding.task import Fact
 from ..states.packing import Ints
 from ..states.state_space import StateIndex
 from ..system.limits import Budget
-from .kernels import relaxation
+from .kernels import distance_updates
 
 Relax = Callable[[Ints, int, Any, Ints, Ints], tuple[int, int]]
-"""Kernel that relaxes a block, such as `relaxation.relax_stored` with its first arguments.
+"""Kernel that relaxes a block, such as `distance_updates.relax_stored` with its first arguments.
 
 Arguments are the keys, the first position, the distance, and the two outputs. It returns the position reached and the
 filled length.
@@ -102,7 +102,7 @@ def relaxed(relax: Relax, block: Ints, d: Any, room: int, kinds: int) -> list[tu
     while stop < len(block):
         stop, filled = relax(block, stop, d, out, through)
         begin, ordered = np.zeros(kinds + 2, dtype=np.int64), np.empty(filled, dtype=np.int64)
-        relaxation.by_kind(out[:filled], through[:filled], begin, ordered)
+        distance_updates.by_kind(out[:filled], through[:filled], begin, ordered)
         pushed += [
             (kind, ordered[begin[kind] : begin[kind + 1]]) for kind in np.flatnonzero(np.diff(begin[:-1])).tolist()
         ]

@@ -17,7 +17,7 @@ from ..grounding.task import Fact, Task
 from ..states.packing import Ints, Packing, Words, holds
 from ..states.state_space import Part
 from ..system.limits import Budget, LimitError
-from .kernels import packed_successors, relaxation, state_hash
+from .kernels import distance_updates, packed_successors, state_hash
 from .kernels.packed_successors import PackedOperators
 from .search_space import relaxed
 from .successor_generator import TRANSITIONS_AT_A_TIME, Expanded, expanded, packed_operators
@@ -222,7 +222,7 @@ class RegistrySpace:
         kinds = self._kinds.trimmed(self.transitions if len(self.costs) > 1 else 0)
         self._into = np.zeros(len(self) + 2, dtype=np.int64)
         self._sources, sorted_kinds = np.empty_like(targets), np.empty_like(kinds)
-        relaxation.transpose(
+        distance_updates.transpose(
             self._counts.trimmed(self._expanded), targets, kinds, self._into, self._sources, sorted_kinds
         )
         self._kinds.rows = sorted_kinds
@@ -236,6 +236,6 @@ class RegistrySpace:
 
     def settle(self, block: Ints, d: Any, distance: NDArray[Any], costs: NDArray[Any]) -> list[tuple[int, Ints]]:
         """Relax the stored transitions into the states of a block at distance `d`."""
-        relax = partial(relaxation.relax_stored, self._into, self._sources, self._kinds.rows, costs, distance)
+        relax = partial(distance_updates.relax_stored, self._into, self._sources, self._kinds.rows, costs, distance)
         ends = self._into[block + 1] - self._into[block]
         return relaxed(relax, block, d, max(TRANSITIONS_AT_A_TIME, int(ends.max(initial=1))), len(costs))

@@ -1,4 +1,4 @@
-"""Compiled relaxation of a block of states in the backward search.
+"""Compiled updates of distances by the transitions into a block of states, for the backward search.
 
 A *kind* is the index of a cost among the distinct costs of a task. Distances and costs have the same unsigned type.
 Several threads may share the distances.
