@@ -85,7 +85,7 @@ def read(domain: str, problem: str, seconds: float) -> dict[str, Any]:
 def translated(domain: str, problem: str, seconds: float) -> Task | None:
     """Return the task that Fast Downward's translator makes of unchanged files; None if it refuses them."""
     from planner.grounding.fast_downward import TRANSLATE_OPTIONS
-    from planner.grounding.load import from_sas
+    from planner.grounding.sas_reader import from_sas
 
     with tempfile.TemporaryDirectory() as folder:
         sas = Path(folder) / "output.sas"

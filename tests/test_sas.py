@@ -16,7 +16,7 @@ from test_sweep import counter, random_task
 
 from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, sweep
 from planner.grounding import fast_downward
-from planner.grounding.load import from_sas
+from planner.grounding.sas_reader import from_sas
 from planner.pddl.reader import read
 
 

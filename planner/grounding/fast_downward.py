@@ -1,8 +1,8 @@
 """The only module that runs Fast Downward.
 
-Its translator grounds an instance into a finite-domain task: the SAS text that `task` reads. Its A* search finds an
-optimal plan from the initial state or from another state. Both run as subprocesses. Fast Downward is GPL-3.0-only, and
-is never imported.
+Its translator grounds an instance into a finite-domain task: the SAS text that `sas_reader` reads. Its A* search finds
+an optimal plan from the initial state or from another state. Both run as subprocesses. Fast Downward is GPL-3.0-only,
+and is never imported.
 
 Results are SAS text, and plans as lists of ground action names; None means that there is provably no plan.
 """
