@@ -70,8 +70,14 @@ class Packing:
         return values.view(np.int64)
 
     def condition(self, facts: Sequence[Fact]) -> tuple[Words, Words]:
-        """Return mask and bits, each of shape (words,), such that the facts hold in `s` if `s & mask == bits`."""
+        """Return mask and bits, each of shape (words,), such that the facts hold in `s` if `s & mask == bits`.
+
+        Facts that contradict each other hold in no state.
+        """
         mask, value = np.zeros(self.words, dtype=np.uint64), np.zeros(self.words, dtype=np.uint64)
+        if not can_hold(facts):
+            mask[0], value[0] = 1, 2
+            return mask, value
         for variable, wanted in facts:
             word, shift = self.word[variable], np.uint64(self.shift[variable])
             mask[word] |= ((np.uint64(1) << np.uint64(self.bits[variable])) - np.uint64(1)) << shift
