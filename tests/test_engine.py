@@ -28,7 +28,7 @@ from unified_planning.shortcuts import (
 )
 from unified_planning.test.examples import get_example_problems
 
-from planner import load, sweep
+from planner import LimitError, Limits, load, sweep
 from planner.engine import Engine
 
 EXAMPLES = get_example_problems()
@@ -242,6 +242,21 @@ def test_a_time_that_is_too_short_is_said() -> None:
         result = planner.solve(ways(), timeout=1e-9)
     assert result.status is PlanGenerationResultStatus.TIMEOUT
     assert "out of time" in result.log_messages[0].message
+
+
+def test_large_costs_at_which_a_search_does_not_end_are_swept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def not_ending(*_: Any, limits: Limits, **__: Any) -> None:
+        assert limits.seconds is not None
+        raise LimitError("Fast Downward ran out of time")
+
+    problem, move = trip()
+    problem.add_quality_metric(MinimizeActionCosts({move: Plus(Times(terms(problem).there, 10**6), 1)}))
+    monkeypatch.setattr("planner.costtogo.astar.fast_downward.optimal_plan", not_ending)
+    with OneshotPlanner(name="kitassist") as planner:
+        result = planner.solve(problem)
+        assert result.status is PlanGenerationResultStatus.SOLVED_OPTIMALLY
+        assert [str(step.actual_parameters[1]) for step in result.plan.actions] == ["far", "near"]
+        assert planner.solve(problem, timeout=60).status is PlanGenerationResultStatus.TIMEOUT
 
 
 def test_a_failure_of_fast_downward_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -255,7 +255,7 @@ def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest
 
     takes, clock, allowed = {"slow": 3.0, "fast": 1.0, "between": 2.0}, [0.0], list[float | None]()
 
-    def optimal_plan(_: str, *, search: str, limits: Limits) -> list[str]:
+    def optimal_plan(*_: object, search: str, limits: Limits) -> list[str]:
         allowed.append(limits.seconds)
         clock[0] += min(takes[search], limits.seconds or np.inf)
         if limits.seconds is not None and takes[search] > limits.seconds:
@@ -309,6 +309,28 @@ def test_where_actions_are_free_a_plan_too_long_from_the_start_is_no_reason_to_r
     assert asked.lookup(state).tolist() == [2.0]
     with pytest.raises(LimitError, match="a plan of 6 actions and cost 2: where actions cost nothing, at most 3"):
         asked.lookup([asked.initial])
+
+
+def test_where_actions_are_free_a_cheaper_plan_of_many_more_actions_is_not_overlooked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In combined costs the jump is 13 and the walk 14, though the walk costs less."""
+    for module in ("astar", "on_demand"):
+        monkeypatch.setattr(f"planner.costtogo.{module}.UNIT", 4)
+    jump = "(:action jump :parameters () :effect (and (rung) (increase (total-cost) 3)))"
+    task = load(write_instance(tmp_path, CORRIDOR.replace("(:action ring", f"{jump}\n(:action ring"), CORRIDOR_PROBLEM))
+    table, asked = sweep(task), OnDemand(task)
+    assert table[table.initial] == 2
+    assert task.plan_cost(asked.optimal_plan() or []) == 2
+    with pytest.raises(LimitError, match="the optimal plan has more than 4 actions"):
+        asked.lookup([asked.initial])
+    for answers in (asked, OnDemand(task)):  # before and after the choice of a search
+        for state in range(len(table)):
+            number = answers.numbers(table.values([state]))
+            try:
+                assert answers.lookup(number)[0] == table[state]
+            except LimitError:
+                assert table.plan_lengths([state])[0] >= 4
 
 
 def test_asking_ends_when_all_states_are_enumerated_and_most_are_not_answered(tmp_path: Path) -> None:

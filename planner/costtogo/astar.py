@@ -11,7 +11,7 @@ from ..grounding import fast_downward
 from ..grounding.fast_downward import FastDownwardError
 from ..grounding.task import Task
 from ..states.packing import can_hold
-from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits
+from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits, MemoryLimitError
 
 OVERFLOW = 1 << 31
 """Fast Downward's cost sums must stay below this (signed 32-bit integers)."""
@@ -66,10 +66,11 @@ def astar(
     dearest = max(task.reduced.costs, default=1)
     if search is None:
         search = fast_downward.ASTAR_WITH_AXIOMS if task.axioms else fast_downward.ASTAR
+    own_limit = dearest >= LARGE and limits.seconds is None
     if dearest >= LARGE:
         search = fast_downward.ASTAR_WITH_AXIOMS
-        # Without a limit, some searches with costs above 2^29 were observed not to terminate.
-        limits = limits if limits.seconds is not None else replace(limits, seconds=60.0)
+    if own_limit:  # some searches with costs above 2^29 were observed not to terminate
+        limits = replace(limits, seconds=60.0)
     if dearest >= OVERFLOW:
         raise CostLimitError(f"{task.instance}: a cost of {dearest} is more than Fast Downward can read")
     if state is not None:  # Fast Downward expects the default values of derived variables
@@ -77,7 +78,12 @@ def astar(
             value if variable.axiom_layer < 0 else default
             for value, default, variable in zip(state, task.initial, task.variables, strict=True)
         )
-    plan = fast_downward.optimal_plan(task.reduced.sas, state, search=search, limits=limits)
+    try:
+        plan = fast_downward.optimal_plan(task.reduced.sas, state, search=search, limits=limits)
+    except LimitError as error:
+        if own_limit and not isinstance(error, MemoryLimitError):
+            raise CostLimitError(f"{error}, at costs of up to {dearest}") from None
+        raise
     if plan is None:
         return float("inf"), None
     cost = task.plan_cost(plan)
@@ -87,14 +93,14 @@ def astar(
 
 
 UNIT = 1000
-"""Factor of a cost in the combined costs, where each action adds 1. Plans with this many actions are refused."""
+"""Factor of a cost in the combined costs, where each action adds 1. Plans with this many actions are not labelled."""
 
 
 def priced(task: Task) -> tuple[Task, int]:
     """Return the task with the costs that Fast Downward is given, and the factor of a unit of cost in them.
 
     If some actions cost nothing, each action costs `UNIT` times its cost plus one. An optimal plan of that task is then
-    an optimal plan with the fewest actions.
+    an optimal plan with the fewest actions, unless a cheaper plan has at least `UNIT` actions more.
     """
     return (task, 1) if min(task.costs, default=1) > 0 else (counted(task), UNIT)
 
@@ -114,7 +120,10 @@ ADMISSIBLE = (
 
 
 class Chosen(NamedTuple):
-    """A search configuration, whether it solved the initial state, and the plan (None at a dead end)."""
+    """A search configuration, whether it solved the initial state, and the plan (None at a dead end).
+
+    It has not solved the state if no comparison was needed, or if the sums of costs of its plan may overflow.
+    """
 
     search: str
     solved: bool
@@ -136,7 +145,9 @@ def fastest_search(task: Task, *, limits: Limits = NO_LIMITS) -> Chosen:
     for search in ADMISSIBLE:
         start = time.monotonic()
         try:
-            plan = fast_downward.optimal_plan(task.reduced.sas, search=search, limits=replace(limits, seconds=shortest))
+            plan = astar(task, search=search, limits=replace(limits, seconds=shortest))[1]
+        except CostLimitError:
+            return Chosen(search, False, None)
         except (LimitError, FastDownwardError):
             continue
         seconds = time.monotonic() - start

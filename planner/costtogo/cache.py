@@ -24,8 +24,8 @@ def cache_folder() -> Path:
 class Cache:
     """A file with the cost-to-go of a task's states, in the combined costs of `priced`.
 
-    An infinite cost is stored as -1. The file name is a digest of the grounded task and Fast Downward's version. A
-    change of either starts a new file.
+    An infinite cost is stored as -1. The file name is a digest of the grounded task, Fast Downward's version and
+    `FORMAT`. A change of any starts a new file.
 
     Parameters
     ----------
@@ -34,8 +34,12 @@ class Cache:
         Folder of the file; `cache_folder()` by default.
     """
 
+    FORMAT = 2
+    """Version of the packing of states and of the search, part of the digest."""
+
     def __init__(self, task: Task, folder: str | Path | None = None) -> None:
-        digest = hashlib.sha256(f"{fast_downward.version()}\n{priced(task)[0].sas}".encode()).hexdigest()
+        contents = f"{self.FORMAT}\n{fast_downward.version()}\n{priced(task)[0].sas}"
+        digest = hashlib.sha256(contents.encode()).hexdigest()
         folder = cache_folder() if folder is None else Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self.file = folder / f"{digest}.sqlite"

@@ -7,12 +7,14 @@ search serves many states. If one canonical state of each orbit was swept (`orbi
 and no search is run.
 
 If the task has actions of cost zero, Fast Downward is given combined costs of cost and number of actions. It then finds
-optimal plans with the fewest actions, which determine the optimal choices (`cost_to_go.optimal_choices`).
+optimal plans with the fewest actions, which determine the optimal choices (`cost_to_go.optimal_choices`). As a cheaper
+plan with very many actions more would be overlooked, a second search, with the plain costs, confirms the cost.
 """
 
 from __future__ import annotations
 
 import copy
+import math
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -216,8 +218,31 @@ class OnDemand:
         at = self.initial if state is None else state
         if self.orbits is not None:
             return optimal_plan(self, at)
-        values = self.values([at])[0]
-        return astar(self._priced, tuple(values.tolist()), limits=self._limits)[1]
+        row = self._rows([at])
+        plan = astar(self._priced, self._values(row), search=self._search, limits=self._limits)[1]
+        cheaper = self._cheaper(row, plan, self._limits)
+        if cheaper is not None:
+            return cheaper
+        with suppress(LimitError):  # the plan is too long to be remembered
+            self._remember(self._labels(row, plan))
+        return plan
+
+    def _values(self, row: Words) -> tuple[int, ...]:
+        return tuple(self.packing.unpack(row)[0].tolist())
+
+    def _cheaper(self, row: Words, plan: Sequence[str] | None, limits: Limits) -> list[str] | None:
+        """Return an optimal plan from a state if the given plan, of least combined cost, is not optimal; else None.
+
+        A plan that costs less has at least `UNIT` actions more. A search without combined costs decides whether there
+        is one, unless the task has too few states for so long a plan without cycles.
+        """
+        if plan is None or self._unit == 1:
+            return None
+        cost = self.task.plan_cost(plan)
+        if cost == 0 or math.prod(self.task.sizes) <= len(plan) + UNIT:
+            return None
+        least, other = astar(self.task, self._values(row), search=self._search, limits=limits)
+        return other if least < cost else None
 
     def _ask(self, missing: Sequence[bytes], progress: Callable[[int], None] | None) -> None:
         if self._search is None:
@@ -225,7 +250,7 @@ class OnDemand:
             self._search = chosen.search
             if chosen.solved:
                 with suppress(LimitError):  # the plan is too long; a state nearer to the goal may still be solvable
-                    self._remember(self._labels(self._rows([self.initial]), chosen.plan))
+                    self._remember(self._labelled(self._rows([self.initial]), chosen.plan, self._limits))
 
         over = threading.Event()
         limits = self._limits.ended_by(over)
@@ -259,13 +284,23 @@ class OnDemand:
         row = np.frombuffer(key, dtype=np.uint64).reshape(1, -1)
         if holds(row, *self._goal)[0]:
             return {key: 0.0}
-        values = tuple(self.packing.unpack(row)[0].tolist())
-        return self._labels(row, astar(self._priced, values, search=self._search, limits=limits)[1])
+        plan = astar(self._priced, self._values(row), search=self._search, limits=limits)[1]
+        return self._labelled(row, plan, limits)
 
     def _remember(self, found: dict[bytes, float]) -> None:
         self._known |= found
         if self._cache and found:
             self._cache.write(found)
+
+    def _labelled(self, row: Words, plan: Sequence[str] | None, limits: Limits) -> dict[bytes, float]:
+        """Return `_labels` of a plan of least combined cost, after checking that no plan costs less."""
+        found = self._labels(row, plan)
+        if self._cheaper(row, plan, limits) is not None:
+            raise LimitError(
+                f"the optimal plan has more than {UNIT} actions: where actions cost nothing, at most {UNIT - 1} "
+                "actions can be told apart"
+            )
+        return found
 
     def _labels(self, row: Words, plan: Sequence[str] | None) -> dict[bytes, float]:
         """Return the combined cost-to-go of every state on an optimal plan; None stands for a dead end."""
