@@ -127,6 +127,17 @@ def test_comparing_takes_a_part_of_the_search_unless_more_is_asked_for() -> None
     assert solve_instance(instance(TINY), replace(shortest, comparison_seconds=600.0))["verified"] == 20
 
 
+def test_a_comparison_that_is_killed_leaves_the_result(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The system kills a search for lack of memory: nothing is known about the state."""
+    killed = tmp_path / "killed"
+    killed.write_text("#!/bin/sh\nkill -9 $$\n")
+    killed.chmod(0o755)
+    monkeypatch.setattr(fast_downward, "_binary", lambda: killed)
+    record = solve_instance(instance(TINY), SolveOptions(verify=3), tmp_path / "tiny")
+    assert (record["status"], record["cost"], record["verified"], record["consistent"]) == ("solved", 6, 0, 3)
+    assert all(file.is_file() for file in saved_files(tmp_path / "tiny"))
+
+
 def test_a_table_without_a_way_from_the_initial_state_gives_no_plan(tiny: Table) -> None:
     distance = tiny.distance.copy()
     distance[tiny.initial] += 1

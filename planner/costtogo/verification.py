@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..grounding import semantics
+from ..grounding.fast_downward import FastDownwardError
 from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, LimitError, Limits
 from .astar import astar
@@ -30,7 +31,7 @@ def verify(
 ) -> int:
     """Compare a random sample of a table's states, the initial state first, with Fast Downward's A*.
 
-    States whose search reaches its limits are skipped.
+    States whose search reaches its limits, or fails, are skipped.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def verify(
             return None
         try:
             return astar(space.task, space.values([state])[0].tolist(), limits=own)[0]
-        except LimitError:
+        except (LimitError, FastDownwardError):
             return None
 
     with ThreadPoolExecutor(jobs) as pool:
