@@ -11,25 +11,16 @@ from collections.abc import Mapping, Sequence
 
 from ..pddl.declarations import Typed, refuse
 from ..pddl.reader import Action, Reading
+from .task import Task
 
 TRANSLATOR = "Fast Downward's translator"
 
 
-def check(
-    reading: Reading,
-    actions: Sequence[str],
-    costs: Sequence[int],
-    facts: Sequence[Sequence[str]],
-    values: Sequence[int],
-) -> None:
-    """Compare a grounded task with the reading of its files; raise a `PDDLError` where they differ.
-
-    `actions` are ground actions as `(name arg ...)`. `facts` and `values` are the meanings of the values, and the
-    initial value, of each variable that is not derived.
-    """
+def check(reading: Reading, task: Task) -> None:
+    """Compare a grounded task with the reading of its files; raise a `PDDLError` where they differ."""
     objects = {**reading.domain.constants, **reading.problem.objects}
     known = reading.domain.actions
-    for ground, cost in zip(actions, costs, strict=True):
+    for ground, cost in zip(task.actions, task.costs, strict=True):
         name, *arguments = ground[1:-1].split()
         action = known.get(name)
         if action is None:
@@ -37,11 +28,11 @@ def check(
         _check_arguments(reading, action, ground, arguments, objects)
         if (stated := _cost(reading, action, arguments)) != cost:
             refuse(reading.instance.domain, action.place, f"{ground} costs {stated}, and {cost} for {TRANSLATOR}")
-    if any("dummy(" in fact for variable in facts for fact in variable):  # the translator has decided the task
+    if task.decided_by_translator:  # its only facts are those of a dummy
         return
-    for variable, initial in zip(facts, values, strict=True):
-        for number, fact in enumerate(variable):
-            if fact.startswith("Atom "):
+    for variable, initial in zip(task.variables, task.initial, strict=True):
+        for number, fact in enumerate(variable.facts):
+            if variable.axiom_layer < 0 and fact.startswith("Atom "):
                 _check_fact(reading, fact.removeprefix("Atom "), number == initial, objects)
 
 

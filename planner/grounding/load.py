@@ -98,14 +98,8 @@ def ground(reading: Reading, checker: ValidationProcess, limits: Limits = NO_LIM
         if rules := reading.domain.rules:  # without the file's path, since a cached task may be that of a copy
             refusal = f"it knows no derived predicates (line {rules[0].head.place.line} of the domain)"
         note = f"read by Fast Downward's translator, not checked by unified-planning: {refusal}"
-    return _agreed(from_sas(sas, reading.instance, note), reading)
-
-
-def _agreed(task: Task, reading: Reading) -> Task:
-    """Return the grounded task, after checking that it agrees with the project's own reading of its files."""
-    primary = [at for at, variable in enumerate(task.variables) if variable.axiom_layer < 0]
-    facts = [task.variables[at].facts for at in primary]
-    cross_check.check(reading, task.actions, task.costs, facts, [task.initial[at] for at in primary])
+    task = from_sas(sas, reading.instance, note)
+    cross_check.check(reading, task)
     return task
 
 
@@ -116,7 +110,7 @@ def _load_built(problem: Problem, limits: Limits) -> Task:
         try:
             reading = read(instance)
             sas = fast_downward.translate(reading, limits)
-            _agreed(from_sas(sas, instance), reading)
+            cross_check.check(reading, from_sas(sas, instance))
         except instances.PDDLError as error:  # the user does not know the temporary files
             raise instances.PDDLError(named.problem, None, error.message) from None
     return from_sas(built_problems.restore_names(sas, names), named)

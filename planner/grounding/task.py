@@ -152,7 +152,7 @@ class Task:
         This happens if the goal is unreachable even when delete effects are ignored, or if it consists of facts that
         always hold. The result is a dummy task of one state; `astar` tells the two cases apart.
         """
-        return not self.operators and any("dummy(" in fact for v in self.variables for fact in v.facts)
+        return [variable.facts for variable in self.variables] == [("Atom dummy(val1)", "Atom dummy(val2)")]
 
     @cached_property
     def sas(self) -> str:
