@@ -1,4 +1,4 @@
-"""The dense index: mutexes, invariants and clusters hold in all reachable states, and tables equal plain search."""
+"""The dense ranking: mutexes, invariants and clusters hold in all reachable states, and tables equal plain search."""
 
 from __future__ import annotations
 
@@ -184,8 +184,8 @@ def test_tables_equal_plain_search(seed: int, costs: range, few: bool) -> None:
         check(random_task(random.Random(seed), costs=costs), options)
 
 
-def test_a_counted_task_has_a_dense_index() -> None:
-    """41 thousand states of a product of 4e9: the index leaves little out."""
+def test_a_counted_task_has_a_dense_ranking() -> None:
+    """41 thousand states of a product of 4e9: the ranking leaves little out."""
     task = load(DOMAINS / "depot" / "five-items.pddl")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "MANY", 1 << 20)
@@ -231,7 +231,7 @@ def test_many_variables_that_determine_each_other_fit_no_word(count: int, size: 
     assert table.h[table.initial] == size - 1
 
 
-def test_an_index_is_not_looked_for_all_the_time() -> None:
+def test_a_ranking_is_not_looked_for_all_the_time() -> None:
     task = composed(0, costs=range(1, 2))
     plain = module.sweep(task)
     with pytest.MonkeyPatch.context() as patch:
@@ -240,6 +240,6 @@ def test_an_index_is_not_looked_for_all_the_time() -> None:
         assert module.sweep(task, options=options).note is None
         table = module.sweep(task, deadline=time.monotonic() + 60, options=options)
     assert table.note is not None
-    assert table.note.endswith("looking for an index took too long")
+    assert table.note.endswith("looking for a ranking took too long")
     assert len(table) == len(plain)
     np.testing.assert_array_equal(table.h[table.numbers(plain.values(np.arange(len(plain))))], plain.h)

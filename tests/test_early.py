@@ -148,15 +148,15 @@ def test_a_table_without_a_way_from_the_initial_state_gives_no_plan(tiny: Table)
 def test_the_search_beside_a_sweep_borrows_memory() -> None:
     task, told = load(TINY), threading.Event()
     with Early(task, Limits(memory_mb=10_000), lambda _: told.set()) as early:
-        assert 0 < early.lent() <= 0.25 * 10_000e6
+        assert 0 < early.reserved_bytes() <= 0.25 * 10_000e6
         assert early.wait(Limits()) == (6.0, early.answer[1] if early.answer else None)
         assert told.wait(60)
-        assert early.lent() == 0.0
+        assert early.reserved_bytes() == 0.0
     lent = [1e12]
     with pytest.raises(MemoryLimitError):
-        sweep(task, lent=lambda: lent[0])
+        sweep(task, reserved_bytes=lambda: lent[0])
     lent[0] = 0.0
-    assert len(sweep(task, lent=lambda: lent[0])) == 21
+    assert len(sweep(task, reserved_bytes=lambda: lent[0])) == 21
     assert Budget(None, 10.0, None, None, lambda: 4.0).room == 6.0
 
 
@@ -170,8 +170,8 @@ def test_a_search_that_is_ended_before_it_begins_is_done_when_it_is_wanted() -> 
 
 def test_a_search_that_lasts_lets_other_work_go_first(tmp_path: Path) -> None:
     nice = ["sh", "-c", "sleep 0.3; cut -d ' ' -f 19 /proc/self/stat"]
-    assert fast_downward._run(nice, str(tmp_path), "", Limits(seconds=60, first=0.0))[1].strip() == "19"
-    assert fast_downward._run(nice, str(tmp_path), "", Limits(seconds=60, first=50.0))[1].strip() != "19"
+    assert fast_downward._run(nice, str(tmp_path), "", Limits(seconds=60, lower_priority_after=0.0))[1].strip() == "19"
+    assert fast_downward._run(nice, str(tmp_path), "", Limits(seconds=60, lower_priority_after=50.0))[1].strip() != "19"
 
 
 def test_a_comparison_that_is_over_leaves_no_search_behind(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -283,6 +283,6 @@ def test_records_are_reported_one_at_a_time_and_a_late_first_answer_replaces_non
         list(threads.map(lambda cost: phases.tell({"cost": cost}, saved=False), range(4)))
         list(threads.map(lambda cost: phases.tell({"cost": cost}, saved=cost > 3), range(8)))
     assert sorted(told[:4]) == [(cost, False) for cost in range(4)]
-    assert phases.told is not None
-    assert (phases.told["cost"], told[-1][1]) == (told[-1][0], True)
+    assert phases.latest is not None
+    assert (phases.latest["cost"], told[-1][1]) == (told[-1][0], True)
     assert [saved for _, saved in told] == sorted(saved for _, saved in told)

@@ -23,7 +23,7 @@ from planner.search.ranking.state_ranking import StateRanking
 from planner.search.ranking.transition_normal_form import TNFOperator, exactly_one, split_operators
 from planner.search.ranking.variable_clusters import clusters
 from planner.search.state_registry import RegistrySpace
-from planner.search.successor_generator import build_tests, packed_operators
+from planner.search.successor_generator import packed_operators, ranked_operators
 from planner.states.packing import Packing
 from planner.system.limits import Budget, Check, MemoryLimitError, unchecked
 
@@ -85,7 +85,7 @@ SEARCHES: dict[str, Callable[[Task, Check], Any]] = {
     "determined": lambda task, check: determined(task, moves_of(task), check),
     "clusters": lambda task, check: clusters(mutexes_of(task), task.initial, range(len(task.variables)), check=check),
     "dense": lambda task, check: StateRanking.dense(task, mutexes_of(task), check),
-    "tests": lambda task, check: build_tests(moves_of(task), dense(task), task.costs, check),
+    "tests": lambda task, check: ranked_operators(moves_of(task), dense(task), task.costs, check),
     "packed operators": lambda task, check: packed_operators(task, Packing.of(task), check),
 }
 
@@ -152,7 +152,7 @@ def test_messages_say_in_which_phase_time_ended() -> None:
         stop.set()
         for phase, search in (
             ("operators were split", lambda b: module.explored(task, b, 1, lambda *_: None, SweepOptions())),
-            ("an index was looked for", lambda b: module._denser(task, None, moves_of(task), b, 0.25)),
+            ("a ranking was looked for", lambda b: module._denser(task, None, moves_of(task), b, 0.25)),
             ("operators were laid out", lambda b: RegistrySpace(task, b)),
         ):
             with pytest.raises(LimitError, match=f"^{how} while {phase}$"):
@@ -180,24 +180,24 @@ def test_what_is_in_use_all_the_time_counts() -> None:
         budget.during("it was looked for")(4e6)
 
 
-def test_where_looking_for_an_index_takes_too_much_memory_states_are_listed() -> None:
+def test_where_looking_for_a_ranking_takes_too_much_memory_states_are_listed() -> None:
     """Matrices of 160 facts need more memory than 1,681 states do."""
     task = chains(2, 40)
     plenty, little = (module.sweep(task, memory_limit_mb=limit, options=UNLISTED) for limit in (None, 1))
     assert plenty.note is None
     assert little.note is not None
-    assert little.note.endswith("looking for an index took too much memory")
+    assert little.note.endswith("looking for a ranking took too much memory")
     assert len(little) == 41**2
     equal(little, plenty)
 
 
-def test_where_an_index_takes_too_much_memory_states_are_listed() -> None:
+def test_where_a_ranking_takes_too_much_memory_states_are_listed() -> None:
     """Sets of 400 moves for each of 4,096 rows need more memory than two states do."""
     task = turning([{}, *({3: 1} if a % 22 == 2 else {2: 1} for a in range(1, 400))], 22)
     plenty, little = module.sweep(task), module.sweep(task, memory_limit_mb=2)
     assert plenty.note is None
     assert little.note is not None
-    assert little.note.endswith("its index takes too much memory")
+    assert little.note.endswith("its ranking takes too much memory")
     equal(little, plenty)
 
 
@@ -208,7 +208,7 @@ def equal(one: Any, other: Any) -> None:
 
 
 @pytest.mark.parametrize("listed", [False, True])
-def test_facts_that_never_change_take_nothing_of_an_index(listed: bool) -> None:
+def test_facts_that_never_change_take_nothing_of_a_ranking(listed: bool) -> None:
     """The table is the same as without 300 constant facts, next to 384 states."""
     task, alive = tied(3, 3, 7, 300), module.sweep(tied(3, 3, 7))
     table = compared(task, None if listed else UNLISTED)

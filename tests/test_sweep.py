@@ -157,7 +157,7 @@ def test_random_tasks_whose_sets_of_moves_do_not_fit_the_cache(costs, monkeypatc
 
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
 def test_random_tasks_where_memory_is_short(costs, monkeypatch):
-    monkeypatch.setattr(ranked_index, "CLOSED", 0)
+    monkeypatch.setattr(ranked_index, "CLOSED_BITMAP_SHARE", 0)
     rng = random.Random(f"short {costs}")
     for _ in range(25):
         check(random_task(rng, costs=costs))
@@ -195,13 +195,13 @@ def test_the_plain_sweep_can_be_stopped():
 
 @pytest.fixture
 def listed(monkeypatch):
-    """Disable the index of states, so that the sweep stores them."""
+    """Disable rankings, so that the sweep stores them."""
     monkeypatch.setattr(module, "split_operators", lambda *_: None)
 
 
 @pytest.mark.usefixtures("listed")
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
-def test_random_tasks_without_an_index(costs, monkeypatch):
+def test_random_tasks_without_a_ranking(costs, monkeypatch):
     monkeypatch.setattr("planner.search.state_registry.STATES_AT_A_TIME", 3)
     rng = random.Random(f"listed {costs}")
     for _ in range(20):

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo
-from planner.system.progress import told
+from planner.system.progress import reporting
 
 from ..people.belief import Grid
 from ..people.decision import NOTHING, Floats
@@ -216,7 +216,7 @@ class TruncatedPolicy(Policy):
     def prepare(self) -> tuple[LeafEstimates, ...]:
         """Return each goal's value estimates for a robot that is always present, computed by the first call."""
         if () not in self.solved:
-            with told(None) as tell:
+            with reporting(None) as tell:
                 tell(SOLVING, 0, None)
                 like = [None] * len(self.regions) if self.like is None else self.like.prepare()
                 self.solved[()] = tuple(

@@ -23,7 +23,7 @@ from .results_folder import Key, Results, key
 from .solve_instance import solve_instance
 from .solve_record import SolveOptions, SolveRecord, unfinished, unsolved
 
-TOLD = "told"
+NEW_RECORD = "record"
 """Report of a worker that it has written a new intermediate record."""
 
 Work = tuple[Instance, Path | None, Path | None]
@@ -75,7 +75,7 @@ def solve_batch(
         ]
 
         def hear(item: Work, what: str, *stage: Any) -> None:
-            if what == TOLD:
+            if what == NEW_RECORD:
                 with suppress(OSError):  # a lasting fault is reported with the final record
                     ongoing.hear(item[0])
             elif stages is not None:
@@ -123,7 +123,7 @@ def _solve(work: Work, options: SolveOptions, progress: Progress) -> SolveRecord
             part.write_text(json.dumps([record, saved]), encoding="utf-8")
             part.replace(file)
             if saved != heard:  # otherwise only the number of compared states has changed
-                progress(TOLD, 0, None)
+                progress(NEW_RECORD, 0, None)
             heard = saved
 
     return solve_instance(instance, options, place, progress=progress, tell=tell)

@@ -65,7 +65,7 @@ class _Phases:
         self.seconds: dict[str, float] = {}
         self.memory_mb = memory_mb
         self.progress = progress
-        self.told: SolveRecord | None = None
+        self.latest: SolveRecord | None = None
         self.lock, self.saved = threading.RLock(), False
         self._tell = tell
         self.start = time.monotonic()
@@ -98,9 +98,9 @@ class _Phases:
         """Report an intermediate record. It is ignored if its files are not saved and those of an earlier one are."""
         with self.lock:
             if saved >= self.saved:
-                self.saved, self.told = saved, self.measured(record)
+                self.saved, self.latest = saved, self.measured(record)
                 if self._tell is not None:
-                    self._tell(self.told, saved)
+                    self._tell(self.latest, saved)
 
     def measured(self, record: SolveRecord) -> SolveRecord:
         """Return the record with its times and peak memory."""
@@ -160,9 +160,9 @@ def solve_instance(
             status = "limit" if disk_is_full else "invalid"
             file = instance.problem if error.filename is None else Path(os.fsdecode(error.filename))
             record = empty_record(instance, status, error_entry(file, None, error.strerror or str(error)))
-    if phases.told is not None and record["status"] == "limit":
-        record = unfinished(phases.told, record["error"]["message"])
-    elif phases.told is not None and record["status"] == "invalid" and place is not None:
+    if phases.latest is not None and record["status"] == "limit":
+        record = unfinished(phases.latest, record["error"]["message"])
+    elif phases.latest is not None and record["status"] == "invalid" and place is not None:
         for file in saved_files(place):
             file.unlink(missing_ok=True)
     return phases.measured(record)
@@ -261,7 +261,7 @@ def _sweep(task: Task, options: SolveOptions, phases: _Phases, early: Early) -> 
                 deadline=phases.part(options.sweep_share),
                 jobs=options.threads,
                 progress=phases.progress,
-                lent=early.lent,
+                reserved_bytes=early.reserved_bytes,
             )
         except LimitError as error:
             return _Swept(None, None, str(error))

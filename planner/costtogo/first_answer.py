@@ -63,7 +63,7 @@ class Early:
         if self._thread is not None:
             self._thread.join()
 
-    def lent(self) -> float:
+    def reserved_bytes(self) -> float:
         """Return the number of bytes that are reserved for the search now."""
         return 0.0 if self._ended.is_set() else self._memory_mb * 1e6
 
@@ -83,7 +83,7 @@ class Early:
         try:
             if not self._stop.wait(self._delay):
                 seconds = None if self._limits.seconds is None else max(0.01, self._limits.seconds - self._delay)
-                own = Limits(seconds, self._memory_mb, self._stop, first=10.0)
+                own = Limits(seconds, self._memory_mb, self._stop, lower_priority_after=10.0)
                 answer = astar(self._task, limits=own)
                 if answer[1] is not None:
                     replay(self._task, answer[1])

@@ -85,7 +85,7 @@ def orbits(
     threads: int | None = None,
     stop: threading.Event | None = None,
     progress: Progress | None = None,
-    lent: Callable[[], float] = float,
+    reserved_bytes: Callable[[], float] = float,
     effort: int = 100_000_000_000,
 ) -> OrbitTable:
     """Compute the cost-to-go of all reachable states of a task, from one canonical state of each orbit.
@@ -95,7 +95,7 @@ def orbits(
     canonicalisation, in facts permuted by symmetries; the default takes some minutes of one processor. A `LimitError`
     says that there are no symmetries or too many orbits, or that time or memory is exhausted.
     """
-    budget = Budget.within(max_orbits, memory_limit_mb, deadline, stop, lent)
+    budget = Budget.within(max_orbits, memory_limit_mb, deadline, stop, reserved_bytes)
     looking, forming = budget.during("symmetries were looked for"), budget.during("orbits were listed")
     group = symmetries(task, check=lambda: looking(0))
     if group is None:
@@ -103,12 +103,12 @@ def orbits(
     if group.order * max_orbits < states:
         raise LimitError(f"more than {max_orbits} orbits of {group.order} symmetries")
 
-    def told(doing: str, done: int, total: int | None) -> None:
+    def report(doing: str, done: int, total: int | None) -> None:
         if progress is not None:
             progress("orbits" if doing == "states" else doing, done, total)
 
     forms = Forms.of(group, Packing.of(task))
-    permuted = len(forms.word) * len(forms.moves)  # facts that are permuted to canonicalise one state
+    permuted = len(forms.word) * len(forms.permutations)  # facts that are permuted to canonicalise one state
     most, part = effort // permuted, AT_ONCE // permuted + 1
 
     def form(states: Words) -> None:
@@ -117,13 +117,13 @@ def orbits(
             canonical(forms, states[begin : begin + part])
 
     threads, space = threads or processors(), RegistrySpace(task, budget, form)
-    if explore(space, budget, threads, told, most) is None:
+    if explore(space, budget, threads, report, most) is None:
         raise LimitError(f"{most} transitions or more between orbits of {group.order} symmetries")
     free = min(task.costs) == 0
     # Every action adds 1 to a multiple that exceeds the length of any optimal plan, which visits no orbit twice.
     long = len(space) + 1
     prices = [cost * long + 1 for cost in space.costs.tolist()] if free else None
-    distance, lengths = distances(space, task.goal, budget, threads, told, prices), None
+    distance, lengths = distances(space, task.goal, budget, threads, report, prices), None
     if free:
         dead = distance == np.iinfo(distance.dtype).max
         price = distance.astype(np.int64)

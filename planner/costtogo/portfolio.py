@@ -51,7 +51,7 @@ def cost_to_go(
     jobs: int | None = None,
     limits: Limits = NO_LIMITS,
     progress: Wanted = None,
-    lent: Callable[[], float] = float,
+    reserved_bytes: Callable[[], float] = float,
 ) -> Table | OnDemand:
     """Compute the exact cost-to-go, by the method that fits the task.
 
@@ -79,7 +79,7 @@ def cost_to_go(
         Limits of each search on demand.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes.
-    lent
+    reserved_bytes
         As in `sweep`.
 
     Returns
@@ -97,7 +97,12 @@ def cost_to_go(
     def swept(stop: threading.Event | None = None, progress: Progress = progress) -> Table | _Unswept:
         """Return the table of all states. If they exceed the limits, return the reason and the table of orbits."""
         states = 0
-        both: dict[str, Any] = {"memory_limit_mb": memory_limit_mb, "threads": jobs, "stop": stop, "lent": lent}
+        both: dict[str, Any] = {
+            "memory_limit_mb": memory_limit_mb,
+            "threads": jobs,
+            "stop": stop,
+            "reserved_bytes": reserved_bytes,
+        }
         both["progress"] = progress
         try:
             return sweep(task, max_states=max_states, deadline=deadline, **both)
@@ -149,14 +154,14 @@ def _race(
         nonlocal answered
         answered += more
 
-    def told(what: str, done: int, of: int | None) -> None:
+    def report(what: str, done: int, of: int | None) -> None:
         if what == "cost-to-go" and len(states) - answered > 4 * (answered + 1):
             late.set()
         progress(what, done, of)
 
     def sweeping() -> Table | _Unswept:
         try:
-            return swept(enough, told)
+            return swept(enough, report)
         finally:
             over.set()
             late.set()

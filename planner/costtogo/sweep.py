@@ -26,14 +26,14 @@ from ..search.ranking.state_ranking import MANY, StateRanking
 from ..search.ranking.transition_normal_form import TNFOperator, exactly_one, split_operators
 from ..search.search_space import SearchSpace
 from ..search.state_registry import RegistrySpace
-from ..search.successor_generator import build_tests
+from ..search.successor_generator import ranked_operators
 from ..states.state_space import StateSpace
 from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError
 from ..system.machine import processors
 from ..system.progress import Progress, Wanted, shows_progress
 from .table import Table
 
-LOOKING = "an index was looked for"
+LOOKING = "a ranking was looked for"
 """Phase in messages about limits: the construction of a ranking."""
 
 
@@ -73,7 +73,7 @@ def sweep(
     threads: int | None = None,
     stop: threading.Event | None = None,
     progress: Wanted = None,
-    lent: Callable[[], float] = float,
+    reserved_bytes: Callable[[], float] = float,
     options: SweepOptions | None = None,
 ) -> Table:
     """Enumerate the reachable states of a task, and compute the exact cost-to-go of all of them.
@@ -94,7 +94,7 @@ def sweep(
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes. The stages are "states", with the number
         of states found, and "cost-to-go", with the number of states whose cost-to-go is known.
-    lent : callable, optional
+    reserved_bytes : callable, optional
         Returns the number of bytes that are currently reserved for another computation.
     options : SweepOptions, optional
 
@@ -105,7 +105,7 @@ def sweep(
     """
     assert callable(progress)
     require_small_costs(task)
-    budget = Budget.within(max_states, memory_limit_mb, deadline, stop, lent)
+    budget = Budget.within(max_states, memory_limit_mb, deadline, stop, reserved_bytes)
     threads = threads or processors()
     space, note = explored(task, budget, threads, progress, options or SweepOptions())
     distance = distances(space, task.goal, budget, threads, progress)
@@ -153,7 +153,7 @@ def explored(
     except UnrankedError as error:
         space = registry()
         assert space is not None
-        return space, f"swept without an index, which takes some ten times as long as with one: {error}"
+        return space, f"swept without a ranking, which takes some ten times as long as with one: {error}"
 
 
 class UnrankedError(Exception):
@@ -171,7 +171,7 @@ def _plain(task: Task, budget: Budget) -> tuple[list[TNFOperator], StateRanking 
         groups, moves = exactly_one(task, moves, budget.during(LOOKING))
         return moves, StateRanking.of(task, groups, moves, budget.during(LOOKING))
     except (MemoryLimitError, MemoryError):
-        raise UnrankedError("looking for an index took too much memory") from None
+        raise UnrankedError("looking for a ranking took too much memory") from None
 
 
 def _denser(
@@ -189,10 +189,10 @@ def _denser(
                 if found is not None and (coding is None or found.size < coding.size):
                     return mutexes.moves, found
         except (MemoryLimitError, MemoryError):
-            why = "looking for an index took too much memory"
+            why = "looking for a ranking took too much memory"
         except LimitError:
             budget.during(LOOKING)(0)
-            why = "looking for an index took too long"
+            why = "looking for a ranking took too long"
     if coding is None:
         raise UnrankedError(why)
     return moves, coding
@@ -204,8 +204,8 @@ def _ranked(task: Task, coding: StateRanking, moves: list[TNFOperator], budget: 
     both: list[RankedOperators] = []
     try:
         for own in (moves, [move.inverse() for move in moves]):
-            both.append(build_tests(own, coding, task.costs, left.during("operators were laid out")))
+            both.append(ranked_operators(own, coding, task.costs, left.during("operators were laid out")))
             left = left.beside(both[-1].table.nbytes + both[-1].candidates.sets.nbytes)
         return RankedSpace(coding, both[0], both[1], left, task.initial)
     except (MemoryLimitError, MemoryError):
-        raise UnrankedError("its index takes too much memory") from None
+        raise UnrankedError("its ranking takes too much memory") from None

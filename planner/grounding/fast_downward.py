@@ -173,14 +173,15 @@ def _output(process: subprocess.Popen[str], limits: Limits) -> str:
     last = 19  # nice value of the lowest scheduling priority
     begun = time.monotonic()
     end = math.inf if limits.seconds is None else begun + limits.seconds
-    first = math.inf if limits.first is None else begun + limits.first
+    later = limits.lower_priority_after
+    lower_at = math.inf if later is None else begun + later
     while True:
         now = time.monotonic()
-        if now >= first:
-            first = math.inf
+        if now >= lower_at:
+            lower_at = math.inf
             with suppress(OSError):  # the program has ended
                 os.setpriority(os.PRIO_PROCESS, process.pid, last)
-        wait = min(end - now, first - now, math.inf if limits.stop is None else 0.02)
+        wait = min(end - now, lower_at - now, math.inf if limits.stop is None else 0.02)
         try:
             return process.communicate(timeout=None if wait > longest_wait else max(wait, 0.0))[0]
         except subprocess.TimeoutExpired:

@@ -157,16 +157,16 @@ def missing(instance: Instance) -> PDDLError | None:
         return None
     found = _fitting(instance.problem, heads)
     if len(found) > 1:
-        told = f"{len(found)} files define the domain '{problem.domain}': {_shown(found)}; choose one with {OPTION}"
-        return PDDLError(instance.problem, problem.line, told)
+        message = f"{len(found)} files define the domain '{problem.domain}': {_shown(found)}; choose one with {OPTION}"
+        return PDDLError(instance.problem, problem.line, message)
     if found or instance.domain.exists():
         return None
     others = [file for defined in _places(instance.problem, heads) for files in defined.values() for file in files]
     defining = [f"{file} ('{heads[file].domain}')" for file in others]
-    told = f"no file beside it or in the folder above defines the domain '{problem.domain}'; give it with {OPTION}"
+    message = f"no file beside it or in the folder above defines the domain '{problem.domain}'; give it with {OPTION}"
     if defining:
-        told += f"; other domains are there: {_shown(defining)}"
-    return PDDLError(instance.problem, problem.line, told)
+        message += f"; other domains are there: {_shown(defining)}"
+    return PDDLError(instance.problem, problem.line, message)
 
 
 def _shown(files: Sequence[object]) -> str:
@@ -200,8 +200,8 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
     given = None if domain is None else Path(domain).resolve()
 
     def is_problem(file: Path) -> bool:
-        known = file.name == DOMAIN_FILE or heads[file].is_domain or (given is not None and file.resolve() == given)
-        return file.is_file() and not known
+        is_domain = file.name == DOMAIN_FILE or heads[file].is_domain or (given is not None and file.resolve() == given)
+        return file.is_file() and not is_domain
 
     found: dict[Instance, None] = {}
     for name in names:

@@ -60,7 +60,7 @@ def _section(head: str, words: Iterable[str]) -> list[str]:
 
 
 def _types(reading: Reading) -> list[str]:
-    """Return the typed list of types, each after its supertypes."""
+    """Return the typed list of types: unions first, then each type after its supertypes."""
     types = reading.domain.types
     found = [f"{union} - {types.common(kinds)}" for kinds, union in reading.unions.items()]
     for name in types.ordered:

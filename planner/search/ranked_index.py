@@ -30,7 +30,7 @@ RANKS_AT_A_TIME = 1 << 16
 TRANSITIONS_AT_A_TIME = 1 << 18
 """Most transitions that are built at once, so that they fit the processor's cache."""
 
-CLOSED = 0.75
+CLOSED_BITMAP_SHARE = 0.75
 """Share of the available memory up to which the backward search uses a bitmap of closed ranks. The bitmap saves time.
 """
 
@@ -73,9 +73,9 @@ class RankedIndex:
         return self.coding.decode(self._ranks(numbers))
 
     def _ranks(self, numbers: Ints) -> Ints:
-        index = np.empty(len(numbers), dtype=np.int64)
-        rank_set.select(self.states, numbers, index)
-        return index
+        ranks = np.empty(len(numbers), dtype=np.int64)
+        rank_set.select(self.states, numbers, ranks)
+        return ranks
 
     def blocks(self) -> Iterator[Ints]:
         """Yield the ranks of all states in ascending order, in blocks."""
@@ -217,7 +217,7 @@ class RankedSpace:
         self._closed = np.empty(0, dtype=np.uint64)  # of the search for another goal
         for block in blocks:
             rank_set.label(states, distance, 0, block)
-        fits = self.nbytes + distance.nbytes + states.bits.nbytes <= self.index.budget.room * CLOSED
+        fits = self.nbytes + distance.nbytes + states.bits.nbytes <= self.index.budget.room * CLOSED_BITMAP_SHARE
         # Beyond 128 ranks per state, the bitmap takes more memory than it saves time; a megabyte does not matter.
         if fits and 64 * len(states.bits) <= 128 * max(len(self), 1 << 16):
             self._closed = np.empty(len(states.bits), dtype=np.uint64)

@@ -137,7 +137,7 @@ class StateRegistry:
             numbers = np.empty(len(states), dtype=np.int32)
             self._held = state_hash.insert(self.slots, self._states.rows, self._held, states, numbers)
         if self._held > MOST:
-            raise LimitError(f"more than {MOST} states without an index")
+            raise LimitError(f"more than {MOST} states without a ranking")
         return numbers
 
     def states(self, numbers: Ints | slice) -> Words:
@@ -159,10 +159,10 @@ class RegistrySpace:
 
     def __init__(self, task: Task, budget: Budget, form: Form | None = None) -> None:
         self._packing, self._budget, self._form = Packing.of(task), budget, form
-        self._book = packed_operators(task, self._packing, budget.during("operators were laid out"))
+        self._operators = packed_operators(task, self._packing, budget.during("operators were laid out"))
         self._met = StateRegistry(self._packing.words)
         start = self._packing.pack([task.initial])
-        packed_successors.derive(self._book.axioms, self._book.again, start)
+        packed_successors.derive(self._operators.axioms, self._operators.again, start)
         if form is not None:
             form(start)
         self._met.numbers(start)
@@ -196,7 +196,7 @@ class RegistrySpace:
     def expand(self, block: Ints) -> list[Expanded]:
         """Return the successors of a block's states, canonical if there is a `form`, as `expanded` yields them."""
         parts = []
-        for part in expanded(self._book, self._met.states(block)):
+        for part in expanded(self._operators, self._met.states(block)):
             self._budget.check_time(len(self))
             if self._form is not None:
                 self._form(part[2])
@@ -217,7 +217,7 @@ class RegistrySpace:
 
     def finish(self) -> None:
         """Build the index, and sort the transitions by their targets."""
-        self.index = RegistryIndex(self._packing, self._book, self._met.trimmed(), self._met.slots)
+        self.index = RegistryIndex(self._packing, self._operators, self._met.trimmed(), self._met.slots)
         targets = self._targets.trimmed(self.transitions)
         kinds = self._kinds.trimmed(self.transitions if len(self.costs) > 1 else 0)
         self._into = np.zeros(len(self) + 2, dtype=np.int64)

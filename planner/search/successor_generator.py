@@ -157,10 +157,10 @@ class _ChangeTables:
         return table, begin
 
 
-def build_tests(
+def ranked_operators(
     moves: Sequence[TNFOperator], coding: StateRanking, costs: Sequence[int], check: Check = unchecked
 ) -> RankedOperators:
-    """Return the applicability tests of moves: sets of candidates if these are small, else a decision tree.
+    """Return the layout of moves. They are found by sets of candidates if these are small, else by a decision tree.
 
     With the tree alone, the sweep of `kitting/ladder-4x8` or `depot/six-items` takes 1.2 to 1.35 times as long.
 
@@ -312,15 +312,15 @@ def _columns(rows: Sequence[tuple[int, int, int]]) -> tuple[Ints, Words, Words]:
     return np.array(number, np.int64), np.array(first, np.uint64), np.array(second, np.uint64)
 
 
-def expanded(book: PackedOperators, states: Words) -> Iterator[Expanded]:
+def expanded(operators: PackedOperators, states: Words) -> Iterator[Expanded]:
     """Expand states, shape (n, words): yield the numbers of their actions, the actions and the successors, in parts."""
     stop = 0
-    room = TRANSITIONS_AT_A_TIME + book.tree.most
+    room = TRANSITIONS_AT_A_TIME + operators.tree.most
     while stop < len(states):
         counts = np.empty(len(states) - stop, dtype=np.int32)
         actions, after = np.empty(room, dtype=np.int32), np.empty((room, states.shape[1]), dtype=np.uint64)
         start = stop
-        stop, filled = packed_successors.expand(book, states, start, counts, actions, after)
+        stop, filled = packed_successors.expand(operators, states, start, counts, actions, after)
         yield counts[: stop - start], actions[:filled], after[:filled]
 
 
@@ -337,7 +337,7 @@ def candidates(
     if 8 * words * len(decoder.rows) > max_bytes:
         return None
     check(len(moves) * (2 * len(decoder.rows) + int(coding.sizes.sum())))
-    allowed, untold = _allowed(moves, coding)
+    allowed, uncovered = _allowed(moves, coding)
     tables = []
     for family in _families(coding):
         table = np.ones((1, len(moves)), dtype=bool)
@@ -353,7 +353,7 @@ def candidates(
     packed = np.packbits(np.pad(sets, ((0, 0), (0, 64 * words - len(moves)))), axis=1, bitorder="little")
     tests: list[tuple[int, int, int]] = []
     begin = [0]
-    for facts in untold:
+    for facts in uncovered:
         masks, values = coding.packing.condition(facts)
         tests += [(int(word), int(masks[word]), int(values[word])) for word in np.flatnonzero(masks)]
         begin.append(len(tests))
@@ -381,9 +381,9 @@ def _allowed(moves: Sequence[TNFOperator], coding: StateRanking) -> tuple[list[N
     digits = {v for family in _families(coding) for number in family for v in coding.clusters[number].variables}
     needed: list[tuple[int, int, int]] = []  # variable, value, move
     excluded: list[tuple[int, int, int]] = []
-    untold: list[list[Fact]] = []
+    uncovered: list[list[Fact]] = []
     for number, move in enumerate(moves):
-        untold.append([])
+        uncovered.append([])
         for fact in move.facts.items():
             constant, terms = coding.implied.get(fact, (0, {fact: 1}))
             if fact[0] in digits or (constant == 0 and list(terms.values()) == [1]):
@@ -391,7 +391,7 @@ def _allowed(moves: Sequence[TNFOperator], coding: StateRanking) -> tuple[list[N
             elif constant == 1 and all(times == -1 for times in terms.values()):
                 excluded.extend((v, value, number) for v, value in terms)
             else:
-                untold[-1].append(fact)
+                uncovered[-1].append(fact)
     allowed = [np.ones((size, len(moves)), dtype=bool) for size in coding.sizes.tolist()]
     for v, value, number in needed:
         own = allowed[v][:, number]
@@ -399,4 +399,4 @@ def _allowed(moves: Sequence[TNFOperator], coding: StateRanking) -> tuple[list[N
         own[value + 1 :] = False
     for v, value, number in excluded:
         allowed[v][value, number] = False
-    return allowed, untold
+    return allowed, uncovered

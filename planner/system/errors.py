@@ -41,7 +41,7 @@ class ResultsExistError(ValueError):
 
 
 class MismatchError(AssertionError):
-    """A cost-to-go differs from that of Fast Downward."""
+    """Two computations of a cost disagree."""
 
 
 class DamagedFileError(ValueError):

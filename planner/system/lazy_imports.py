@@ -18,7 +18,7 @@ class _Package(ModuleType):
     """A package in which an exported name takes precedence over a submodule of the same name."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        # Importing `planner.costtogo.sweep` would otherwise replace the exported function by the module.
+        # Importing the submodule would otherwise replace the exported function by the module.
         if not (isinstance(value, ModuleType) and name in self.__dict__.get("__all__", ())):
             super().__setattr__(name, value)
 

@@ -44,7 +44,7 @@ class Budget:
     """Time on the clock of `time.monotonic()`."""
     stop: StopSignal | None = None
     """Flag that ends the search: once it is set, the time is up."""
-    lent: Callable[[], float] = float
+    reserved_bytes: Callable[[], float] = float
     """Returns the bytes of `memory` that are currently reserved for something else."""
     held: float = 0.0
     """Bytes that are permanently in use, in addition to those that are checked."""
@@ -56,16 +56,16 @@ class Budget:
         memory_mb: float | None = None,
         deadline: float | None = None,
         stop: StopSignal | None = None,
-        lent: Callable[[], float] = float,
+        reserved_bytes: Callable[[], float] = float,
     ) -> Budget:
         """Return a budget of `memory_mb` megabytes, or of the memory available on the machine if that is less."""
-        memory = available_memory()
-        return cls(max_states, memory if memory_mb is None else min(memory, memory_mb * 1e6), deadline, stop, lent)
+        memory = available_memory() if memory_mb is None else min(available_memory(), memory_mb * 1e6)
+        return cls(max_states, memory, deadline, stop, reserved_bytes)
 
     @property
     def room(self) -> float:
         """Bytes that may be in use now, in addition to those that are held."""
-        return self.memory - self.lent() - self.held
+        return self.memory - self.reserved_bytes() - self.held
 
     def part(self, share: float) -> Budget:
         """Return the budget with a share of the remaining time."""
@@ -79,7 +79,7 @@ class Budget:
         return replace(self, held=self.held + held)
 
     def during(self, phase: str) -> Check:
-        """Return a check of time and memory for a phase before the first state, such as "an index was looked for"."""
+        """Return a check of time and memory for a phase before the first state, such as "a ranking was looked for"."""
 
         def check(needed: float) -> None:
             self._check_time(f"while {phase}")
@@ -118,7 +118,7 @@ class LimitError(RuntimeError):
 
 
 class CostLimitError(LimitError):
-    """Costs are so large that Fast Downward's 32-bit sums may overflow."""
+    """A cost, or a sum of costs, is too large for the method."""
 
 
 class MemoryLimitError(LimitError):
@@ -137,14 +137,14 @@ class Limits:
         Memory in megabytes.
     stop : StopSignal or None
         Flag that ends the call when it is set, such as a `threading.Event`.
-    first : float or None
+    lower_priority_after : float or None
         Seconds after which the process gets the lowest scheduling priority.
     """
 
     seconds: float | None = None
     memory_mb: float | None = None
     stop: StopSignal | None = None
-    first: float | None = None
+    lower_priority_after: float | None = None
 
     def ended_by(self, over: StopSignal) -> Limits:
         """Return the limits of a call that also ends when `over` is set."""

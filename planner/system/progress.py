@@ -97,14 +97,14 @@ def shows_progress(function: F) -> F:
 
     @functools.wraps(function)
     def shown(*args: Any, progress: Wanted = None, **others: Any) -> Any:
-        with told(progress) as tell:
+        with reporting(progress) as tell:
             return function(*args, progress=tell, **others)
 
     return cast(F, shown)
 
 
 @contextmanager
-def told(progress: Wanted) -> Iterator[Progress]:
+def reporting(progress: Wanted) -> Iterator[Progress]:
     """Yield the function that receives progress reports; it shows them where `progress` asks for it.
 
     Work that is part of other work is not shown by itself. The caller of the outer work has decided.
@@ -160,7 +160,7 @@ def compiling_line() -> Callable[[], None]:
 
 
 _work: list[object] = []
-"""A token of each display and each call of `told` that is active, whether something is shown or not."""
+"""A token of each display and each call of `reporting` that is active, whether something is shown or not."""
 
 
 @contextmanager

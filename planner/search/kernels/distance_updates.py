@@ -1,6 +1,6 @@
 """Compiled updates of distances by the transitions into a block of states, for the backward search.
 
-A *kind* is the index of a cost among the distinct costs of a task. Distances and costs have the same unsigned type.
+A *kind* is the place of a cost among the distinct costs of a task. Distances and costs have the same unsigned type.
 Several threads may share the distances.
 """
 
@@ -16,29 +16,29 @@ from .ranked_successors import after, applicable, start_cursor
 
 
 @njit(nogil=True, error_model="numpy")
-def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, start, d, out, through):
+def relax_moves(operators, decoder, states, closed, kinds, costs, distance, block, start, d, out, through):
     """Relax the predecessors of the ranked states of distance `d`: push those whose distance decreases.
 
     `closed` is a bitmap from `rank_set.close`, or empty. States are closed in it as they are settled, so that most
     predecessors need no lookup. `kinds` are those of the moves, and `through` receives those of the pushed
     predecessors. Return `stop`, such that `block[start:stop]` has been processed, and the number of these predecessors.
     """
-    cursor, moves = start_cursor(tests, decoder), np.empty(tests.tree.most, dtype=np.int64)
-    pending = np.empty(PENDING + tests.tree.most, dtype=np.int64)
+    cursor, moves = start_cursor(operators, decoder), np.empty(operators.tree.most, dtype=np.int64)
+    pending = np.empty(PENDING + operators.tree.most, dtype=np.int64)
     by = np.empty(len(pending), dtype=np.int64)
     numbers = np.empty(len(pending), dtype=np.int64)
     i, filled = start, 0
     while i < len(block):
         waiting, begun = 0, i
-        while i < len(block) and waiting <= min(PENDING, len(out) - filled - tests.tree.most):
-            index = block[i]
+        while i < len(block) and waiting <= min(PENDING, len(out) - filled - operators.tree.most):
+            rank = block[i]
             i += 1
-            if distance[number_of(states, index)] != d:
+            if distance[number_of(states, rank)] != d:
                 continue  # it has been reached on a cheaper way since it was pushed
-            close_one(closed, index)
-            for place in range(applicable(tests, decoder, index, cursor, moves)):
+            close_one(closed, rank)
+            for place in range(applicable(operators, decoder, rank, cursor, moves)):
                 move = moves[place]
-                target = after(tests, cursor.words, move, index)
+                target = after(operators, cursor.words, move, rank)
                 if target >= 0:
                     if len(closed):
                         prefetch(closed, target >> 6)

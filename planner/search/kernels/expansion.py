@@ -16,7 +16,7 @@ needs more cache.
 
 
 @njit(nogil=True, error_model="numpy")
-def expand_block(tests, decoder, closed, block, start, out):
+def expand_block(operators, decoder, closed, block, start, out):
     """Push the successors that are not closed, and close them.
 
     Several threads may share a bitmap. Exactly one of them pushes each new successor. The words of many successors are
@@ -25,18 +25,18 @@ def expand_block(tests, decoder, closed, block, start, out):
     Return `stop`, such that `block[start:stop]` has been expanded, the number of entries of `out` in use, and the
     number of transitions of the expanded states.
     """
-    cursor, moves = start_cursor(tests, decoder), np.empty(tests.tree.most, dtype=np.int64)
-    pending = np.empty(PENDING + tests.tree.most, dtype=np.int64)
+    cursor, moves = start_cursor(operators, decoder), np.empty(operators.tree.most, dtype=np.int64)
+    pending = np.empty(PENDING + operators.tree.most, dtype=np.int64)
     transitions = filled = 0
     i = start
     while i < len(block):
         waiting, begun = 0, i
-        while i < len(block) and waiting <= min(PENDING, len(out) - filled - tests.tree.most):
-            index = block[i]
-            for place in range(applicable(tests, decoder, index, cursor, moves)):
+        while i < len(block) and waiting <= min(PENDING, len(out) - filled - operators.tree.most):
+            rank = block[i]
+            for place in range(applicable(operators, decoder, rank, cursor, moves)):
                 move = moves[place]
                 transitions += 1
-                target = after(tests, cursor.words, move, index)
+                target = after(operators, cursor.words, move, rank)
                 if target >= 0:
                     prefetch(closed, target >> 6)
                     pending[waiting] = target
@@ -53,21 +53,21 @@ def expand_block(tests, decoder, closed, block, start, out):
 
 
 @njit(nogil=True, error_model="numpy")
-def fill_transitions(tests, decoder, states, block, counts, actions, targets):
+def fill_transitions(operators, decoder, states, block, counts, actions, targets):
     """Write the transitions of the states of a block, and how many each has; return the number of all."""
-    cursor, moves = start_cursor(tests, decoder), np.empty(tests.tree.most, dtype=np.int64)
+    cursor, moves = start_cursor(operators, decoder), np.empty(operators.tree.most, dtype=np.int64)
     row = 0
     for i in range(len(block)):
-        index = block[i]
+        rank = block[i]
         begin = row
-        for place in range(applicable(tests, decoder, index, cursor, moves)):
-            action = tests.action[moves[place]]
+        for place in range(applicable(operators, decoder, rank, cursor, moves)):
+            action = operators.action[moves[place]]
             at = row
             while at > begin and actions[at - 1] > action:
                 actions[at], targets[at] = actions[at - 1], targets[at - 1]
                 at -= 1
             actions[at] = action
-            targets[at] = number_of(states, after(tests, cursor.words, moves[place], index))
+            targets[at] = number_of(states, after(operators, cursor.words, moves[place], rank))
             row += 1
         counts[i] = row - begin
     return row

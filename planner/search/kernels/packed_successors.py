@@ -76,36 +76,37 @@ def derive(axioms, again, states):
 
 
 @njit(nogil=True, error_model="numpy", inline="always")
-def applicable(book, state, operators):
-    """Write the applicable operators in ascending order, the first of each action; return their number."""
-    count = matching(book.tree, 0, len(book.tree.word), state, operators)
-    sort_first(operators, count)
+def applicable(operators, state, found):
+    """Write the applicable operators in ascending order, the first of each action, to `found`; return their number."""
+    count = matching(operators.tree, 0, len(operators.tree.word), state, found)
+    sort_first(found, count)
     kept = 0
     for place in range(count):
-        if kept == 0 or book.action[operators[place]] != book.action[operators[kept - 1]]:
-            operators[kept] = operators[place]
+        if kept == 0 or operators.action[found[place]] != operators.action[found[kept - 1]]:
+            found[kept] = found[place]
             kept += 1
     return kept
 
 
 @njit(nogil=True, error_model="numpy")
-def expand(book, states, start, counts, actions, after):
+def expand(operators, states, start, counts, actions, after):
     """Write the successors of `states[start:]`, as far as they fit the output.
 
     `counts` receives the number of actions of each state. `actions` and `after`, shape (m, words), receive a row per
     action. Return `stop`, such that `states[start:stop]` has been expanded, and the number of rows in use.
     """
-    operators, found = np.empty(book.tree.most, dtype=np.int64), np.empty(book.effects.tree.most, dtype=np.int64)
+    most = operators.tree.most
+    found, effects = np.empty(most, dtype=np.int64), np.empty(operators.effects.tree.most, dtype=np.int64)
     filled, i = 0, start
-    while i < len(states) and filled + book.tree.most <= len(actions):
-        number = applicable(book, states[i], operators)
+    while i < len(states) and filled + most <= len(actions):
+        number = applicable(operators, states[i], found)
         counts[i - start] = number
         for place in range(number):
             for w in range(states.shape[1]):
                 after[filled, w] = states[i, w]
-            apply_rules(book.effects, operators[place], states[i], after[filled], found)
-            actions[filled] = book.action[operators[place]]
+            apply_rules(operators.effects, found[place], states[i], after[filled], effects)
+            actions[filled] = operators.action[found[place]]
             filled += 1
         i += 1
-    derive(book.axioms, book.again, after[:filled])
+    derive(operators.axioms, operators.again, after[:filled])
     return i, filled

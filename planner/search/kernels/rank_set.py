@@ -54,17 +54,17 @@ def count_states(bits, before, within):
 
 
 @njit(nogil=True, error_model="numpy")
-def ask_for(states, index):
+def ask_for(states, rank):
     """Prefetch the memory that `number_of` reads for a rank."""
-    prefetch(states.bits, index >> 6)
-    prefetch(states.within, index >> 9)
+    prefetch(states.bits, rank >> 6)
+    prefetch(states.within, rank >> 9)
 
 
 @njit(nogil=True, error_model="numpy")
-def number_of(states, index):
+def number_of(states, rank):
     """Return the number of the state with a rank; -1 if there is none."""
-    word = index >> 6
-    bit = np.uint64(1) << np.uint64(index & 63)
+    word = rank >> 6
+    bit = np.uint64(1) << np.uint64(rank & 63)
     if states.bits[word] & bit == 0:
         return np.int64(-1)
     number = states.before[word >> 10] + np.int64(states.within[word >> 3])
@@ -75,10 +75,10 @@ def number_of(states, index):
 
 
 @njit(nogil=True, error_model="numpy")
-def numbers_of(states, indices, out):
+def numbers_of(states, ranks, out):
     """Write the number of each rank to `out`; -1 where there is no such state."""
-    for i in range(len(indices)):
-        out[i] = number_of(states, indices[i]) if indices[i] >= 0 else -1
+    for i in range(len(ranks)):
+        out[i] = number_of(states, ranks[i]) if ranks[i] >= 0 else -1
 
 
 @njit(nogil=True, error_model="numpy")
@@ -160,13 +160,13 @@ def close(states, distance, unreached, closed):
 
 
 @njit(nogil=True, error_model="numpy")
-def is_closed(closed, index):
+def is_closed(closed, rank):
     """Return whether a rank is closed; without a bitmap, none is."""
-    return len(closed) != 0 and closed[index >> 6] & (np.uint64(1) << np.uint64(index & 63)) != 0
+    return len(closed) != 0 and closed[rank >> 6] & (np.uint64(1) << np.uint64(rank & 63)) != 0
 
 
 @njit(nogil=True, error_model="numpy")
-def close_one(closed, index):
+def close_one(closed, rank):
     """Close a rank if there is a bitmap; thread-safe."""
     if len(closed):
-        fetch_or(closed, index >> 6, np.uint64(1) << np.uint64(index & 63))
+        fetch_or(closed, rank >> 6, np.uint64(1) << np.uint64(rank & 63))

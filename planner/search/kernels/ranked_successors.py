@@ -16,7 +16,7 @@ from ...states.packing import Ints, Words
 from ...system.jit import njit
 from .atomics import lowest_bit
 from .decision_tree import DecisionTree, matching
-from .unranking import CLUSTER, NOWHERE, PRIME
+from .unranking import FIELD_MASK, NOWHERE, PRIME
 
 
 class ApplicableSets(NamedTuple):
@@ -68,9 +68,9 @@ class Cursor(NamedTuple):
 
 
 @njit(nogil=True, error_model="numpy")
-def start_cursor(tests, decoder):
+def start_cursor(operators, decoder):
     """Return a cursor without a rank."""
-    width, sets = decoder.rows.shape[1], tests.candidates.sets.shape[1]
+    width, sets = decoder.rows.shape[1], operators.candidates.sets.shape[1]
     cursor = Cursor(
         np.empty(width, dtype=np.uint64),
         np.empty(sets, dtype=np.uint64),
@@ -83,10 +83,10 @@ def start_cursor(tests, decoder):
 
 
 @njit(nogil=True, error_model="numpy")
-def applicable(tests, decoder, index, cursor, moves):
+def applicable(operators, decoder, rank, cursor, moves):
     """Write the moves that are applicable in the state of a rank; leave that state in `cursor.words`."""
     words, sets = cursor.words, cursor.sets
-    above = np.uint64(index) // decoder.radix[0]
+    above = np.uint64(rank) // decoder.radix[0]
     if above != cursor.upper[0]:  # blocks are sorted, so the upper digits change rarely
         cursor.upper[0] = above
         for w in range(len(words)):
@@ -100,30 +100,30 @@ def applicable(tests, decoder, index, cursor, moves):
             for w in range(len(words)):
                 cursor.upper_words[w] += decoder.rows[row, w]
             for w in range(len(sets)):
-                cursor.upper_sets[w] &= tests.candidates.sets[row, w]
+                cursor.upper_sets[w] &= operators.candidates.sets[row, w]
             rest = higher
-    row = decoder.first[0] + np.int64(np.uint64(index) - above * decoder.radix[0])
+    row = decoder.first[0] + np.int64(np.uint64(rank) - above * decoder.radix[0])
     for w in range(len(words)):
         words[w] = cursor.upper_words[w] + decoder.rows[row, w]
     for w in range(len(sets)):
-        sets[w] = cursor.upper_sets[w] & tests.candidates.sets[row, w]
+        sets[w] = cursor.upper_sets[w] & operators.candidates.sets[row, w]
     for step in range(len(decoder.steps)):
-        total = words[decoder.steps[step, 0]] >> np.uint64(decoder.steps[step, 1]) & np.uint64(CLUSTER)
-        row = decoder.steps[step, 2] + decoder.told[step, total % np.uint64(PRIME)]
+        total = words[decoder.steps[step, 0]] >> np.uint64(decoder.steps[step, 1]) & np.uint64(FIELD_MASK)
+        row = decoder.steps[step, 2] + decoder.value_of[step, total % np.uint64(PRIME)]
         for w in range(len(words)):
             words[w] += decoder.rows[row, w]
         for w in range(len(sets)):
-            sets[w] &= tests.candidates.sets[row, w]
-    count = matching(tests.tree, 0, len(tests.tree.word), words, moves)
+            sets[w] &= operators.candidates.sets[row, w]
+    count = matching(operators.tree, 0, len(operators.tree.word), words, moves)
     for w in range(len(sets)):
         left = sets[w]
         while left:
             move = np.int64(w << 6) + lowest_bit(left)
             left &= left - np.uint64(1)
             holds = True
-            for test in range(tests.candidates.begin[move], tests.candidates.begin[move + 1]):
-                mask, value = tests.candidates.mask[test], tests.candidates.value[test]
-                holds &= words[tests.candidates.word[test]] & mask == value
+            for test in range(operators.candidates.begin[move], operators.candidates.begin[move + 1]):
+                mask, value = operators.candidates.mask[test], operators.candidates.value[test]
+                holds &= words[operators.candidates.word[test]] & mask == value
             if holds:
                 moves[count] = move
                 count += 1
@@ -131,13 +131,13 @@ def applicable(tests, decoder, index, cursor, moves):
 
 
 @njit(nogil=True, error_model="numpy")
-def after(tests, words, move, index):
+def after(operators, words, move, rank):
     """Return the rank after a move; negative if there is no successor."""
-    target = index + tests.delta[move]
-    for look in range(tests.looks[move], tests.looks[move + 1]):
-        value = words[tests.lookups[look, 0]] >> np.uint64(tests.lookups[look, 1]) & np.uint64(CLUSTER)
-        change = tests.table[tests.lookups[look, 3] + np.int64(value) * tests.lookups[look, 2]]
+    target = rank + operators.delta[move]
+    for look in range(operators.looks[move], operators.looks[move + 1]):
+        value = words[operators.lookups[look, 0]] >> np.uint64(operators.lookups[look, 1]) & np.uint64(FIELD_MASK)
+        change = operators.table[operators.lookups[look, 3] + np.int64(value) * operators.lookups[look, 2]]
         if change == NOWHERE:
             return np.int64(-1)
-        target += tests.lookups[look, 4] * change
+        target += operators.lookups[look, 4] * change
     return target

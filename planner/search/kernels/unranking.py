@@ -27,7 +27,7 @@ class UnrankingTables(NamedTuple):
     """Contributions to the words; those of `Packing` are first."""
     steps: Ints
     """The word and the shift of each step's field, and the row of its value 0."""
-    told: NDArray[np.int32]
+    value_of: NDArray[np.int32]
     """Value for each step and sum; 0 for sums that belong to no value, which do not occur in reachable states."""
 
 
@@ -35,9 +35,13 @@ NOWHERE = -(1 << 31)
 """Entry of a table of changes for a move without a successor in the cluster."""
 
 
-CLUSTER = (1 << 21) - 1
-"""Mask of a 21-bit field of a packed state, which holds the value of a cluster or a sum. A word has three such fields.
-"""
+FIELDS = 3
+"""Number of fields in a word of a packed state, each of which holds the value of a cluster or a sum."""
+
+
+FIELD_BITS = 64 // FIELDS
+FIELD_MASK = (1 << FIELD_BITS) - 1
+"""The bits of a field, 21 of them, once it has been shifted down."""
 
 
 PRIME = 8191
@@ -47,9 +51,9 @@ tables.
 
 
 @njit(nogil=True, error_model="numpy")
-def decode(decoder, index, words):
+def decode(decoder, rank, words):
     """Write the packed state of a rank into `words`."""
-    rest = np.uint64(index)
+    rest = np.uint64(rank)
     words[:] = 0
     for chunk in range(len(decoder.radix)):
         above = rest // decoder.radix[chunk]
@@ -58,25 +62,25 @@ def decode(decoder, index, words):
             words[w] += decoder.rows[row, w]
         rest = above
     for step in range(len(decoder.steps)):
-        total = words[decoder.steps[step, 0]] >> np.uint64(decoder.steps[step, 1]) & np.uint64(CLUSTER)
-        row = decoder.steps[step, 2] + decoder.told[step, total % np.uint64(PRIME)]
+        total = words[decoder.steps[step, 0]] >> np.uint64(decoder.steps[step, 1]) & np.uint64(FIELD_MASK)
+        row = decoder.steps[step, 2] + decoder.value_of[step, total % np.uint64(PRIME)]
         for w in range(len(words)):
             words[w] += decoder.rows[row, w]
 
 
 @njit(nogil=True, error_model="numpy")
-def decode_all(decoder, indices, states):
+def decode_all(decoder, ranks, states):
     """Write the packed state of each rank into a row of `states`."""
-    for i in range(len(indices)):
-        decode(decoder, indices[i], states[i])
+    for i in range(len(ranks)):
+        decode(decoder, ranks[i], states[i])
 
 
 @njit(nogil=True, error_model="numpy")
-def mark(decoder, block, masks, values, marks):
-    """Write to `marks` whether a condition holds in each state of a block."""
+def mark(decoder, ranks, masks, values, marks):
+    """Write to `marks` whether a condition holds in the state of each rank."""
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
-    for i in range(len(block)):
-        decode(decoder, block[i], words)
+    for i in range(len(ranks)):
+        decode(decoder, ranks[i], words)
         met = True
         for w in range(len(masks)):
             met &= words[w] & masks[w] == values[w]

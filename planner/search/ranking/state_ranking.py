@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...grounding.task import Fact, Task
 from ...states.packing import Ints, Packing, Words
 from ...system.limits import Check, unchecked
-from ..kernels.unranking import CLUSTER, NOWHERE, PRIME, UnrankingTables, decode_all
+from ..kernels.unranking import FIELD_BITS, FIELD_MASK, FIELDS, NOWHERE, PRIME, UnrankingTables, decode_all
 from .linear_invariants import Determined, determined
 from .mutexes import Mutexes
 from .transition_normal_form import TNFOperator
@@ -34,9 +34,6 @@ from .variable_clusters import Cluster, clusters
 
 MANY = 1 << 33
 """Number of ranks above which the dense ranking is tried: a bitmap of this size takes 1 GB."""
-
-FIELDS = 3
-"""Number of fields in a word, each of which holds a cluster's value or a sum."""
 
 Sum = tuple[int, dict[Fact, int]]
 """An affine sum over facts: a constant, and the coefficient of each fact (1 where it holds, else 0)."""
@@ -110,7 +107,7 @@ class StateRanking:
         if size >= 1 << 62:
             return None
         own = (*merged, *clusters(mutexes, task.initial, [d.variable for d in left_out], alone=True, check=check))
-        if (sum(len(c) > 1 for c in own) + 1) * PRIME >= 1 << 64 // FIELDS:
+        if (sum(len(c) > 1 for c in own) + 1) * PRIME >= 1 << FIELD_BITS:
             return None  # the sums that determine variables would not fit their fields
         packing = Packing.of(task)
         varying = {v for move in mutexes.moves for v in move.after}
@@ -201,10 +198,10 @@ class StateRanking:
                 digits.append(np.flatnonzero(holds) * self.stride[number])
         if math.prod(map(len, digits)) > most:
             return None
-        index = np.zeros(1, dtype=np.int64)
+        ranks = np.zeros(1, dtype=np.int64)
         for own in digits:
-            index = np.add.outer(own, index).reshape(-1)
-        return index
+            ranks = np.add.outer(own, ranks).reshape(-1)
+        return ranks
 
     def encode(self, values: ArrayLike) -> Ints:
         """Return the ranks of states with values of shape (n, variables); -1 for states without a rank."""
@@ -214,18 +211,18 @@ class StateRanking:
             return np.concatenate([self.encode(array[at : at + encoded]) for at in range(0, len(array), encoded)])
         legal = np.all((array >= 0) & (array < self.sizes), axis=1)
         legal_values = np.where(legal[:, None], array, 0)
-        index = np.zeros(len(array), dtype=np.int64)
+        ranks = np.zeros(len(array), dtype=np.int64)
         for number, cluster in enumerate(self.clusters):
             places = self._places(number, legal_values[:, list(cluster.variables)])
             legal &= places >= 0
-            index += np.maximum(places, 0) * self.stride[number]
-        consistent = (self.decode(index) == np.where(legal[:, None], array, -1)).all(axis=1)
-        return np.where(consistent, index, -1)
+            ranks += np.maximum(places, 0) * self.stride[number]
+        consistent = (self.decode(ranks) == np.where(legal[:, None], array, -1)).all(axis=1)
+        return np.where(consistent, ranks, -1)
 
-    def decode(self, index: Ints) -> Ints:
+    def decode(self, ranks: Ints) -> Ints:
         """Return the values, shape (n, variables), of ranks, shape (n,)."""
-        words = np.empty((len(index), self.decoder.rows.shape[1]), dtype=np.uint64)
-        decode_all(self.decoder, index, words)
+        words = np.empty((len(ranks), self.decoder.rows.shape[1]), dtype=np.uint64)
+        decode_all(self.decoder, ranks, words)
         return self.packing.unpack(words)
 
 
@@ -248,9 +245,9 @@ def _joined(
         inside = {*cluster.variables, own.variable}
         rest = own.total - sum(int(w[0]) for v, w in enumerate(weights) if v not in inside)
         sums = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1)
-        told = np.full(PRIME, -1, dtype=np.int64)
-        told[weights[own.variable]] = np.arange(len(weights[own.variable]))
-        values = told[(rest - sums) % PRIME]
+        value_of = np.full(PRIME, -1, dtype=np.int64)
+        value_of[weights[own.variable]] = np.arange(len(weights[own.variable]))
+        values = value_of[(rest - sums) % PRIME]
         rows = np.column_stack([cluster.values, values])[values >= 0]  # the others are impossible
         whole[number] = Cluster((*cluster.variables, own.variable), rows)
     return left, whole
@@ -370,28 +367,28 @@ def _dense_decoder(
         word, shift = places[step]
         for later in range(step + 1, len(left_out)):
             number = len(digits) + later
-            same = parts[number][:, word] >> np.uint64(shift) & np.uint64(CLUSTER)
+            same = parts[number][:, word] >> np.uint64(shift) & np.uint64(FIELD_MASK)
             assert len(np.unique(same)) == 1
             parts[number][:, word] -= same << np.uint64(shift)
             constant[word] += same[0] << np.uint64(shift)
-    told = np.zeros((len(left_out), PRIME), dtype=np.int32)
+    value_of = np.zeros((len(left_out), PRIME), dtype=np.int32)
     for step, own in enumerate(left_out):
         cluster = clusters[len(digits) + step]
-        told[step, own.weights[first[own.variable] + cluster.values[:, 0]]] = np.arange(len(cluster))
+        value_of[step, own.weights[first[own.variable] + cluster.values[:, 0]]] = np.arange(len(cluster))
     steps = [parts[len(digits) + step] for step in range(len(left_out))]
-    return _decoder([parts[n] for n in digits], constant, list(zip(places, steps, strict=True)), told)
+    return _decoder([parts[n] for n in digits], constant, list(zip(places, steps, strict=True)), value_of)
 
 
 def _field(first: int, place: int) -> tuple[int, int]:
     """Return the word and the shift of a field, where the fields begin in the word `first`."""
-    return first + place // FIELDS, 64 // FIELDS * (place % FIELDS)
+    return first + place // FIELDS, FIELD_BITS * (place % FIELDS)
 
 
 def _decoder(
     parts: Sequence[Words],
     constant: Words,
     steps: Sequence[tuple[tuple[int, int], Words]],
-    told: ArrayLike,
+    value_of: ArrayLike,
 ) -> UnrankingTables:
     """Return the unranking tables; the tables of several small digits are combined into one."""
     largest = 1 << 11  # entries in one table; larger tables need fewer additions, but should fit the cache together
@@ -421,5 +418,5 @@ def _decoder(
         np.array(first, np.int64),
         np.concatenate(tables),
         fields,
-        np.asarray(told, dtype=np.int32).reshape(len(steps), PRIME),
+        np.asarray(value_of, dtype=np.int32).reshape(len(steps), PRIME),
     )

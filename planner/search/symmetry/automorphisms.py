@@ -36,7 +36,7 @@ Colors = NDArray[np.uint64]
 class Level:
     """One level of the stabiliser chain: the symmetries that fix the facts of the earlier levels."""
 
-    moves: Ints
+    permutations: Ints
     """For each image of the level's fact, a symmetry that maps this image back to the fact: a row each."""
     orbits: Ints
     """Orbit of each fact under the symmetries that also fix this level's fact."""
@@ -57,7 +57,7 @@ class Symmetries:
     @property
     def order(self) -> int:
         """Order of the group, including the identity."""
-        return prod(len(level.moves) for level in self.levels)
+        return prod(len(level.permutations) for level in self.levels)
 
 
 def symmetries(
@@ -113,7 +113,7 @@ class _Search:
         self.goal[[number(pair) for pair in task.goal]] = True
         self.variable = np.repeat(np.arange(len(task.variables)), np.diff(self.first))
         self.needed, self.made = padded(needed, facts), padded(made, facts)
-        self.proof = self._sorted(np.arange(facts))
+        self.operator_rows = self._sorted(np.arange(facts))
         operators = facts + len(task.variables) + np.arange(len(task.operators))
         joined = [  # source, target, kind of edge
             (np.arange(facts), facts + self.variable, 1),
@@ -181,7 +181,7 @@ class _Search:
         sizes = np.diff(self.first)
         if (sizes[variable] != sizes[self.variable]).any() or (self.goal[symmetry] != self.goal).any():
             return False
-        return np.array_equal(self._sorted(symmetry), self.proof)
+        return np.array_equal(self._sorted(symmetry), self.operator_rows)
 
     def _match(self, colors: Colors, others: Colors, tries: list[int]) -> Ints | None:
         """Return a symmetry that maps each fact to a fact of its colour in the other copy; None if none was found."""
@@ -234,8 +234,8 @@ class _Search:
                     tried.clear()  # the representatives of orbits have changed
             if len(own) > len(generators):
                 generators = own
-                levels.append(Level(_moves(generators, fact, self.facts), orbits))
-                if sum(level.moves.size for level in levels) > max_entries:
+                levels.append(Level(_permutations(generators, fact, self.facts), orbits))
+                if sum(level.permutations.size for level in levels) > max_entries:
                     raise _TooMuchWork
         if not levels:
             return None
@@ -262,7 +262,7 @@ def _orbits(generators: Sequence[Ints], facts: int) -> Ints:
             return orbits
 
 
-def _moves(generators: Sequence[Ints], fact: int, facts: int) -> Ints:
+def _permutations(generators: Sequence[Ints], fact: int, facts: int) -> Ints:
     """Return symmetries that map each fact of a fact's orbit to the fact, the identity first."""
     to = {fact: np.arange(facts)}
     waiting = [fact]

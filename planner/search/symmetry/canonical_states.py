@@ -33,8 +33,8 @@ class Forms(NamedTuple):
     bits: Words
     """Bits that represent each fact in its word."""
     begin: Ints
-    """The symmetries of level `l` are the rows `begin[l]:begin[l + 1]` of `moves`."""
-    moves: NDArray[np.int32]
+    """The symmetries of level `l` are the rows `begin[l]:begin[l + 1]` of `permutations`."""
+    permutations: NDArray[np.int32]
     """Image of every fact under each symmetry."""
     weight: Words
     """From `facts * begin[l]` on, the contribution of each fact to the key of its image, one entry for each symmetry of
@@ -53,7 +53,7 @@ class Forms(NamedTuple):
         weights = [np.empty(0, dtype=np.uint64)]
         for level in symmetries.levels:
             of_orbit = rng.integers(1 << 63, size=facts, dtype=np.uint64)
-            weights.append(of_orbit[level.orbits][level.moves].T.reshape(-1))
+            weights.append(of_orbit[level.orbits][level.permutations].T.reshape(-1))
         return cls(
             packing.word,
             symmetries.first[:-1],
@@ -61,8 +61,8 @@ class Forms(NamedTuple):
             (np.uint64(1) << packing.bits.astype(np.uint64)) - np.uint64(1),
             packing.word[variable],
             value.astype(np.uint64) << packing.shift[variable].astype(np.uint64),
-            np.cumsum([0, *(len(level.moves) for level in symmetries.levels)]),
-            np.concatenate([level.moves for level in symmetries.levels]).astype(np.int32),
+            np.cumsum([0, *(len(level.permutations) for level in symmetries.levels)]),
+            np.concatenate([level.permutations for level in symmetries.levels]).astype(np.int32),
             np.concatenate(weights),
             rng.integers(1 << 63, size=facts, dtype=np.uint64),
         )
@@ -76,7 +76,7 @@ def canonical(forms, states):
     wide = 64  # images kept per level; more find more equal orbits, and take longer
     images = np.empty((2, wide, variables), dtype=np.int64)
     marks = np.empty(wide, dtype=np.uint64)
-    keys = np.empty(len(forms.moves), dtype=np.uint64)
+    keys = np.empty(len(forms.permutations), dtype=np.uint64)
     best, packed = np.empty(states.shape[1], dtype=np.uint64), np.empty(states.shape[1], dtype=np.uint64)
     for i in range(len(states)):
         side, held = 0, 1
@@ -102,7 +102,7 @@ def canonical(forms, states):
                         continue
                     mark = np.uint64(0)
                     for v in range(variables):
-                        fact = forms.moves[begin + j, images[side, image, v]]
+                        fact = forms.permutations[begin + j, images[side, image, v]]
                         images[1 - side, more, v] = fact
                         mark += forms.own[fact]
                     known = False
