@@ -54,12 +54,9 @@ def parsed(domain: str, problem: str) -> Problem:
             return PDDLReader().parse_problem_string(domain, problem)
         except Exception as fault:  # noqa: BLE001  it raises any exception, internal errors included
             clear_walkers()
-            raise InstanceRefusedError(reason(fault)) from None
-
-
-def reason(fault: Exception) -> str:
-    """Return the first line of an error of unified-planning or pyparsing; others give places in the rewritten text."""
-    return str(fault).partition("\n")[0] or f"it fails at it ({type(fault).__name__})"
+            # Further lines give places in the rewritten text.
+            reason = str(fault).partition("\n")[0] or f"it fails at it ({type(fault).__name__})"
+            raise InstanceRefusedError(reason) from None
 
 
 def clear_walkers() -> None:

@@ -50,7 +50,7 @@ class ValidationProcess:
     def refusal(self, seconds: float = PATIENCE) -> str | None:
         """Wait, once, for the reason why unified-planning does not accept the files; None if it does."""
         answer = self._process.answer(seconds)
-        return None if answer is None else str(answer["failed"])
+        return None if answer is None else str(answer)
 
     def check(self, plan: Sequence[str], seconds: float = PATIENCE) -> str | None:
         """Validate a plan of an instance that unified-planning has accepted; return why it could not do so, or None.
@@ -59,11 +59,9 @@ class ValidationProcess:
         """
         self._process.ask({"plan": list(plan)})
         answer = self._process.answer(seconds)
-        if answer is None:
-            return None
-        if "rejected" in answer:
-            raise InvalidPlanError(answer["rejected"])
-        return str(answer["failed"])
+        if isinstance(answer, InvalidPlanError):
+            raise answer
+        return answer
 
 
 class _Process:
@@ -128,16 +126,16 @@ class _Process:
         with suppress(BrokenPipeError):  # the process has died, which `answer` reports
             self._connection.send(question)
 
-    def answer(self, seconds: float) -> dict[str, Any] | None:
-        """Wait for the next answer. If none arrives, the result contains the reason under "failed"."""
+    def answer(self, seconds: float) -> str | InvalidPlanError | None:
+        """Wait for the next answer: None if all is well, the error of a plan, or the reason why there is no result."""
         # One system call waits at most 2^31 - 1 milliseconds, 25 days.
         if not self._connection.poll(min(seconds, 2_000_000.0)):
             self._popen.kill()
-            return {"failed": f"it takes more than {seconds:.0f} s"}
+            return f"it takes more than {seconds:.0f} s"
         try:
-            found: dict[str, Any] | None = self._connection.recv()
+            found: str | InvalidPlanError | None = self._connection.recv()
         except (EOFError, ConnectionResetError):
-            return {"failed": "its process died"}
+            return "its process died"
         self._open -= 1
         return found
 
@@ -152,19 +150,20 @@ def _serve(connection: Connection) -> None:
     problem, known = None, lru_cache(8)(parsed)  # the same few instances are often loaded again
     with suppress(EOFError):
         while True:
-            question, said = connection.recv(), None
+            question = connection.recv()
+            answer: str | InvalidPlanError | None = None
             try:
                 if "plan" in question:
                     validate(problem, question["plan"])
                 else:
                     problem = known(question["domain"], question["problem"])
             except InstanceRefusedError as error:
-                said = {"failed": str(error)}
+                answer = str(error)
             except InvalidPlanError as error:
-                said = {"rejected": str(error)}
+                answer = error
             except Exception as error:  # noqa: BLE001  the library's own internal errors
-                said = {"failed": f"it fails at it ({type(error).__name__})"}
-            connection.send(said)
+                answer = f"it fails at it ({type(error).__name__})"
+            connection.send(answer)
 
 
 if __name__ == "__main__":
