@@ -96,13 +96,13 @@ def _atoms(file: Path, parts: tuple[Expression, ...]) -> Iterator[tuple[int, Ato
         elif name is None and part.word:
             name = part
         elif part.word or not all(one.word for one in part.parts) or (name is None and not part.parts):
-            raise StateError(f"{file}:{part.line}: {part}; expected a fact, (predicate argument ...)")
+            raise StateError(f"{file}:{part.place.line}: {part}; expected a fact, (predicate argument ...)")
         else:
             words = [*([] if name is None else [name.word]), *(one.word for one in part.parts)]
-            yield part.line, tuple(word for word in (word.strip(",") for word in words) if word)
+            yield part.place.line, tuple(word for word in (word.strip(",") for word in words) if word)
             name = None
     if name is not None:
-        raise StateError(f"{file}:{name.line}: {name}; expected a fact, (predicate argument ...)")
+        raise StateError(f"{file}:{name.place.line}: {name}; expected a fact, (predicate argument ...)")
 
 
 def _listed(file: Path, text: str) -> Iterator[tuple[int, Atom]]:

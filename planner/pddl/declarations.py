@@ -61,14 +61,6 @@ class Types:
         return found
 
     @cached_property
-    def _below(self) -> dict[str, frozenset[str]]:
-        found: dict[str, set[str]] = {name: set() for name in self.parents}
-        for name, above in self._above.items():
-            for each in above:
-                found[each].add(name)
-        return {name: frozenset(names) for name, names in found.items()}
-
-    @cached_property
     def ordered(self) -> tuple[str, ...]:
         """All types, each after its supertypes."""
         return tuple(TopologicalSorter(self.parents).static_order())
@@ -77,10 +69,9 @@ class Types:
         """Whether a type is a subtype of, or equal to, one of the wanted types."""
         return not self._above[kind].isdisjoint(wanted)
 
-    def overlap(self, kinds: Iterable[str], others: Iterable[str]) -> bool:
+    def overlap(self, kinds: Sequence[str], others: Sequence[str]) -> bool:
         """Whether one of `kinds` and one of `others` have a common subtype, so that one object may belong to both."""
-        below = frozenset[str]().union(*(self._below[kind] for kind in others))
-        return any(not below.isdisjoint(self._below[kind]) for kind in kinds)
+        return any(self.fits(each, kinds) and self.fits(each, others) for each in self.parents)
 
     def reduced(self, kinds: Iterable[str]) -> tuple[str, ...]:
         """Return the types of `kinds` that are not subtypes of another of them, sorted."""
@@ -110,7 +101,7 @@ def meant(name: str, words: Iterable[str]) -> str:
 
 def refuse(file: Path, at: Expression | Place | None, message: str) -> NoReturn:
     """Raise a `PDDLError` with the place of the fault."""
-    line, column = (None, None) if at is None else (at.line, at.column)
+    line, column = (at.place if isinstance(at, Expression) else at) or (None, None)
     raise PDDLError(file, line, message, column)
 
 

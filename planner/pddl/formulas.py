@@ -52,12 +52,12 @@ class Cost:
 
 def word(text: str) -> Expression:
     """Return an expression that is a word and has no place."""
-    return Expression(0, text)
+    return Expression(text)
 
 
 def listed(*parts: Expression) -> Expression:
     """Return an expression that is a list and has no place."""
-    return Expression(0, "", parts)
+    return Expression("", parts)
 
 
 def whole_number(expression: Expression) -> int | None:

@@ -200,7 +200,7 @@ def _rule(file: Path, part: Expression, formulas: Formulas) -> Rule:
     parameters = declarations.parameters(file, head.parts[1:], formulas.names.types)
     scope = formulas.scope(parameters, part)
     formulas.variables(parameters)  # for their types
-    arguments = (Expression(each.place.line, each.name, (), each.place.column) for each in parameters)
+    arguments = (Expression(each.name, (), each.place) for each in parameters)
     formulas.atom(head._replace(parts=(head.parts[0], *arguments)), scope)
     return Rule(Symbol(head.head, parameters, part.place), formulas.condition(part.parts[2], scope))
 

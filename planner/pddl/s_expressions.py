@@ -31,23 +31,17 @@ class Place(NamedTuple):
 
 
 class Expression(NamedTuple):
-    """A word, or a list in parentheses, with the line and column where it begins, both counted from 1.
+    """A word, or a list in parentheses, with the place where it begins.
 
     `word` is empty for a list, and `parts`, the elements of the list, for a word.
     """
 
-    line: int
     word: str
     parts: tuple[Expression, ...] = ()
-    column: int = 1
+    place: Place = Place(0, 1)
 
     def __str__(self) -> str:
         return self.word or f"({' '.join(map(str, self.parts))})"
-
-    @property
-    def place(self) -> Place:
-        """Position in the file where the expression begins."""
-        return Place(self.line, self.column)
 
     @property
     def head(self) -> str:
@@ -88,16 +82,17 @@ def parse(text: str) -> Expression:
     opened: list[tuple[Place, list[Expression]]] = []
     whole: Expression | None = None
     section, previous = 1, ""
-    for token, (line, column) in tokens(text):
+    for token, place in tokens(text):
+        line = place.line
         if token == "(":
-            opened.append((Place(line, column), []))
+            opened.append((place, []))
             if len(opened) > deepest:
                 raise UnbalancedError(line, f"more than {deepest} parentheses are open here; expected fewer")
         elif token == ")":
             if not opened:
                 raise UnbalancedError(line, "')' without a '(' that it closes")
             begin, parts = opened.pop()
-            closed = Expression(begin.line, "", tuple(parts), begin.column)
+            closed = Expression("", tuple(parts), begin)
             if opened:
                 opened[-1][1].append(closed)
             elif whole is None:
@@ -111,8 +106,8 @@ def parse(text: str) -> Expression:
                 section = line
             if not opened:
                 raise UnbalancedError(line, f"'{token}' is not within (define ...)")
-            opened[-1][1].append(Expression(line, token, (), column))
+            opened[-1][1].append(Expression(token, (), place))
         previous = token
     if opened:
         raise UnbalancedError(section, "')' is missing between here and the end of the file")
-    return whole or Expression(1, "")
+    return whole or Expression("", (), Place(1, 1))

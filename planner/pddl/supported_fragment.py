@@ -120,7 +120,7 @@ def _check_sections(file: Path, whole: Expression, sections: tuple[str, ...]) ->
             refuse(file, part, f"'{shown}' is not expected here{meant(part.head, sections)}")
         if part.head in seen and part.head not in (":action", ":derived"):
             refuse(file, part, f"a second ({part.head}; the first is on line {seen[part.head]}")
-        seen[part.head] = part.line
+        seen[part.head] = part.place.line
 
 
 def _check_requirements(file: Path, whole: Expression) -> None:
