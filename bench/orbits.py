@@ -23,6 +23,7 @@ from tables import Columns, record_option, write_record
 
 from planner import LimitError, Limits, OnDemand, astar, load
 from planner.costtogo.orbits import orbits
+from planner.search.distances import is_dead_end
 
 DOMAINS = Path(__file__).resolve().parent.parent / "domains"
 NAMES = ("kitting/ladder-4x8", "kitting/ladder-4x9", "kitting/ladder-4x10", "kitting/ladder-6x12")
@@ -61,7 +62,7 @@ def measured(name: str, compare: int, seconds: float) -> dict[str, Any]:
         if known.lookup([state])[0] != expected:
             raise click.ClickException(f"{name}: {known.lookup([state])[0]}, but A* says {expected}")
         equal += 1
-    distance = found.distance[found.distance != np.iinfo(found.distance.dtype).max]
+    distance = found.distance[~is_dead_end(found.distance)]
     return {
         "name": name, "symmetries": found.order, "orbits": len(found), "transitions": found.transition_count,
         "largest": int(distance.max()), "seconds": spent, "memory": memory, "equal": equal,

@@ -27,7 +27,7 @@ ROOMS = {
         expansion distance_updates""",
     "planner.search.ranking": "transition_normal_form mutexes linear_invariants variable_clusters state_ranking",
     "planner.search.symmetry": "automorphisms canonical_states",
-    "planner.search": """distances search_space successor_generator state_registry orbit_index ranked_index
+    "planner.search": """distances search_space successor_generator state_registry ranked_index
         forward_search backward_search""",
     "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep goals orbits table_file
         on_demand portfolio""",

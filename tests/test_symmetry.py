@@ -134,8 +134,8 @@ def check(task: Task) -> tuple[Table, OrbitTable]:
 
     waiting = list(root)
     for state in waiting:  # which grows meanwhile
-        for generator in group.generators:
-            image = moved(group, generator, state)
+        for symmetry in (each for level in group.levels for each in level.permutations):
+            image = moved(group, symmetry, state)
             if image not in root:
                 root[image] = image
                 waiting.append(image)

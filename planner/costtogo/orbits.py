@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Task
 from ..search.backward_search import distances
-from ..search.distances import UNREACHED, compact
+from ..search.distances import UNREACHED, as_floats, compact, is_dead_end
 from ..search.forward_search import explore
-from ..search.orbit_index import OrbitIndex
-from ..search.state_registry import RegistrySpace
+from ..search.state_registry import RegistryIndex, RegistrySpace
 from ..search.symmetry.automorphisms import symmetries
 from ..search.symmetry.canonical_states import Forms, canonical
 from ..states.packing import Packing, Words
@@ -38,7 +37,7 @@ AT_ONCE = 300_000_000
 class OrbitTable:
     """Exact cost-to-go of all reachable states of a task, by orbits."""
 
-    index: OrbitIndex
+    index: RegistryIndex
     distance: NDArray[np.unsignedinteger]
     """h* of each orbit; the type's largest value marks dead ends."""
     lengths: NDArray[np.int64] | None
@@ -56,9 +55,7 @@ class OrbitTable:
     def lookup(self, states: Words) -> NDArray[np.float64]:
         """Return h* of packed states, shape (n, words): infinite at dead ends, NaN where the orbit is unknown."""
         rows = self.index.rows(states)
-        distance = self.distance[rows]
-        h = np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
-        return np.where(rows >= 0, h, np.nan)
+        return np.where(rows >= 0, as_floats(self.distance[rows]), np.nan)
 
     def table(self, task: Task) -> Table:
         """Return a table of the canonical states; its transitions lead to canonical states."""
@@ -125,9 +122,8 @@ def orbits(
     prices = [cost * long + 1 for cost in space.costs.tolist()] if free else None
     distance, lengths = distances(space, task.goal, budget, threads, report, prices), None
     if free:
-        dead = distance == np.iinfo(distance.dtype).max
+        dead = is_dead_end(distance)
         price = distance.astype(np.int64)
         lengths = np.where(dead, UNREACHED, price % long)
         distance = compact(np.where(dead, UNREACHED, price // long))
-    index = OrbitIndex(**vars(space.index), forms=forms)
-    return OrbitTable(index, distance, lengths, group.order, space.transitions)
+    return OrbitTable(replace(space.index, forms=forms), distance, lengths, group.order, space.transitions)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Task
-from ..search.distances import UNREACHED, plan_lengths
+from ..search.distances import UNREACHED, as_floats, is_dead_end, plan_lengths
 from ..states.packing import Ints
 from ..states.state_space import StateSpace, Transitions, state_numbers
 from .cost_to_go import optimal_choices, optimal_plan
@@ -74,7 +74,7 @@ class Table:
     @property
     def dead_end(self) -> NDArray[np.bool_]:
         """Whether each state is a dead end, shape (n,)."""
-        return self.distance == np.iinfo(self.distance.dtype).max
+        return is_dead_end(self.distance)
 
     @cached_property
     def h(self) -> NDArray[np.float64]:
@@ -93,8 +93,7 @@ class Table:
         IndexError
             One of them is not the number of a state.
         """
-        distance = self.distance[states if isinstance(states, slice) else state_numbers(states, len(self))]
-        return np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
+        return as_floats(self.distance[states if isinstance(states, slice) else state_numbers(states, len(self))])
 
     def choices(self, states: ArrayLike) -> Transitions:
         """Return the transitions of states, shape (N,), as compressed rows."""

@@ -19,6 +19,7 @@ from numpy.lib import format as npy
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import pddl_fact
+from ..search.distances import as_floats
 from ..states.packing import Ints, Packing, Words
 from ..states.state_space import state_numbers
 from ..system.arrays import outline
@@ -57,8 +58,7 @@ class SavedTable:
 
     def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
         """Return h* of states, shape (N,); infinite at dead ends."""
-        distance = self.distance[state_numbers(states, len(self))]
-        return np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
+        return as_floats(self.distance[state_numbers(states, len(self))])
 
     def values(self, states: ArrayLike) -> Ints:
         """Return the values, shape (N, variables), of states, shape (N,)."""

@@ -17,17 +17,26 @@ def smallest_type(largest: int) -> type[np.unsignedinteger]:
     return next(t for t in types if largest < np.iinfo(t).max)
 
 
+def is_dead_end(distance: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Return whether each distance marks a dead end, as the largest value of its type does."""
+    return np.asarray(distance == np.iinfo(distance.dtype).max)
+
+
 def retyped(distance: NDArray[np.integer], dtype: type[np.unsignedinteger]) -> NDArray[np.unsignedinteger]:
     """Return distances in another type; the largest value of each type marks dead ends."""
     result = distance.astype(dtype)
-    result[distance == np.iinfo(distance.dtype).max] = np.iinfo(dtype).max
+    result[is_dead_end(distance)] = np.iinfo(dtype).max
     return result
 
 
 def compact(distance: NDArray[np.integer]) -> NDArray[np.unsignedinteger]:
     """Return distances in the smallest type; the largest value of each type marks dead ends."""
-    finite = distance != np.iinfo(distance.dtype).max
-    return retyped(distance, smallest_type(int(distance.max(where=finite, initial=0))))
+    return retyped(distance, smallest_type(int(distance.max(where=~is_dead_end(distance), initial=0))))
+
+
+def as_floats(distance: NDArray[np.unsignedinteger]) -> NDArray[np.float64]:
+    """Return distances as floats: infinite at dead ends."""
+    return np.where(is_dead_end(distance), np.inf, distance)
 
 
 def plan_lengths(targets: NDArray[np.signedinteger], sources: Ints, goal: NDArray[np.bool_]) -> Ints:

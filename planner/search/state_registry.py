@@ -21,6 +21,7 @@ from .kernels import distance_updates, packed_successors, state_hash
 from .kernels.packed_successors import PackedOperators
 from .search_space import relaxed
 from .successor_generator import TRANSITIONS_AT_A_TIME, Expanded, expanded, packed_operators
+from .symmetry.canonical_states import Forms, canonical
 
 MOST = np.iinfo(np.int32).max
 """Largest number of states in a registry (32-bit numbers)."""
@@ -32,7 +33,11 @@ STATES_AT_A_TIME = 1 << 12
 
 @dataclass(frozen=True)
 class RegistryIndex:
-    """The states of a registry, numbered in the order of their discovery."""
+    """The states of a registry, numbered in the order of their discovery.
+
+    If `forms` are given, these are canonical states, which stand for the orbits of all reachable states. Transitions
+    are those of the canonical states, and lead to the orbits of their successors.
+    """
 
     packing: Packing
     book: PackedOperators
@@ -40,11 +45,10 @@ class RegistryIndex:
     """All states, shape (n, words)."""
     slots: Words
     """Hash table from a state to its number."""
-
-    @property
-    def sizes(self) -> Ints:
-        """Number of values that the bits of each variable can represent."""
-        return np.left_shift(1, self.packing.bits)
+    sizes: Ints
+    """Number of values of each variable."""
+    forms: Forms | None = None
+    """Symmetries of the task, as `canonical` applies them."""
 
     def numbers(self, values: Ints) -> Ints:
         """Return the numbers of the states with the given values, shape (n, variables); -1 where there is none."""
@@ -60,7 +64,10 @@ class RegistryIndex:
         return holds(self.states, *self.packing.condition(facts))
 
     def rows(self, states: Words) -> Ints:
-        """Return the numbers of packed states, shape (n, words); -1 where there is none."""
+        """Return the numbers of packed states, shape (n, words), or of their orbits; -1 where there is none."""
+        if self.forms is not None:
+            states = states.copy()
+            canonical(self.forms, states)
         numbers = np.empty(len(states), dtype=np.int64)
         state_hash.look_up(self.slots, self.states, states, numbers)
         return numbers
@@ -159,6 +166,7 @@ class RegistrySpace:
 
     def __init__(self, task: Task, budget: Budget, form: Form | None = None) -> None:
         self._packing, self._budget, self._form = Packing.of(task), budget, form
+        self._sizes = np.array(task.sizes, dtype=np.int64)
         self._operators = packed_operators(task, self._packing, budget.during("operators were laid out"))
         self._met = StateRegistry(self._packing.words)
         start = self._packing.pack([task.initial])
@@ -217,7 +225,7 @@ class RegistrySpace:
 
     def finish(self) -> None:
         """Build the index, and sort the transitions by their targets."""
-        self.index = RegistryIndex(self._packing, self._operators, self._met.trimmed(), self._met.slots)
+        self.index = RegistryIndex(self._packing, self._operators, self._met.trimmed(), self._met.slots, self._sizes)
         targets = self._targets.trimmed(self.transitions)
         kinds = self._kinds.trimmed(self.transitions if len(self.costs) > 1 else 0)
         self._into = np.zeros(len(self) + 2, dtype=np.int64)

@@ -51,8 +51,6 @@ class Symmetries:
 
     first: Ints
     levels: tuple[Level, ...]
-    generators: tuple[Ints, ...]
-    """Image of every fact under each generator."""
 
     @property
     def order(self) -> int:
@@ -237,9 +235,7 @@ class _Search:
                 levels.append(Level(_permutations(generators, fact, self.facts), orbits))
                 if sum(level.permutations.size for level in levels) > max_entries:
                     raise _TooMuchWork
-        if not levels:
-            return None
-        return Symmetries(self.first, tuple(reversed(levels)), tuple(generators))
+        return Symmetries(self.first, tuple(reversed(levels))) if levels else None
 
 
 def _edges(vertices: Ints, rows: Ints, filler: int) -> tuple[Ints, Ints]:
