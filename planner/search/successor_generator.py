@@ -8,7 +8,6 @@ tasks take up to 1.35 times as long, even of those that need no tree: the compil
 from __future__ import annotations
 
 import hashlib
-import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -339,7 +338,7 @@ def candidates(
     check(len(moves) * (2 * len(decoder.rows) + int(coding.sizes.sum())))
     allowed, uncovered = _allowed(moves, coding)
     tables = []
-    for family in _families(coding):
+    for family in coding.families:
         table = np.ones((1, len(moves)), dtype=bool)
         for number in family:  # the first digit varies fastest, as in the decoder's rows
             cluster = coding.clusters[number]
@@ -360,25 +359,9 @@ def candidates(
     return ApplicableSets(packed.view("<u8").astype(np.uint64), np.array(begin, np.int64), *_columns(tests))
 
 
-def _families(coding: StateRanking) -> list[list[int]]:
-    """Return the clusters that each table of the decoder covers.
-
-    First come the tables of combined digits (`radix`), then those of the variables that others determine (`steps`).
-    """
-    digits = iter(sorted(np.flatnonzero(coding.stride).tolist(), key=lambda number: int(coding.stride[number])))
-    families = []
-    for radix in coding.decoder.radix.tolist():
-        family: list[int] = []
-        while math.prod(len(coding.clusters[number]) for number in family) < radix:
-            family.append(next(digits))
-        families.append(family)
-    steps = len(coding.decoder.steps)
-    return [*families, *([number] for number in range(len(coding.clusters) - steps, len(coding.clusters)))]
-
-
 def _allowed(moves: Sequence[TNFOperator], coding: StateRanking) -> tuple[list[NDArray[np.bool_]], list[list[Fact]]]:
     """Return the values of each variable, shape (n, moves), that moves allow, and the facts that these do not cover."""
-    digits = {v for family in _families(coding) for number in family for v in coding.clusters[number].variables}
+    digits = {v for family in coding.families for number in family for v in coding.clusters[number].variables}
     needed: list[tuple[int, int, int]] = []  # variable, value, move
     excluded: list[tuple[int, int, int]] = []
     uncovered: list[list[Fact]] = []

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...grounding.task import Fact, Task
 from ...states.packing import Ints, Packing, Words
 from ...system.limits import Check, unchecked
-from ..kernels.unranking import FIELD_BITS, FIELD_MASK, FIELDS, NOWHERE, PRIME, UnrankingTables, decode_all
+from ..kernels.unranking import FIELD_BITS, FIELDS, NOWHERE, PRIME, UnrankingTables, decode_all
 from .linear_invariants import Determined, determined
 from .mutexes import Mutexes
 from .transition_normal_form import TNFOperator
@@ -67,6 +67,8 @@ class StateRanking:
     field: dict[int, tuple[int, int]]
     """Word and shift of the value of each cluster whose changes are looked up."""
     decoder: UnrankingTables
+    families: Sequence[Sequence[int]]
+    """The clusters that each table of the decoder covers: first those of its chunks, then those of its steps."""
     implied: dict[Fact, Sum]
     """Facts of variables that are left out, as sums over facts of the digits."""
 
@@ -86,8 +88,9 @@ class StateRanking:
         packing = Packing.of(task)
         own = tuple(Cluster((v,), np.arange(n)[:, None]) for v, n in enumerate(sizes))
         constant, parts = _parts(packing, sizes, sums)
-        decoder = _decoder([parts[v] for v in digits], constant, [], [])
-        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, {}, decoder, sums)
+        chunks, stride = _chunks(own, digits), _strides(own, digits)
+        decoder = _decoder([[parts[v] for v in chunk] for chunk in chunks], constant, [], [])
+        return cls(packing, np.array(sizes, dtype=np.int64), own, stride, size, {}, decoder, chunks, sums)
 
     @classmethod
     def dense(cls, task: Task, mutexes: Mutexes, check: Check = unchecked) -> StateRanking | None:
@@ -114,9 +117,11 @@ class StateRanking:
         changed = [number for number, cluster in enumerate(own) if not varying.isdisjoint(cluster.variables)]
         sparse = [n for n in changed if len(own[n]) < math.prod(sizes[v] for v in own[n].variables)]
         field = {number: _field(packing.words, place) for place, number in enumerate(sparse)}
-        digits = list(range(len(merged)))
-        decoder = _dense_decoder(packing, sizes, own, digits, left_out, field, check)
-        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, field, decoder, {})
+        digits = range(len(merged))
+        chunks, stride = _chunks(own, digits), _strides(own, digits)
+        decoder = _dense_decoder(packing, sizes, own, chunks, left_out, field, check)
+        families = (*chunks, *([number] for number in range(len(merged), len(own))))
+        return cls(packing, np.array(sizes, dtype=np.int64), own, stride, size, field, decoder, families, {})
 
     def change(self, move: TNFOperator) -> Change | None:
         """Return the change of the rank by a move; None if the move is never applicable."""
@@ -263,6 +268,17 @@ def _strides(clusters: Sequence[Cluster], digits: Sequence[int]) -> Ints:
     return stride
 
 
+def _chunks(clusters: Sequence[Cluster], digits: Sequence[int]) -> list[list[int]]:
+    """Return the digits of a rank in chunks, the lowest first. The tables of a chunk are combined into one."""
+    largest = 1 << 11  # entries in one table; larger tables need fewer additions, but should fit the cache together
+    chunks: list[list[int]] = [[]]
+    for number in digits:
+        if chunks[-1] and math.prod(len(clusters[n]) for n in (*chunks[-1], number)) > largest:
+            chunks.append([])
+        chunks[-1].append(number)
+    return chunks
+
+
 def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]], check: Check) -> dict[Fact, Sum]:
     """Choose variables to leave out, and express each of their facts by facts of the other variables.
 
@@ -327,56 +343,46 @@ def _dense_decoder(
     packing: Packing,
     sizes: Sequence[int],
     clusters: Sequence[Cluster],
-    digits: Sequence[int],
+    chunks: Sequence[Sequence[int]],
     left_out: Sequence[Determined],
     field: dict[int, tuple[int, int]],
     check: Check,
 ) -> UnrankingTables:
-    """Return the unranking tables of the dense ranking, with the sums that determine the variables left out."""
-    first = np.concatenate([[0], np.cumsum(sizes)])
-    words = packing.words + -(-len(field) // FIELDS)
-    places = [_field(words, place) for place in range(len(left_out))]
-    words += -(-len(left_out) // FIELDS)
+    """Return the unranking tables of the dense ranking, with the sums that determine the variables left out.
+
+    The last clusters are those of these variables, in the order of the steps.
+    """
+    first, digits = np.concatenate([[0], np.cumsum(sizes)]), len(clusters) - len(left_out)
+    sums_from = packing.words + -(-len(field) // FIELDS)
+    words = sums_from + -(-len(left_out) // FIELDS)
     in_use = 3 * 8 * words * sum(map(len, clusters)) + sum(cluster.values.nbytes for cluster in clusters)
-    check(in_use)
-    constant = np.zeros(words, dtype=np.uint64)
-    for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
-        check(in_use)
-        # Clusters with a single row are constant, and need no room in the field.
-        single = [c for number, c in enumerate(clusters) if len(c) == 1 and number - len(digits) != step]
-        fixed = sum(int(own.weights[first[list(c.variables)] + c.values[0]].sum()) for c in single)
-        constant[word] += np.uint64((own.total - fixed) % PRIME << shift)
     parts = []
-    for number, cluster in enumerate(clusters):
+    for cluster in clusters:
         check(in_use)
         part = np.zeros((len(cluster), words), dtype=np.uint64)
         for place, v in enumerate(cluster.variables):
             part[:, packing.word[v]] |= cluster.values[:, place].astype(np.uint64) << np.uint64(packing.shift[v])
-        if number in field:
-            word, shift = field[number]
-            part[:, word] += np.arange(len(cluster), dtype=np.uint64) << np.uint64(shift)
-        for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
-            # Variables determined in earlier steps are part of the sum; later ones have equal weights in it.
-            if len(cluster) > 1 and number - len(digits) != step:
-                weights = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1)
-                part[:, word] += (-weights % PRIME).astype(np.uint64) << np.uint64(shift)
         parts.append(part)
-    for step in range(len(left_out)):
-        check(in_use)
-        # A variable that is determined later contributes the same for all its values: a constant.
-        word, shift = places[step]
-        for later in range(step + 1, len(left_out)):
-            number = len(digits) + later
-            same = parts[number][:, word] >> np.uint64(shift) & np.uint64(FIELD_MASK)
-            assert len(np.unique(same)) == 1
-            parts[number][:, word] -= same << np.uint64(shift)
-            constant[word] += same[0] << np.uint64(shift)
+    for number, (word, shift) in field.items():
+        parts[number][:, word] += np.arange(len(clusters[number]), dtype=np.uint64) << np.uint64(shift)
+    constant = np.zeros(words, dtype=np.uint64)
     value_of = np.zeros((len(left_out), PRIME), dtype=np.int32)
+    steps = []
     for step, own in enumerate(left_out):
-        cluster = clusters[len(digits) + step]
-        value_of[step, own.weights[first[own.variable] + cluster.values[:, 0]]] = np.arange(len(cluster))
-    steps = [parts[len(digits) + step] for step in range(len(left_out))]
-    return _decoder([parts[n] for n in digits], constant, list(zip(places, steps, strict=True)), value_of)
+        (word, shift), rest = _field(sums_from, step), own.total
+        for number, cluster in enumerate(clusters):
+            check(in_use)
+            weights = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1) % PRIME
+            if number == digits + step:
+                value_of[step, weights] = np.arange(len(cluster))
+            elif number < digits + step and len(cluster) > 1:
+                parts[number][:, word] += (-weights % PRIME).astype(np.uint64) << np.uint64(shift)
+            else:  # a constant, which needs no room in the field: a variable of a later step has equal weights
+                assert (weights == weights[0]).all()
+                rest -= int(weights[0])
+        constant[word] += np.uint64(rest % PRIME << shift)
+        steps.append(((word, shift), parts[digits + step]))
+    return _decoder([[parts[n] for n in chunk] for chunk in chunks], constant, steps, value_of)
 
 
 def _field(first: int, place: int) -> tuple[int, int]:
@@ -385,18 +391,12 @@ def _field(first: int, place: int) -> tuple[int, int]:
 
 
 def _decoder(
-    parts: Sequence[Words],
+    chunks: Sequence[Sequence[Words]],
     constant: Words,
     steps: Sequence[tuple[tuple[int, int], Words]],
     value_of: ArrayLike,
 ) -> UnrankingTables:
-    """Return the unranking tables; the tables of several small digits are combined into one."""
-    largest = 1 << 11  # entries in one table; larger tables need fewer additions, but should fit the cache together
-    chunks: list[list[Words]] = [[]]
-    for part in parts:
-        if math.prod(map(len, (*chunks[-1], part))) > largest and chunks[-1]:
-            chunks.append([])
-        chunks[-1].append(part)
+    """Return the unranking tables from the parts of each chunk of digits, a constant, and the steps."""
     radix: list[int] = []
     first: list[int] = []
     tables: list[Words] = []
