@@ -106,7 +106,7 @@ class OnDemand:
 
     @property
     def searches(self) -> bool:
-        """Whether `lookup` may run a search."""
+        """Whether `lookup` runs searches. It is False with orbits, where searches are rare."""
         return self.orbits is None
 
     def _meet(self, states: Words) -> Ints:
