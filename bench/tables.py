@@ -43,7 +43,7 @@ record_option = click.option(
 
 
 more_option = click.option(
-    "--more", is_flag=True, help="Append the rows to the existing record instead of replacing it."
+    "--more", is_flag=True, help="Append the rows to the record, if it exists, instead of replacing it."
 )
 
 
@@ -63,7 +63,7 @@ def write_record(
     if file is None:
         return
     commands, table = [], [list(columns)]
-    if more:
+    if more and file.exists():
         begun = json.loads(file.read_text(encoding="utf-8"))
         if begun["table"][0] != table[0]:
             raise click.UsageError(f"--more: {file} has other columns; expected {', '.join(columns)}")
