@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -86,12 +86,7 @@ def solve_batch(
         ways: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "timeout": timeout, "hear": hear}
         coming = at_the_end.enter_context(closing(outcomes(_solve, work, (shared,), **ways)))
         try:
-            for (instance, *_), outcome in coming:
-                if isinstance(outcome, Exception):
-                    outcome = _ended(instance, outcome, options, ongoing.latest(instance))
-                ongoing.end(instance, outcome)
-                if progress is not None:
-                    progress(outcome)
+            _collect(coming, ongoing, options, progress)
         except BaseException:
             for instance in todo:
                 with suppress(OSError):
@@ -174,6 +169,21 @@ class _Ongoing:
             self._records[key(instance)] = record
             if self._results is not None:
                 self._results.add(record)
+
+
+def _collect(
+    coming: Iterable[tuple[Work, SolveRecord | Exception]],
+    ongoing: _Ongoing,
+    options: SolveOptions,
+    progress: Callable[[SolveRecord], None] | None,
+) -> None:
+    """Store the final record of each instance, and report it."""
+    for (instance, *_), outcome in coming:
+        if isinstance(outcome, Exception):
+            outcome = _ended(instance, outcome, options, ongoing.latest(instance))
+        ongoing.end(instance, outcome)
+        if progress is not None:
+            progress(outcome)
 
 
 def _ended(

@@ -140,26 +140,11 @@ def solve_instance(
         with ValidationProcess(reading, phases.limits()) as checker, ExitStack() as until_solved:
             task = _grounded(reading, checker, phases, until_solved)
             record = _solve(task, checker, options, place, phases, use)
-    except PDDLError as error:
-        record = empty_record(instance, "invalid", error_entry(error.file, error.line, error.message))
-    except LimitError as error:
-        record = unsolved(instance, "limit", str(error))
-    except MemoryError:
-        record = _out_of_memory(instance, options)
-    except (FastDownwardError, MismatchError, InvalidPlanError) as error:
-        record = unsolved(instance, "invalid", str(error))
-    except RuntimeError as error:
-        if str(error) != NO_MORE_THREADS:
+    except Exception as error:
+        found = _record_of(error, instance, options)
+        if found is None:
             raise
-        record = _out_of_memory(instance, options)
-    except OSError as error:
-        if error.errno == errno.ENOMEM:  # no memory to start a subprocess
-            record = _out_of_memory(instance, options)
-        else:
-            disk_is_full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-            status = "limit" if disk_is_full else "invalid"
-            file = instance.problem if error.filename is None else Path(os.fsdecode(error.filename))
-            record = empty_record(instance, status, error_entry(file, None, error.strerror or str(error)))
+        record = found
     if phases.latest is not None and record["status"] == "limit":
         record = unfinished(phases.latest, record["error"]["message"])
     elif phases.latest is not None and record["status"] == "invalid" and place is not None:
@@ -168,9 +153,24 @@ def solve_instance(
     return phases.measured(record)
 
 
-def _out_of_memory(instance: Instance, options: SolveOptions) -> SolveRecord:
-    limit = f" ({options.memory_limit:g} MB)" if options.memory_limit else ""
-    return unsolved(instance, "limit", f"out of memory{limit}")
+def _record_of(error: Exception, instance: Instance, options: SolveOptions) -> SolveRecord | None:
+    """Return the record of an instance that an error ended; None for an internal error."""
+    if isinstance(error, PDDLError):
+        return empty_record(instance, "invalid", error_entry(error.file, error.line, error.message))
+    if isinstance(error, LimitError):
+        return unsolved(instance, "limit", str(error))
+    if isinstance(error, FastDownwardError | MismatchError | InvalidPlanError):
+        return unsolved(instance, "invalid", str(error))
+    number = error.errno if isinstance(error, OSError) else None
+    no_thread = isinstance(error, RuntimeError) and str(error) == NO_MORE_THREADS
+    if isinstance(error, MemoryError) or no_thread or number == errno.ENOMEM:  # the last at the start of a subprocess
+        limit = f" ({options.memory_limit:g} MB)" if options.memory_limit else ""
+        return unsolved(instance, "limit", f"out of memory{limit}")
+    if isinstance(error, OSError):
+        status = "limit" if number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else "invalid"  # a full disk
+        file = instance.problem if error.filename is None else Path(os.fsdecode(error.filename))
+        return empty_record(instance, status, error_entry(file, None, error.strerror or str(error)))
+    return None
 
 
 def _grounded(reading: Reading, checker: ValidationProcess, phases: _Phases, until_solved: ExitStack) -> Task:
@@ -282,28 +282,13 @@ def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phase
     known, table, why = swept
     notes = [task.note, f"solved on demand: {why}" if why else None]
     if known is not None and table is not None:
-        import numpy as np
-
-        from ..costtogo.verification import check_successors, mismatch
-
         early.end()
-        cost = table[table.initial]
-        if early.answer is not None and early.answer[0] != cost:
-            raise mismatch(table, table.initial, early.answer[0])
-        count, seconds = _allowed(table, options, phases)
-        if count:
-            with phases.phase("verify", "comparing states with their successors"):
-                record["consistent"] = check_successors(table, count, np.random.default_rng(0), seconds=seconds / 2)
-        finite = table.distance[~table.dead_end]
-        record.update(
-            method=known.method,
-            max_cost_to_go=int(finite.max()) if len(finite) else None,
-            verified=int(early.answer is not None),
-        )
+        record |= _checked(table, early.answer, options, phases) | {"method": known.method}
         if known is table:
             notes.append(table.note)
             counts = len(table), table.space.transition_count, int(table.dead_end.sum())
             record.update(zip(("states", "transitions", "dead_ends"), counts, strict=True))
+        cost = table[table.initial]
         with phases.phase("plan"):
             plan = known.optimal_plan()
     else:
@@ -320,6 +305,23 @@ def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phase
             if not task.decided_by_translator and replay(task, plan) != cost:
                 raise MismatchError(f"{task.instance}: the plan does not cost {cost:g} when it is replayed")
     return record | _outcome(cost, plan) | {"note": _joined(*notes)}
+
+
+def _checked(table: Table, answer: Answer | None, options: SolveOptions, phases: _Phases) -> SolveRecord:
+    """Compare a table with the result of A* and with its own successors, and return the fields about it."""
+    import numpy as np
+
+    from ..costtogo.verification import check_successors, mismatch
+
+    if answer is not None and answer[0] != table[table.initial]:
+        raise mismatch(table, table.initial, answer[0])
+    (count, seconds), consistent = _allowed(table, options, phases), 0
+    if count:
+        with phases.phase("verify", "comparing states with their successors"):
+            consistent = check_successors(table, count, np.random.default_rng(0), seconds=seconds / 2)
+    finite = table.distance[~table.dead_end]
+    farthest = int(finite.max()) if len(finite) else None
+    return {"consistent": consistent, "max_cost_to_go": farthest, "verified": int(answer is not None)}
 
 
 def _outcome(cost: float, plan: list[str] | None) -> SolveRecord:

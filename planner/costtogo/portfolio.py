@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -93,46 +94,43 @@ def cost_to_go(
         The deadline has passed.
     """
     assert callable(progress)
-
-    def swept(stop: threading.Event | None = None, progress: Progress = progress) -> Table | _Unswept:
-        """Return the table of all states. If they exceed the limits, return the reason and the table of orbits."""
-        states = 0
-        both: dict[str, Any] = {
-            "memory_limit_mb": memory_limit_mb,
-            "threads": jobs,
-            "stop": stop,
-            "reserved_bytes": reserved_bytes,
-        }
-        both["progress"] = progress
-        try:
-            return sweep(task, max_states=max_states, deadline=deadline, **both)
-        except (MemoryLimitError, MemoryError):
-            reason = "a table of all states does not fit the memory"  # the missing amount differs between runs
-        except LimitError as error:
-            if deadline is not None and time.monotonic() > deadline:
-                raise
-            if stop is not None and stop.is_set():
-                return _Unswept(str(error), None)
-            reason, states = str(error), max_states + 1
-        try:
-            most = max_states // 4  # an orbit takes more time and memory than a state
-            half = None if deadline is None else (time.monotonic() + deadline) / 2
-            return _Unswept(reason, orbits(task, max_orbits=most, states=states, deadline=half, **both))
-        except (LimitError, MemoryError):
-            return _Unswept(reason, None)
-
+    limited: dict[str, Any] = {"max_states": max_states, "memory_limit_mb": memory_limit_mb, "deadline": deadline}
+    swept = partial(_swept, task, threads=jobs, reserved_bytes=reserved_bytes, **limited)
     if states is not None:
         return _race(task, np.atleast_2d(np.asarray(states, dtype=np.int64)), swept, cache, jobs, limits, progress)
-    answer = swept()
+    answer = swept(progress=progress)
     if isinstance(answer, _Unswept):
         return OnDemand(task, cache=cache, jobs=jobs, limits=limits, reason=answer.reason, orbits=answer.orbits)
     return answer
 
 
+def _swept(
+    task: Task, *, max_states: int, deadline: float | None, stop: threading.Event | None = None, **others: Any
+) -> Table | _Unswept:
+    """Return the table of all states. If they exceed the limits, return the reason and the table of orbits."""
+    states = 0
+    try:
+        return sweep(task, max_states=max_states, deadline=deadline, stop=stop, **others)
+    except (MemoryLimitError, MemoryError):
+        reason = "a table of all states does not fit the memory"  # the missing amount differs between runs
+    except LimitError as error:
+        if deadline is not None and time.monotonic() > deadline:
+            raise
+        if stop is not None and stop.is_set():
+            return _Unswept(str(error), None)
+        reason, states = str(error), max_states + 1
+    try:
+        most = max_states // 4  # an orbit takes more time and memory than a state
+        half = None if deadline is None else (time.monotonic() + deadline) / 2
+        return _Unswept(reason, orbits(task, max_orbits=most, states=states, deadline=half, stop=stop, **others))
+    except (LimitError, MemoryError):
+        return _Unswept(reason, None)
+
+
 def _race(
     task: Task,
     states: NDArray[np.int64],
-    swept: Callable[[threading.Event, Progress], Table | _Unswept],
+    swept: Callable[..., Table | _Unswept],
     cache: Cache | None,
     jobs: int | None,
     limits: Limits,
@@ -161,7 +159,7 @@ def _race(
 
     def sweeping() -> Table | _Unswept:
         try:
-            return swept(enough, report)
+            return swept(stop=enough, progress=report)
         finally:
             over.set()
             late.set()

@@ -24,6 +24,8 @@ from .progress_reports import Listener, Reporter
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
+    from pebble import ProcessPool
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -82,40 +84,48 @@ def _in_a_pool(
 ) -> Generator[tuple[Item, Result | Exception]]:
     from multiprocessing.connection import Connection
 
-    from pebble import ProcessExpired, ProcessPool
+    from pebble import ProcessExpired
 
     if not items:
         return
     listener = None if hear is None else Listener(lambda number, *report: hear(items[number], *report))
-    with nullcontext() if listener is None else closing(listener), processes.safe_path():
+    with (
+        nullcontext() if listener is None else closing(listener),
+        nullcontext() if listener is None else Connection(os.dup(listener.pipe), readable=False) as pipe,
+        _pool(min(jobs, len(items)), pipe) as pool,
+    ):
+        with _interrupts_left_to_this_process():
+            futures: dict[Future[Result], Item] = {
+                pool.schedule(_carry_out, args=(work, number, item, *arguments), timeout=timeout): item
+                for number, item in enumerate(items)
+            }
+            if listener is not None:
+                listener.start()
+        for future in as_completed(futures):
+            outcome: Any
+            try:
+                outcome = future.result()
+            except ProcessExpired as error:
+                outcome = _died(error.exitcode)
+            except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
+                outcome = error
+            yield futures[future], outcome
+
+
+@contextmanager
+def _pool(workers: int, pipe: Connection | None) -> Iterator[ProcessPool]:
+    """Yield a pool of processes. They end with the context; if it is left by an exception, they are killed."""
+    from pebble import ProcessPool
+
+    with processes.safe_path():
         # Otherwise the first worker starts it, in the thread that starts all of them, and unblocks Ctrl-C there.
         resource_tracker.ensure_running()
         others = set(active_children())
-        pipe = None if listener is None else Connection(os.dup(listener.pipe), readable=False)
-        pool = ProcessPool(
-            max_workers=min(jobs, len(items)),
-            context=get_context("spawn"),
-            initializer=_begin,
-            initargs=(processes.guarded_group(), pipe),
-        )
+        begin = (processes.guarded_group(), pipe)
+        pool = ProcessPool(max_workers=workers, context=get_context("spawn"), initializer=_begin, initargs=begin)
         done = False
         try:
-            with _interrupts_left_to_this_process():
-                futures: dict[Future[Result], Item] = {
-                    pool.schedule(_carry_out, args=(work, number, item, *arguments), timeout=timeout): item
-                    for number, item in enumerate(items)
-                }
-                if listener is not None:
-                    listener.start()
-            for future in as_completed(futures):
-                outcome: Any
-                try:
-                    outcome = future.result()
-                except ProcessExpired as error:
-                    outcome = _died(error.exitcode)
-                except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
-                    outcome = error
-                yield futures[future], outcome
+            yield pool
             done = True
         finally:
             pool.stop()  # type: ignore[no-untyped-call]
@@ -124,8 +134,6 @@ def _in_a_pool(
             for worker in set(active_children()) - others:
                 (worker.terminate if done else worker.kill)()
             pool.join()
-            if pipe is not None:
-                pipe.close()
 
 
 _pipe: Connection | None = None  # in a worker: the pipe for its reports
