@@ -22,7 +22,7 @@ import numpy as np
 from tables import Columns, record_option, write_record
 
 from planner import LimitError, Limits, OnDemand, astar, load
-from planner.costtogo.orbits import orbits
+from planner.costtogo.orbit_table import orbits
 from planner.search.distances import is_dead_end
 
 DOMAINS = Path(__file__).resolve().parent.parent / "domains"

@@ -29,7 +29,7 @@ ROOMS = {
     "planner.search.symmetry": "automorphisms canonical_states",
     "planner.search": """distances search_space successor_generator state_registry ranked_index
         forward_search backward_search""",
-    "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep goals orbits table_file
+    "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep goals orbit_table table_file
         on_demand portfolio""",
     "planner.batch": "solve_record solve_instance results_folder solve_batch",
     "planner": "engine",

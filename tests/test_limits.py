@@ -16,7 +16,7 @@ from test_sweep import UNLISTED, SweepOptions, module
 from test_sweep import check as compared
 
 from planner import Effect, LimitError, Operator, Task, Variable, instance
-from planner.costtogo.orbits import orbits
+from planner.costtogo.orbit_table import orbits
 from planner.search.ranking.linear_invariants import determined, invariants
 from planner.search.ranking.mutexes import Mutexes
 from planner.search.ranking.state_ranking import StateRanking

@@ -16,7 +16,7 @@ from conftest import KITTING, ROOT, kit
 from test_architecture import PACKAGES, handed_on
 
 from planner import Cache, Instance, OnDemand, load, open_table, save_table, sweep
-from planner.costtogo.orbits import orbits
+from planner.costtogo.orbit_table import orbits
 from planner.grounding.task import pddl_fact
 
 

@@ -16,7 +16,7 @@ from test_sweep import UNLISTED, module, random_task
 from test_symmetry import copies
 
 from planner import CostToGo, Effect, LimitError, OnDemand, Operator, Packing, Table, Task, Variable
-from planner.costtogo.orbits import orbits
+from planner.costtogo.orbit_table import orbits
 from planner.grounding import semantics
 from planner.search.ranked_index import RankedIndex
 from planner.search.ranking.state_ranking import StateRanking

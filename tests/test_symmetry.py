@@ -37,7 +37,7 @@ from planner import (
 from planner.batch.solve_instance import solve_instance
 from planner.batch.solve_record import SolveOptions
 from planner.costtogo import on_demand
-from planner.costtogo.orbits import OrbitTable, orbits
+from planner.costtogo.orbit_table import OrbitTable, orbits
 from planner.costtogo.verification import check_successors
 from planner.grounding.semantics import replay
 from planner.search.symmetry.automorphisms import Symmetries, symmetries
@@ -258,7 +258,7 @@ def test_what_is_not_looked_at(kind):
 
 
 def test_who_stops_a_search_does_not_wait_for_the_forms_of_many_states(monkeypatch):
-    module, stop, formed = importlib.import_module("planner.costtogo.orbits"), threading.Event(), list[int]()
+    module, stop, formed = importlib.import_module("planner.costtogo.orbit_table"), threading.Event(), list[int]()
 
     def stopped(forms: Forms, states: np.ndarray) -> None:
         formed.append(len(states))
@@ -319,7 +319,7 @@ def test_too_many_orbits_are_none(monkeypatch):
     with pytest.raises(LimitError, match="more than 100 states"):
         orbits(task, max_orbits=100)
     # 4 symmetries: 836 states are 209 orbits at least, which is known before they are listed.
-    module = importlib.import_module("planner.costtogo.orbits")
+    module = importlib.import_module("planner.costtogo.orbit_table")
     monkeypatch.setattr(module, "RegistrySpace", None)
     with pytest.raises(LimitError, match="more than 208 orbits of 4 symmetries"):
         orbits(task, max_orbits=208, states=836)

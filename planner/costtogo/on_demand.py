@@ -39,7 +39,7 @@ from ..system.threads import on_threads
 from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
 from .cache import Cache
 from .cost_to_go import optimal_plan
-from .orbits import OrbitTable
+from .orbit_table import OrbitTable
 
 
 class OnDemand:

@@ -25,7 +25,7 @@ from ..system.limits import MAX_STATES, NO_LIMITS, LimitError, Limits, MemoryLim
 from ..system.progress import Progress, Wanted, shows_progress
 from .cache import Cache
 from .on_demand import OnDemand
-from .orbits import OrbitTable, orbits
+from .orbit_table import OrbitTable, orbits
 from .sweep import sweep
 from .table import Table
 
