@@ -94,8 +94,8 @@ class OnDemand:
         return len(self._met)
 
     @cached_property
-    def _book(self) -> PackedOperators:
-        return packed_operators(self.task, self.packing) if self.orbits is None else self.orbits.index.book
+    def _operators(self) -> PackedOperators:
+        return packed_operators(self.task, self.packing) if self.orbits is None else self.orbits.index.operators
 
     @cached_property
     def _counting(self) -> OnDemand:
@@ -124,7 +124,7 @@ class OnDemand:
             raise ValueError(f"expected values of shape (N, {len(sizes)}), each one of its variable's values")
         states = self.packing.pack(array)
         if self.task.axioms:
-            packed_successors.derive(self._book.axioms, self._book.again, states)
+            packed_successors.derive(self._operators.axioms, self._operators.again, states)
         return self._meet(states)
 
     def values(self, states: ArrayLike) -> NDArray[np.int64]:
@@ -140,7 +140,7 @@ class OnDemand:
 
     def choices(self, states: ArrayLike) -> Transitions:
         """Return the transitions of states, shape (N,), as compressed rows; their successors are numbered."""
-        parts = expanded(self._book, self._rows(states))
+        parts = expanded(self._operators, self._rows(states))
         return joined((counts, actions, self._meet(after)) for counts, actions, after in parts)
 
     def lookup(self, states: ArrayLike, progress: Callable[[int], None] | None = None) -> NDArray[np.float64]:
@@ -315,7 +315,7 @@ class OnDemand:
         found = {row.tobytes(): price}
         for action in plan:
             number = self.task.action_index[action]
-            _, actions, after = next(expanded(self._book, row))
+            _, actions, after = next(expanded(self._operators, row))
             row = after[[actions.tolist().index(number)]]
             price -= self._priced.costs[number]
             found[row.tobytes()] = price

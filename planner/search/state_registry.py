@@ -40,7 +40,7 @@ class RegistryIndex:
     """
 
     packing: Packing
-    book: PackedOperators
+    operators: PackedOperators
     states: Words
     """All states, shape (n, words)."""
     slots: Words
@@ -74,7 +74,8 @@ class RegistryIndex:
 
     def transitions(self, numbers: Ints | None = None) -> Iterator[Part]:
         """Yield the transitions of states, shape (n,), in parts; by default those of all states, in order."""
-        for counts, actions, after in expanded(self.book, self.states if numbers is None else self.states[numbers]):
+        states = self.states if numbers is None else self.states[numbers]
+        for counts, actions, after in expanded(self.operators, states):
             yield counts, actions, self.rows(after)
 
 
