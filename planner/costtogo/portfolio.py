@@ -141,42 +141,42 @@ def _race(
     The duration of a sweep is unknown until the states are enumerated. Then its remaining part takes about as long as
     the enumeration. If the remaining requests would take four times that, the single-state search ends.
     """
-    asked = OnDemand(task, cache=cache, jobs=jobs, limits=limits)
-    wanted = asked.numbers(states)
-    if not np.isnan(asked.known(wanted)).any():
-        return asked.under(limits, f"the {len(states)} states that are wanted are known already")
-    enough, over, late = (threading.Event() for _ in range(3))
-    answered = 0
+    on_demand = OnDemand(task, cache=cache, jobs=jobs, limits=limits)
+    wanted = on_demand.numbers(states)
+    if not np.isnan(on_demand.known(wanted)).any():
+        return on_demand.under(limits, f"the {len(states)} states that are wanted are known already")
+    stop_sweep, sweep_ended, stop_searches = (threading.Event() for _ in range(3))
+    solved = 0
 
     def count(more: int) -> None:
-        nonlocal answered
-        answered += more
+        nonlocal solved
+        solved += more
 
     def report(what: str, done: int, of: int | None) -> None:
-        if what == "cost-to-go" and len(states) - answered > 4 * (answered + 1):
-            late.set()
+        if what == "cost-to-go" and len(states) - solved > 4 * (solved + 1):
+            stop_searches.set()
         progress(what, done, of)
 
     def sweeping() -> Table | _Unswept:
         try:
-            return swept(stop=enough, progress=report)
+            return swept(stop=stop_sweep, progress=report)
         finally:
-            over.set()
-            late.set()
+            sweep_ended.set()
+            stop_searches.set()
 
     with ThreadPoolExecutor(1) as pool:
         try:
-            sweep_of_all = pool.submit(sweeping)
-            if over.wait(FIRST) and isinstance(table := sweep_of_all.result(), Table):
+            future = pool.submit(sweeping)
+            if sweep_ended.wait(FIRST) and isinstance(table := future.result(), Table):
                 return table
             start = time.monotonic()
             try:
-                asked.under(replace(limits, stop=late), None).lookup(wanted, count)
+                on_demand.under(replace(limits, stop=stop_searches), None).lookup(wanted, count)
             except LimitError:  # the sweep was faster, is expected to be, or is the only method left
-                found = sweep_of_all.result()
-                return found if isinstance(found, Table) else asked.under(limits, *found)
+                found = future.result()
+                return found if isinstance(found, Table) else on_demand.under(limits, *found)
             seconds = time.monotonic() - start
         finally:
-            enough.set()
+            stop_sweep.set()
     reason = f"asking for {len(states)} states took {seconds:.3g} s, in which not all states were enumerated"
-    return asked.under(limits, reason)
+    return on_demand.under(limits, reason)
