@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import KITTING
 from fuzz import here
@@ -15,12 +16,15 @@ from matplotlib.text import Text
 from scipy import stats
 from studies import TINY, write
 
+from assist import Pool, simulate
+from assist.person.observation_model import ObservationModel
 from assist.reports.study_report import Report
-from assist.reports.study_summary import Found
+from assist.reports.study_summary import BASELINES, Found, has_same_baseline
 from assist.study.protocol import read
 from assist.study.runner import load_study, run_study, without_suggestions
 from assist.study.study import Study
-from planner import Instance
+from assist.team.settings import Setting
+from planner import Instance, cost_to_go, load
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -76,6 +80,50 @@ def test_a_condition_without_baselines_borrows_them(small_study: tuple[Study, Pa
     columns = [f["human_actions_per_person"].mean() for f in (mine, none)]
     assert row["mean"] == pytest.approx(100 * (1 - columns[0] / columns[1]))
     assert row["pools"] == 2
+
+
+def test_a_baseline_of_another_setting_is_not_borrowed(tmp_path: Path) -> None:
+    """Two robots intervene more often than one, so that the reactive policy of one robot is no baseline for them."""
+    head, first = TINY.split("[[conditions]]")[:2]
+    other = """
+name = "other"
+policies = ["attention"]
+settings = [{ c_suggest = 0.2, robots = 2 }, { c_suggest = 0.2, knowledge = "exact" }, { c_suggest = 0.4 }]
+"""
+    report = report_of(tmp_path, "[[conditions]]".join([head, first, other]), 2)
+    compared = {
+        (row["setting"], row["against"])
+        for row in report.summary["comparisons"] if row["condition"] == "other" and row["measure"] == "actions"
+    }  # fmt: skip
+    labels = {setting for setting, _ in compared}
+    assert len(labels) == 3
+    assert {setting for setting, against in compared if against == "none"} == labels
+    assert {setting for setting, against in compared if against == "reactive"} == {"c_suggest 0.4"}
+
+
+CHANGED = {
+    "gamma": 0.5, "c_suggest": 3.0, "c_move": 2.0, "travel_time": 2.0, "eta": 0.9, "utility_scale": 0.1, "lapse": 0.3,
+    "knowledge": "exact", "suggestions": "all", "execute": True, "c_execute": 0.1, "max_steps": 3, "robots": 1,
+    "trust": "constant", "believed_trust": "outcome", "c_ask": 0.1, "ask_error": 0.3,
+    "observation": ObservationModel(0.4, 0.1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("policy", BASELINES)
+def test_settings_with_one_baseline_have_the_same_results(policy: str) -> None:
+    """Whatever counts as irrelevant to a baseline changes none of its measures."""
+    one = Setting(robots=2)
+    others = {field.name: replace(one, **{field.name: CHANGED[field.name]}) for field in fields(Setting)}
+    table = cost_to_go(load(KITTING / "tiny.pddl"))
+
+    def measured(setting: Setting) -> np.ndarray:
+        episodes = simulate(Pool.sample(table, 4, seed=1, setting=setting), policy, humans=3, episodes=20, seed=3)
+        return np.c_[episodes.actions, episodes.interventions, episodes.moves]
+
+    alike = {name for name, other in others.items() if has_same_baseline(policy, one, other)}
+    assert {"gamma", "c_suggest", "c_move"} <= alike
+    expected = measured(one)
+    assert [name for name in alike if (measured(others[name]) != expected).any()] == []
 
 
 def test_the_report_says_what_was_found_and_shows_its_pictures(small_study: tuple[Study, Path, dict]) -> None:

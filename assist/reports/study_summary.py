@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,10 +28,12 @@ ARM = ("condition", "setting", "prior", "population", "instance")
 MEASURES = {
     "actions": "human_actions_per_person", "interventions": "interventions", "moves": "moves",
 }  # fmt: skip
-BASELINES = {
-    "none": ("max_steps",), "reactive": ("max_steps", "eta", "utility_scale", "trust", "travel_time"),
-}  # fmt: skip
-"""Policies that others are compared with, and the settings that affect them."""
+BASELINES = ("none", "reactive")
+"""Policies that others are compared with."""
+
+# The reactive policy weighs no costs and has no belief, so that prices, discounting and the robot's model of people
+# change none of `MEASURES`. Studies have no goals to ask about. Every other field counts, new ones included.
+UNUSED_BY_REACTIVE = ("gamma", "c_suggest", "c_move", "c_execute", "lapse", "believed_trust", "c_ask", "ask_error")
 
 SEED = 95  # of the bootstrap; fixed, so that a study always has the same intervals
 
@@ -64,15 +67,15 @@ class Found:
     def with_baselines(self, arm: dict[str, str], own: pd.DataFrame) -> pd.DataFrame:
         """Add baselines that an arm lacks, if the first condition has them for the same people and random numbers.
 
-        Without assistance, people's actions depend only on the step limit. Under the reactive policy they also depend
-        on the trust update and the travel time.
+        Without assistance, people's actions depend only on the step limit. Under the reactive policy they depend on
+        all of the setting but `UNUSED_BY_REACTIVE`.
         """
         import pandas as pd
 
         here, main = self._setting(arm), dict(self.study.conditions[0].settings)[self.main["setting"]]
         parts = [own]
-        for name, matters in BASELINES.items():
-            if name not in set(own["policy"]) and all(getattr(here, m) == getattr(main, m) for m in matters):
+        for name in BASELINES:
+            if name not in set(own["policy"]) and has_same_baseline(name, here, main):
                 same = self.pools[
                     (self.pools["condition"] == self.main["condition"])
                     & (self.pools["setting"] == self.main["setting"])
@@ -285,6 +288,15 @@ class Found:
         names = [name for name in ARM if name != "population"]
         for values, own in self.pools.groupby(names, observed=True, sort=False):
             yield dict(zip(names, _texts(values), strict=True)), own
+
+
+def has_same_baseline(policy: str, one: Setting, other: Setting) -> bool:
+    """Whether people act alike under a policy of `BASELINES` in two settings, with the same random numbers."""
+    if policy == "none":
+        return one.max_steps == other.max_steps
+    if one.observation is not None:  # the robot notices mistakes by its belief, for which its model and prior matter
+        return False
+    return replace(one, **{name: getattr(other, name) for name in UNUSED_BY_REACTIVE}) == other
 
 
 def _interventions(pools: pd.DataFrame, per_person: bool = False) -> Any:
