@@ -10,18 +10,21 @@ import numpy as np
 import pytest
 from conftest import KITTING, table_of
 from crosscheck import MODELS
+from graphs import graph_task
 
 from assist.large_tasks import truncated_bound
-from assist.large_tasks.truncated_bound import bounded, likely
+from assist.large_tasks.truncated_bound import BoundSizes, bounded, likely
 from assist.large_tasks.truncated_task import never_erring
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost, perceived_value
 from assist.people.human import Human, Population
-from assist.person import AssistPOMDP, qmdp
+from assist.person import AssistPOMDP, qmdp, solve
+from assist.person.observation_model import ObservationModel
+from assist.simulation import Pool
 from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.settings import Setting
 from assist.team.time_expansion import AWAY, HERE
-from planner import Instance, LimitError, Table
+from planner import Instance, LimitError, Table, sweep
 
 ENTRY = 0.4
 PRIOR = Population(sigma=(1.0, 1.0))
@@ -250,3 +253,30 @@ def test_without_time_nobody_errs_beyond() -> None:
     np.testing.assert_allclose(hurried.upper, np.broadcast_to(anybody[:, None, None], hurried.upper.shape))
     assert (bound.upper <= hurried.upper).all()
     assert (bound.upper < hurried.upper - 0.1).any()
+
+
+def test_a_robot_that_may_mistake_the_state_considers_all_suggestions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An action that is not optimal is better, due to the discount: the bound holds for a robot that suggests it."""
+    monkeypatch.setattr(truncated_bound, "SIZES", BoundSizes(hidden=1, hidden_least=1, seen=2))
+    roads = [
+        (0, 1, 1),
+        (1, 2, 1),
+        (2, 9, 10),
+        (2, 3, 1),
+        (3, 4, 1),
+        (4, 5, 1),
+        (5, 6, 1),
+        (6, 9, 8),
+        (2, 7, 11),
+        (7, 9, 1),
+    ]
+    table, people = sweep(graph_task(roads, goal=9)), Population(beta=(0.2, 0.3), theta=(1.0, 1.0))
+    setting = Setting(
+        knowledge="exact", c_suggest=0.01, gamma=0.6, trust="constant", observation=ObservationModel(miss=0.01)
+    )
+    pool = Pool.sample(table, 1, seed=1, setting=setting, population=people, states=1, region=1)
+    ((_, one),) = pool.policies[0].bounded(0.0)
+    whole = solve(setting.problem(Choices.of(table), None, people), time_limit=10.0)
+    assert solve(one.problem, time_limit=10.0).upper >= whole.lower - 1e-9
+    only_optimal = replace(setting, observation=None).problem(Choices.of(table), None, people)
+    assert solve(only_optimal, time_limit=10.0).upper < whole.lower - 1

@@ -145,6 +145,11 @@ class Setting:
         """Return the trust rule of people."""
         return trust_rule(self.trust, self.eta, self.utility_scale)
 
+    @property
+    def offered(self) -> Suggestions:
+        """Which suggestions a robot considers: all of them if it may mistake the state of a task."""
+        return self.suggestions if self.observation is None else "all"
+
     def believed_rule(self) -> TrustRule:
         """Return the trust rule of the robot's model of people."""
         believed = self.trust if self.believed_trust is None else self.believed_trust
@@ -203,6 +208,6 @@ class Setting:
         return AssistPOMDP.of(
             model, chooses=self.chooses(human, population), grid=Grid.regular(population),
             population=population, gamma=self.gamma, c_suggest=robot.c_suggest,
-            suggestions=self.suggestions if self.observation is None else "all",
-            execute=robot.execute, c_execute=robot.c_execute, frontier=frontier, trust=self.believed_rule(),
+            suggestions=self.offered, execute=robot.execute,
+            c_execute=robot.c_execute, frontier=frontier, trust=self.believed_rule(),
         )  # fmt: skip
