@@ -280,6 +280,8 @@ def test_the_lower_bound_follows_rules_of_trust_whose_steps_are_known() -> None:
 
     np.testing.assert_array_equal(lower(0.2, constant()), lower(0.0, None))
     np.testing.assert_array_equal(lower(0.2, EquationSeven(0.2)), lower(0.2, None))
+    np.testing.assert_array_equal(lower(0.2, EquationSeven(0.0)), lower(0.0, None))
+    np.testing.assert_array_equal(lower(0.2, EquationSeven(0.4, 2.0)), lower(0.4, None, utility_scale=2.0))
     assert (lower(0.2, None) > lower(0.0, None)).any()
     np.testing.assert_allclose(lower(0.4, None, utility_scale=2.0), lower(0.2, None), rtol=1e-12)
     np.testing.assert_allclose(lower(0.2, outcome()), -2 / 0.1, rtol=1e-12)

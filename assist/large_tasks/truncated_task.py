@@ -195,6 +195,8 @@ class TruncatedTask:
         anybody = self.bounds_of_anybody(gamma, len(grid.theta))
         floor = -(dear + (0.0 if several else c_suggest)) / (1 - gamma)
         by_equation = trust is None or isinstance(trust, EquationSeven)
+        if isinstance(trust, EquationSeven):
+            model = replace(model, eta=trust.eta, utility_scale=trust.utility_scale)
         if trust == constant() or several:
             model, by_equation = replace(model, eta=0.0), True
         lower = np.full((len(self.frontier), len(grid.theta)), floor)
