@@ -157,6 +157,22 @@ def test_the_solver_encloses_the_value_with_unknown_goals(more: dict[str, Any]) 
     assert found.lower > max(found.value_never, found.value_always)
 
 
+@pytest.mark.parametrize("order", [(1, 6), (6, 1)])
+def test_the_solver_goes_on_where_a_goal_is_reached_that_may_be_another_persons(order: tuple[int, int]) -> None:
+    """Trials do not end in a state that is the goal of some people only, whichever goal comes first."""
+    roads = [(a, a + 1, 1) for a in range(6)] + [(a + 1, a, 1) for a in range(6)]
+    tables = sweep_goals([replace(graph_task(roads, goal=6, start=0), goal=((0, node),)) for node in order])
+    goals = Goals(
+        {f"place-{node}": table for node, table in zip(order, tables, strict=True)},
+        {f"place-{node}": 0.2 if node == 1 else 0.8 for node in order},
+    )
+    pomdp = AssistPOMDP.of(HumanModel.exact(goals.choices(), lapse=0.01), population=PEOPLE, gamma=0.9, c_suggest=0.3)
+    solution = solve(pomdp, gap=1e-3)
+    assert solution.gap <= 1e-3
+    assert solution.lower <= -4.9258
+    assert solution.upper >= -4.9297
+
+
 def test_values_of_the_solution_are_those_of_a_plain_look_ahead() -> None:
     """People who have reached their goal cost no more than a suggestion; a row of any goal may stand for its state."""
     found, rng = solved(suggestions="all"), np.random.default_rng(3)

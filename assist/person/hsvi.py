@@ -552,7 +552,7 @@ def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
         r = most_promising(depth, work, room, trial, hull, m)
         trial.robot[depth] = r
         acting = m.afterstate[x, r]
-        if m.goal[acting] or depth + 1 == len(trial.state):
+        if m.final[acting] or depth + 1 == len(trial.state):
             break
         beyond, chosen = 0.0, NONE
         target /= m.gamma
