@@ -182,6 +182,10 @@ class Run:
     ) -> tuple[NDArray[np.int64], Floats]:
         """Return the robots' action towards each person and its cost, both of shape (N, K), as chosen by the policy."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
+        if self.goals is not None and self.questions is not None and self.belief is not None:
+            asked = self.goals.ask(self.questions, active, view.visible, self.belief, self.asked_about)
+            charged[asked] += self.questions.cost
+            self.asked[asked[0]] += 1
         arrived = self.busy_until <= step
         free = running[arrived[running].any(axis=1) & active[running].any(axis=1)]
         if not len(free):
@@ -191,10 +195,6 @@ class Run:
         if self.observed is not None:
             visible, belief = self.observed.x, self.observed.beliefs
         elif self.goals is not None:
-            if self.questions is not None and belief is not None:
-                asked = self.goals.ask(self.questions, active, visible, belief, self.asked_about)
-                charged[asked] += self.questions.cost
-                self.asked[asked[0]] += 1
             belief = self.goals.acted_on(belief)
         if belief is not None and len(free) < len(self.x):
             belief = belief.take(free, axis=0)  # faster than by an index
