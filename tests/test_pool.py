@@ -14,6 +14,7 @@ from teams import reachable, run
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
 from assist.people.human import Population
+from assist.person.observation_model import ObservationModel
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
@@ -203,3 +204,33 @@ def test_the_robot_may_take_people_for_others(tiny_choices: Choices) -> None:
     assert [p.beta for p in matched.people] == [p.beta for p in general.people]
     assert matched.policies[0].pomdp.grid.beta.max() < 0.5
     assert general.policies[0].pomdp.grid.beta.max() > 2.5
+
+
+@pytest.mark.parametrize(
+    ("name", "one", "other"),
+    [
+        ("trust", {}, {"trust": "constant"}), ("observation", {}, {"observation": ObservationModel(miss=0.3)}),
+        ("c_ask", {}, {"c_ask": 0.1}), ("robots", {}, {"robots": 2}),
+    ],
+)  # fmt: skip
+def test_pools_whose_world_differs_are_not_joined(
+    tiny: Table, name: str, one: dict[str, Any], other: dict[str, Any]
+) -> None:
+    """What holds for the whole team is read from the first pool's setting."""
+    pools = [Pool.sample(tiny, 1, seed=1, setting=Setting(knowledge="exact", **each)) for each in (one, other)]
+    for pair in (pools, pools[::-1]):
+        with pytest.raises(ValueError, match=f"joined: {name} is"):
+            Pool.joined(pair)
+
+
+def test_pools_with_other_rates_of_trust_are_joined(tiny: Table) -> None:
+    """The rate of equation 7 belongs to each person's model, whether the rule is named or not."""
+    people = Population(beta=(0.1, 0.3), theta=(0.3, 0.3))
+    slow, quick = (
+        Pool.sample(tiny, 1, seed=seed, population=people, setting=Setting(knowledge="exact", eta=eta, trust=trust))
+        for seed, eta, trust in ((1, 0.0, None), (2, 0.5, "paper"))
+    )
+    for pools, person in (([slow, quick], 1), ([quick, slow], 0)):
+        alone, both = (simulate(pool, "attention", humans=[who], episodes=20, seed=3)
+                       for pool, who in ((quick, 0), (Pool.joined(pools), person)))  # fmt: skip
+        np.testing.assert_array_equal(alone.discounted_return, both.discounted_return)

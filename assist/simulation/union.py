@@ -16,8 +16,8 @@ def union(pools: Sequence[P]) -> P:
     """Return the union of pools with different tasks, models or costs of suggestions.
 
     The setting is that of the first pool. Fields that concern one person only are part of the policies and may
-    differ. Fields of the whole team (`gamma`, `c_move`, `travel_time`, `max_steps` and `robots`) must be the same,
-    and all costs of robots that differ.
+    differ. Fields of the whole team must be the same: `gamma`, `c_move`, `travel_time`, `max_steps`, `robots`, people's
+    trust rule, what the robot observes, what questions cost, and all costs of robots that differ.
 
     Raises
     ------
@@ -27,9 +27,12 @@ def union(pools: Sequence[P]) -> P:
     if not pools:
         raise ValueError("joined: expected one pool or more")
     differ = ("c_suggest", "execute", "c_execute") if pools[0].setting.differ else ()
-    for name in ("gamma", "c_move", "travel_time", "max_steps", "robots", *differ):
+    shared = ("gamma", "c_move", "travel_time", "max_steps", "robots", "observation", "c_ask", "ask_error")
+    for name in ("trust", *shared, *differ):
         values = [getattr(pool.setting, name) for pool in pools]
-        if len(set(values)) > 1:
+        if name == "trust":  # the paper's rule has its rate and unit from each person's model
+            values = ["paper" if value is None else value for value in values]
+        if any(value != values[0] for value in values):
             raise ValueError(f"joined: {name} is {values} in these pools; expected the same in all")
     offsets = np.cumsum([0, *(len(pool.policies) for pool in pools[:-1])])
     return replace(
