@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from graphs import graph_task
 from scipy.optimize import brentq
 from teams import state
 
@@ -15,7 +16,7 @@ from assist.simulation.simulate import simulate
 from assist.team.settings import Setting
 from assist.team.state import NOBODY
 from assist.team.whittle import Whittle
-from planner import Table
+from planner import Table, sweep
 
 
 def index_of(pomdp: AssistPOMDP, x: int, b: int, t: int) -> float:
@@ -93,3 +94,16 @@ def test_prices_that_are_no_grid_are_refused(tiny: Table, prices: list[float]) -
     pool = Pool.sample(tiny, 2, seed=0)
     with pytest.raises(ValueError, match="expected at least one, none below 0, in ascending order"):
         Whittle.of(pool.policies, pool.setting.travel(2), prices)
+
+
+def test_prices_are_in_units_of_the_cheapest_action_that_is_not_free() -> None:
+    roads = [(0, 1, 1), (1, 0, 1), (1, 2, 0), (2, 1, 0), (2, 3, 2), (1, 3, 5)]
+    pool = Pool.sample(sweep(graph_task(roads, goal=3, start=0)), 2, seed=1, setting=Setting(knowledge="exact"))
+    assert pool.policies[0].cheapest == 1
+    returns = {
+        name: simulate(pool, name, humans=2, episodes=20, seed=1).discounted_return.mean()
+        for name in ("none", "whittle", "priority", "rollout")
+    }
+    assert min(returns, key=lambda name: returns[name]) == "none"
+    free = Pool.sample(sweep(graph_task([(0, 1, 0), (1, 2, 0)], goal=2)), 2, seed=1)
+    assert simulate(free, "whittle", humans=2, episodes=5, seed=1).discounted_return.tolist() == [0.0] * 5

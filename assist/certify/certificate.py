@@ -109,9 +109,7 @@ def returns(
     most = max(one.c_move for one in travel.each) * float(travel.distance.max())
     if (extra := extra_costs(pool.setting)) is not None:
         most += float(max(extra.suggesting.max(), extra.executing[np.isfinite(extra.executing)].max(initial=0)))
-    largest_cost = (
-        max(float(p.pomdp.model.choices.costs.max() + p.pomdp.robot_costs.max()) for p in pool.policies) + most
-    )
+    largest_cost = max(max(1.0, p.dearest) + float(p.pomdp.robot_costs.max()) for p in pool.policies) + most
     deadline = None if time_limit is None else time.perf_counter() + time_limit
     parts: list[Floats] = []
     # The records of 65,536 episodes take about 10 MB per person. A time limit is checked after 1,024 episodes.

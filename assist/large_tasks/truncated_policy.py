@@ -138,8 +138,13 @@ class TruncatedPolicy(Policy):
 
     @property
     def cheapest(self) -> float:
-        """The cost of the cheapest action, in cost units."""
-        return min(self.task.task.costs, default=1)
+        """The smallest positive cost of an action, in cost units; 1 if all actions are free."""
+        return min((cost for cost in self.task.task.costs if cost), default=1)
+
+    @property
+    def dearest(self) -> float:
+        """The largest cost of an action or a wait, in cost units."""
+        return max(self.task.task.costs, default=1)
 
     def require_enumerated(self, what: str) -> None:
         """Raise a `ValueError`, since values of all states are not kept."""
@@ -209,7 +214,7 @@ class TruncatedPolicy(Policy):
         then : int array, shape (M,)
             Successors to which suggestions lead, unless `deep`.
         """
-        optimal = self.setting.suggestions == "optimal"
+        optimal = self.setting.offered == "optimal"
         region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
         return LocalProblem(self, self.problem(region), region, len(states), deep)
 

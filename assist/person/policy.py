@@ -91,9 +91,13 @@ class Policy:
 
     @property
     def cheapest(self) -> float:
-        """The cost of the cheapest action, in cost units."""
-        choices = self.pomdp.model.choices
-        return float(choices.costs[choices.applicable].min())
+        """The smallest positive cost of an action, in cost units; 1 if all actions are free."""
+        return self.pomdp.model.choices.unit
+
+    @property
+    def dearest(self) -> float:
+        """The largest cost of an action or a wait, in cost units."""
+        return float(self.pomdp.model.choices.costs.max())
 
     def require_enumerated(self, what: str) -> None:
         """Check that the values of all states are kept. If not, the `ValueError` says that `what` needs them."""
