@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from teams import equal, run
 
+from assist.people.belief import ImpossibleObservationError
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import HumanModel, Population
@@ -406,3 +407,12 @@ def test_people_who_left_are_not_cut_off(pool: Pool) -> None:
         episodes = simulate(short, "none", humans=2, episodes=20, seed=0, presence=presence)
         assert not episodes.finished.any()
         assert episodes.summary().cut_off == cut
+
+
+def test_a_model_without_lapses_that_people_contradict_is_an_error(tiny: Table) -> None:
+    """The robot believes that everybody chooses by true costs and follows at once; these people do not."""
+    people = Population(theta=(0.9, 0.95), sigma=(2.0, 3.0))
+    setting = Setting(knowledge="exact", c_suggest=0.01, lapse=0.0, eta=1.0)
+    pool = Pool.sample(tiny, 6, seed=3, population=people, setting=setting)
+    with pytest.raises(ImpossibleObservationError, match="a lapse rate above 0 in the model rules this out"):
+        simulate(pool, "attention", humans=3, episodes=300, seed=1)

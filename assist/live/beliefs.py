@@ -59,7 +59,8 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
         record.joint = joint_after(record, belief, step, setting.observation)
         record.earlier, team.belief[record.place] = earlier, record.joint.belief
         return record.joint.erred > 1 / 2
-    update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
+    with suppress(ImpossibleObservationError):  # in a model without lapses; the action says nothing about the person
+        update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
     return not choices.optimal[choices.of_goals(np.array([row]))[:, 0], step.slot].any()
 
 

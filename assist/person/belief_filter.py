@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from planner.system.jit import njit
 
+from ..people.belief import ImpossibleObservationError
 from ..people.decision import Floats
 from ..people.influence_kernels import influence_factors
 from .problem_arrays import ProblemArrays
@@ -73,7 +74,8 @@ def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: P
 def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> None:
     """Replace a belief, shape (G * B, T), by its posterior after one choice; other arguments as in `posterior`.
 
-    `after` is a work array of the same shape. The row `x` may be that of any goal (`people.goals`).
+    `after` is a work array of the same shape. The row `x` may be that of any goal (`people.goals`). A choice of
+    probability 0 raises an `ImpossibleObservationError`.
     """
     old, new = belief.reshape(belief.size), after.reshape(after.size)
     size = m.chosen.shape[2] * len(m.theta)
@@ -82,6 +84,10 @@ def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Prob
     for goal in range(goals):
         part = slice(goal * size, (goal + 1) * size)
         mass += posterior(old[part], new[part], goal * states + x % states, robot, slot, m)
+    if not mass > 0.0:
+        raise ImpossibleObservationError(
+            "an action has probability 0 under the belief; a lapse rate above 0 in the model rules this out"
+        )
     scale = 1.0 / mass
     for h in range(len(old)):
         old[h] = new[h] * scale

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,4 +132,6 @@ class ObservedPeople:
         try:
             return joint.after(self.model.evidence(choices, seen), said, choices, group.arrays, works=True)
         except ImpossibleObservationError:  # the true state was left out; the observation is not used
-            return joint.after(Evidence.none(choices), said, choices, group.arrays, works=True)
+            with suppress(ImpossibleObservationError):
+                return joint.after(Evidence.none(choices), said, choices, group.arrays, works=True)
+            return joint
