@@ -347,6 +347,8 @@ def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[
             "no:cacheprovider",
             "-W",
             "ignore::pytest.PytestAssertRewriteWarning",
+            "-W",
+            "ignore::pytest.PytestUnraisableExceptionWarning",  # of processes that the parent process still uses
             "-m",
             "not long and not slow",
         ]

@@ -46,6 +46,8 @@ class BeliefRecorder:
         Beliefs that differ by less than 1/200 in each entry count as equal.
         """
         found = [one for place in places for one in self.visited[place] if len(one[1])]
+        if not found:
+            return np.empty(0, dtype=np.int64), np.empty((0, *visits.pomdp.grid.shape))
         states = np.concatenate([visits.layout.number(step, here, x) for step, x, here, _ in found])
         steps = np.concatenate([np.full(len(x), step) for step, x, _, _ in found])
         beliefs = np.concatenate([belief for *_, belief in found])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RelaxationOptions:
-    """Options of the information relaxation. The bound is valid for all values.
+    """Options of the information relaxation. The bound is valid for all values that are accepted.
 
     The defaults were chosen by mean bounds for four people on `kitting/paper` (c_suggest 0.5, gamma 0.99) over the same
     24 sample paths. All numbers below are of this team, in cost units.
@@ -15,7 +15,8 @@ class RelaxationOptions:
     Attributes
     ----------
     alphas : tuple of float
-        Candidates for the share alpha of U in the penalty, in ascending order. The choice begins at the middle one.
+        Candidates for the share alpha of U in the penalty, from 0 to 1 in ascending order. The choice begins at the
+        middle one.
     path_share : float
         Share of the time that is reserved for the sample paths of the bound; the choice of alpha uses the rest.
     free_steps : int
@@ -54,3 +55,8 @@ class RelaxationOptions:
     fading: float = 0.9
     full_weight_steps: int = 10
     decay_steps: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Check the candidates for alpha."""
+        if not self.alphas or not all(0 <= alpha <= 1 for alpha in self.alphas):
+            raise ValueError(f"alphas {self.alphas}: expected numbers from 0 to 1")
