@@ -18,6 +18,7 @@ from test_goal_bounds import ring
 
 from assist.certify import certificate, comparison, computation, prices, team_bound
 from assist.certify.certificate import Certificate, horizon, returns
+from assist.certify.information_relaxation.options import RelaxationOptions
 from assist.certify.options import BoundOptions
 from assist.certify.prices import SubproblemKind, kinds_of, search
 from assist.certify.relaxed_value import relaxed_value
@@ -572,3 +573,15 @@ def test_choices_without_lapses_may_have_probability_0(choices: Choices, theta: 
         assert sampled is not None
         found.append(sampled.mean)
     assert found[0] == pytest.approx(found[1], abs=1e-3)
+
+
+def test_people_whose_task_is_solved_at_the_start_have_a_bound_of_zero() -> None:
+    pool = Pool.sample(sweep(graph_task([(0, 1, 1), (1, 0, 1)], start=0)), 2, seed=1)
+    for paths in (0, 40):
+        assert team_bound.upper_bound(pool, paths=paths, seed=0).upper == 0
+
+
+def test_shares_of_the_penalty_are_from_0_to_1() -> None:
+    for alphas in ((), (0.5, 1.5), (-0.1, 0.5)):
+        with pytest.raises(ValueError, match="expected numbers from 0 to 1"):
+            RelaxationOptions(alphas=alphas)
