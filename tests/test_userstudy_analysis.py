@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import special, stats
 from userstudies import PLAN, SCORES, written
@@ -21,6 +21,7 @@ from userstudies import PLAN, SCORES, written
 from assist.cli import main
 from assist.reports.effects import between_groups, cronbach_alpha, within_participants
 from assist.reports.hypothesis_tests import (
+    EXACT,
     fisher_p,
     holm,
     mann_whitney,
@@ -115,6 +116,30 @@ def test_estimates_intervals_and_p_values_are_those_of_other_implementations(see
     larger, smaller = 7 + seed, 2
     tail = sum(math.comb(9 + seed, i) for i in range(smaller + 1)) / 2 ** (9 + seed)
     assert sign_test(larger, smaller).p == pytest.approx(2 * tail, **near)
+
+
+@given(st.lists(st.sampled_from([-3, -2, -1, 0, 1, 2, 2.5]), min_size=1, max_size=15).filter(any))
+@example([1] * 11 + [-1] * 3)
+@example([1] * 12 + [-1] * 4)
+def test_the_signed_rank_test_is_exact_with_ties(differences: list[float]) -> None:
+    """The p-value is the share of all assignments of signs whose sum of ranks is as far from zero."""
+    x = np.array([value for value in differences if value])
+    ranks = stats.rankdata(np.abs(x))
+    signs = 1 - 2 * (np.arange(2 ** len(x))[:, None] >> np.arange(len(x)) & 1)
+    seen = abs(ranks @ np.sign(x))
+    assert signed_rank(differences).p == pytest.approx(float((np.abs(signs @ ranks) >= seen - 1e-9).mean()), rel=1e-9)
+
+
+def test_the_signed_rank_test_of_many_differences_is_an_approximation_close_to_the_exact_one() -> None:
+    rng = np.random.default_rng(1)
+    for count in (EXACT, EXACT + 1):
+        x = np.rint(rng.normal(0.3, 2, 2 * count))
+        x = x[x != 0][:count]
+        assert len(x) == count
+        approximate = stats.wilcoxon(x, correction=True, method="approx").pvalue
+        found = signed_rank(x).p
+        assert found == pytest.approx(approximate, rel=0.02)
+        assert (found == approximate) == (count > EXACT)
 
 
 def test_the_interval_of_two_shares_is_the_published_one() -> None:

@@ -10,10 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from .statistics import IntervalEstimate
+
+EXACT = 200
+"""Largest number of differences with an exact signed-rank test, which takes some milliseconds for so many."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,9 @@ def mann_whitney(a: ArrayLike, b: ArrayLike) -> RankTest:
 def signed_rank(differences: ArrayLike) -> RankTest:
     """Compare two conditions of the same participants by Wilcoxon's signed-rank test.
 
+    The p-value is exact, also with ties, up to `EXACT` differences. Beyond it is a normal approximation, with
+    corrections for continuity and ties.
+
     Parameters
     ----------
     differences : float array, shape (n,)
@@ -62,7 +68,22 @@ def signed_rank(differences: ArrayLike) -> RankTest:
     if not len(x):
         return RankTest(math.nan, 0.0 if len(np.asarray(differences)) else math.nan)
     ranks = stats.rankdata(np.abs(x))
-    return RankTest(float(stats.wilcoxon(x).pvalue), float((ranks * np.sign(x)).sum() / ranks.sum()))
+    approximate = len(x) > EXACT
+    p = stats.wilcoxon(x, correction=True, method="approx").pvalue if approximate else _exact_p(ranks, x > 0)
+    return RankTest(float(p), float((ranks * np.sign(x)).sum() / ranks.sum()))
+
+
+def _exact_p(ranks: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:
+    """Return the probability of a sum of positive ranks at least as far from its mean, over all signs of the ranks."""
+    doubled = np.rint(2 * ranks).astype(int)  # whole numbers, also for the mean ranks of ties
+    total = int(doubled.sum())
+    chance = np.zeros(total + 1)
+    chance[0] = 1.0
+    for rank in doubled:
+        chance[rank:] += chance[:-rank].copy()
+        chance /= 2
+    seen = int(doubled[positive].sum())
+    return min(1.0, 2 * float(chance[: min(seen, total - seen) + 1].sum()))
 
 
 def sign_test(larger: int, smaller: int) -> RankTest:
