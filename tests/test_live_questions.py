@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,7 @@ from assist.people import Goals
 from assist.person import ObservationModel
 from assist.team import Setting
 from assist.team.questions import likelihood_of
+from assist.team.state import NOBODY, TeamAction, TeamState
 
 TINY = TASKS["tiny"]
 ASKS = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01)
@@ -308,6 +311,54 @@ def test_an_answer_to_an_earlier_question_is_refused(tmp_path: Path) -> None:
     assert "question" not in session.answer("ann", True, seen=later["seq"])
     assert "questions" not in session.outlook().robot
     session.close()
+
+
+class Failing:
+    """A policy that fails when it is told to."""
+
+    name, uses_belief, fails = "failing", True, False
+
+    def __call__(self, team: TeamState) -> TeamAction:
+        if self.fails:
+            raise RuntimeError("a sensor is away")
+        return TeamAction(np.full(team.location.shape, NOBODY), np.zeros_like(team.location))
+
+
+def test_nothing_is_asked_by_a_policy_that_fails(tmp_path: Path) -> None:
+    policy = Failing()
+    session = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS, policy=policy)
+    assert "question" in session.join("bob")
+    session.answer("bob", None)
+    policy.fails = True
+    assert "question" not in session.join("ann")
+    assert session.outlook().fault == "a sensor is away"
+    with pytest.raises(InapplicableError, match="ann has no open question"):
+        session.answer("ann", True)
+    policy.fails = False
+    session.elapse()
+    assert session.person("ann")["question"]["goal"] in TINY.tables
+    answered = session.answer("ann", True)
+    session.close()
+    again = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS, policy=policy)
+    assert again.person("ann") == answered
+    again.close()
+
+
+def test_a_journal_with_an_answer_to_an_unrecorded_question_is_opened(tmp_path: Path) -> None:
+    """Earlier versions saved an answer, but not its question, if the policy failed after asking."""
+    session = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS, policy=Failing())
+    session.join("ann")
+    believed = session.beliefs()
+    session.answer("ann", True)
+    session.retract("ann")
+    last = session.answer("ann", None)["seq"]
+    session.close()
+    with closing(sqlite3.connect(tmp_path / "journal.sqlite")) as db, db:
+        db.execute("UPDATE events SET record = json_remove(record, '$.advice')")
+    again = Session(TINY, tmp_path / "journal.sqlite", setting=ASKS, policy=Failing())
+    assert (again.outlook().events, again.person("ann")["seq"]) == (last, last)
+    assert again.beliefs() == believed
+    again.close()
 
 
 def test_confused_actions_that_the_task_does_not_have_are_refused_at_once() -> None:

@@ -424,13 +424,13 @@ class Assistant:
 
     def recommend_all(self) -> tuple[Advice, ...]:
         """Return what each robot does next."""
-        if self._advice is None:
-            self._advice = self._decisions.decide(self._step)
-            self._step += 1
-        return self._advice
+        return self._advice or self.follow(self._decisions.decide(self._step), self._step + 1)
 
-    def follow(self, advice: Sequence[Advice], step: int) -> None:
-        """Apply the advice of each robot from a record, in place of `recommend`; `step` is the team's step after it."""
+    def follow(self, advice: Sequence[Advice], step: int) -> tuple[Advice, ...]:
+        """Apply the advice of each robot, as decided or from a record, and return it.
+
+        `step` is the team's step after it.
+        """
         self._advice, self._step = tuple(advice), step
         places = self._team.by_name
         self._places.make_room([NOBODY if one.person is None else places[one.person].place for one in advice])
@@ -441,6 +441,7 @@ class Assistant:
                 self._places.put(number, record.place, under_way=not one.arrived)
                 if one.arrived:
                     self._team.suggest(record, one.suggestion)
+        return self._advice
 
     def elapse(self) -> None:
         """Record that time has passed without an action, so that `recommend` decides again."""

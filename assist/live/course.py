@@ -158,7 +158,7 @@ class Course:
             The record is not possible here.
         """
         require_record(record)
-        self._take(record)
+        self._take({**record, "event": "elapsed"} if self._is_unasked(record) else record)
         advices = tuple(map(Advice.of, advised(record))) or self.advices
         if len(advices) != self.robots:
             raise ValueError(f"advice of {len(advices)} robots; expected {self.robots}")
@@ -166,6 +166,18 @@ class Course:
             self.desk.follow(advices, record["step"])
         self._known.clear()
         self._note(record, advices)
+
+    def _is_unasked(self, record: Mapping[str, Any]) -> bool:
+        """Return whether a record is an answer to a question that is in no record, or takes such an answer back.
+
+        Earlier versions let people answer a question that was asked before their policy failed.
+        """
+        kind, person = record["event"], record.get("person") or ""
+        if person not in self.present or kind not in ("answered", "retracted"):
+            return False
+        if kind == "retracted":
+            return self._state(person).answered is None
+        return self._state(person).question is None and not isinstance(record.get("answer"), str)
 
     def _facts(self, event: Event) -> dict[str, Any]:
         """Return the fields of an event's record that follow from the event alone, without those that are None."""

@@ -79,9 +79,16 @@ class DecisionPoint:
     extra: float = 0.0
 
     @classmethod
-    def of(cls, team: Roster, here: int, moving: Floats, rule: str, extra: float) -> DecisionPoint:
-        """Return a copy of the present state of a team; the other arguments are attributes."""
-        count = len(team.records)
+    def of(
+        cls, team: Roster, here: int, moving: Floats, rule: str, extra: float, asked: Question | None = None
+    ) -> DecisionPoint:
+        """Return a copy of the present state of a team, in which a question is asked as well.
+
+        The other arguments are attributes.
+        """
+        count, questions = len(team.records), dict(team.questions)
+        if asked is not None:
+            questions[team.by_name[asked.person].place] = asked
 
         def copy(array: NDArray[T]) -> NDArray[T]:
             return array[:count].copy()
@@ -89,7 +96,7 @@ class DecisionPoint:
         return cls(
             tuple(team.by_name), tuple(team.problems), list(team.parts),
             copy(team.x), copy(team.model), copy(team.robot), copy(team.present), copy(team.ended), copy(team.erred),
-            copy(team.belief), dict(team.joints), {k: _why(one) for k, one in sorted(team.questions.items())},
+            copy(team.belief), dict(team.joints), {k: _why(one) for k, one in sorted(questions.items())},
             here, moving[:count], rule, extra,
         )  # fmt: skip
 

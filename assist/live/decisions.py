@@ -77,13 +77,16 @@ class Decisions:
         if isinstance(self._rule, str):
             self._made = None
 
-    def point(self, number: int) -> DecisionPoint:
-        """Return the team as it is now, from which a decision about a robot is explained later."""
+    def point(self, number: int, asked: Question | None = None) -> DecisionPoint:
+        """Return the team as it is now, from which a decision about a robot is explained later.
+
+        `asked` is a question that the decision opens.
+        """
         policy: Any = self._rule
         rule = policy if isinstance(policy, str) else getattr(policy, "name", getattr(policy, "__name__", "your own"))
         location = self._places.at[number]
         moving = self._places.cost(number, location)
-        return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number))
+        return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number), asked)
 
     def _extra(self, number: int) -> float:
         """Return what a suggestion by a robot costs more than in people's problems."""
@@ -91,13 +94,16 @@ class Decisions:
         return 0.0 if extra is None else float(extra.suggesting[number])
 
     def decide(self, step: int) -> tuple[Advice, ...]:
-        """Return what each robot does next, and send them; `step` is the number of decisions before."""
+        """Return what each robot does next; `step` is the number of decisions before.
+
+        Nothing is suggested or asked yet: if the policy fails, nobody sees what is not in the advice.
+        """
         places = self._places
         places.stop_for_absent(self._team.present)
         active, question = self._team.present & ~self._team.ended & (self._team.robot == 0), None
         if not all(places.under_way) and active.any():
             active, question = self._asking(active)
-        points = [self.point(number) for number in range(self._setting.robot_count)]
+        points = [self.point(number, question) for number in range(self._setting.robot_count)]
         advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all) for point in points]
         for number, location in enumerate(places.at):
             if places.under_way[number]:
@@ -111,16 +117,14 @@ class Decisions:
         team = self._as_policies_see_it(active, step)
         action = self.team_policy()(team)
         check(team, action)
-        origins = list(places.at)
-        places.make_room(action.person)
         chosen = zip(action.person.reshape(-1).tolist(), action.robot.reshape(-1).tolist(), strict=True)
         for number, (k, robot) in enumerate(chosen):
             if k != NOBODY:
-                advice[number] = self._sent(number, origins[number], k, robot, points[number])
+                advice[number] = self._sent(number, k, robot, points[number])
         return (advice[0].asking(question), *advice[1:])
 
     def _asking(self, active: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Question | None]:
-        """Return who may get a suggestion, as no question to them is open, and the question that is worth most."""
+        """Return who may get a suggestion, as nothing is asked of them, and the question that is worth most."""
         if self._setting.c_ask is None or self._rule == "none":
             return active, None
         if self._asks is None:
@@ -129,19 +133,15 @@ class Decisions:
         active[list(self._team.questions)] = False
         question = self._asks.best(self._team, active)
         if question is not None:
-            self._team.ask(question)
             active[self._team.by_name[question.person].place] = False
         return active, question
 
-    def _sent(self, number: int, origin: int, k: int, robot: int, point: DecisionPoint) -> Advice:
-        """Send a robot from its place to a person's, and return its advice there."""
-        self._team.robot[k] = robot
-        there = self._places.send(number, origin, k)
-        reason, record = (
-            reason_of(self._team, k, robot, float(point.moving[k]), self._extra(number)),
-            self._team.records[k],
-        )
-        advice = Advice(record.name, self._team.suggestion(record), reason, arrived=there)
+    def _sent(self, number: int, k: int, robot: int, point: DecisionPoint) -> Advice:
+        """Return the advice of a robot that is sent from where it is to a person."""
+        record, there = self._team.records[k], not self._places.takes_time(number, k)
+        part, row = self._team.part(record)
+        reason = reason_of(self._team, k, robot, float(point.moving[k]), self._extra(number))
+        advice = Advice(record.name, part.policy.pomdp.suggestion(row, robot), reason, arrived=there)
         return advice.explained_by(partial(point.suggested, k, robot, arrived=there))
 
     def _as_policies_see_it(self, active: NDArray[np.bool_], step: int) -> TeamState:

@@ -81,11 +81,9 @@ class RobotPlaces:
         costs: Floats = travel.c_move * travel.distance[origin]
         return costs
 
-    def send(self, number: int, origin: int, place: int) -> bool:
-        """Send a robot from a place to another, and return whether it is there in the same step."""
-        self.at[number] = place
-        self.under_way[number] = bool(self.travel.of_robot(number).steps[origin, place] > 0)
-        return not self.under_way[number]
+    def takes_time(self, number: int, place: int) -> bool:
+        """Return whether a robot that is sent to a place arrives in a later step."""
+        return bool(self.travel.of_robot(number).steps[self.at[number], place] > 0)
 
     def put(self, number: int, place: int, *, under_way: bool = False) -> None:
         """Record where a robot is, or to which place it is under way."""
