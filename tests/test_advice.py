@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.learning.advice_fit import fit_model, fold_of, held_out, local_maximum, mean_and_error
+from assist.learning.advice_fit import fit_advice, fit_model, fold_of, held_out, local_maximum, mean_and_error
 from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
 from assist.learning.advice_rules import RULES, moved_by
@@ -87,6 +87,31 @@ def test_the_likelihood_is_that_of_the_model(slope: str) -> None:
             total += math.log(mass)
         assert model.predictions(log).sum() == pytest.approx(total, rel=1e-10)
         assert model.log_likelihood(log) == pytest.approx(total, rel=1e-10)
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_the_likelihood_of_thousands_of_answers_is_the_sum_of_their_predictions(base: str) -> None:
+    """The product of the answers of one person is far smaller than the smallest floating-point number."""
+    log = simulated(2, 4_500, 0)
+    model = AdviceModel.of(base, "L outcome")
+    total = model.log_likelihood(log)
+    assert total < -1_000
+    assert total == pytest.approx(model.predictions(log).sum(), rel=1e-9)
+
+
+def test_parameters_of_people_with_thousands_of_answers_are_found() -> None:
+    log = simulated(3, 4_500, 1)
+    found = fit_advice(log, "constant")
+    true = AdviceModel.of("E", "none", (0.5, 1.5, 1.5, 3.3, 1.2)).log_likelihood(log)
+    assert true < found["log_likelihood"] < 0
+    assert found["parameters"]["b1"] == pytest.approx(1.5, abs=0.3)
+
+
+def test_a_fit_without_a_finite_likelihood_is_an_error() -> None:
+    log = simulated(2, 10, 0)
+    log = AdviceLog(**vars(log) | {"confidence": np.full(len(log), np.nan)})
+    with pytest.raises(ValueError, match="the log likelihood is nan"):
+        fit_advice(log, "constant")
 
 
 @given(

@@ -37,6 +37,11 @@ def fit_model(start: AdviceModel, log: AdviceLog) -> AdviceModel:
     Where these are the values of `of`, smaller steps are a second start. Where theta moves by steps and is clipped,
     the likelihood has many local maxima (`advice_model.NODES`). The fit is then the best of several local maxima, found
     from the most likely of some random points.
+
+    Raises
+    ------
+    ValueError
+        The likelihood of the fit is not finite, so that nothing was estimated.
     """
     surface = _Likelihood(start, log)
     initial = AdviceModel.of(start.base, start.rule.name).values
@@ -48,11 +53,11 @@ def fit_model(start: AdviceModel, log: AdviceLog) -> AdviceModel:
         starts.append(surface.point(initial))
     found = sorted((_scoring(surface.people, one) for one in starts), key=surface.loss)
     if not surface.kinks:
-        return surface.model(found[0])
+        return surface.finite(found[0])
     width = np.array([WIDTHS.get(name, 0.5 * abs(value)) for name, value in zip(surface.names, initial, strict=True)])
     drawn = found[0] + np.random.default_rng(0).normal(size=(POINTS, len(found[0]))) * width[surface.free]
     best = [found[0], *sorted([*found[1:], *drawn], key=surface.loss)[: LOCAL - 1]]
-    return surface.model(min((_local_maximum(surface, one) for one in best), key=surface.loss))
+    return surface.finite(min((_local_maximum(surface, one) for one in best), key=surface.loss))
 
 
 def local_maximum(start: AdviceModel, log: AdviceLog) -> AdviceModel:
@@ -94,6 +99,13 @@ class _Likelihood:
                 for name, one, value in zip(self.names, self.free, self.start.values, strict=True)
             ),
         )
+
+    def finite(self, point: Floats) -> AdviceModel:
+        """Return the model at a point, with an error if its likelihood is not finite."""
+        model = self.model(point)
+        if not math.isfinite(found := model.log_likelihood(self.log)):
+            raise ValueError(f"the log likelihood is {found:g}, so nothing can be estimated")
+        return model
 
     def people(self, point: Floats) -> Floats:
         with np.errstate(over="ignore"):
@@ -193,7 +205,7 @@ def compare_advice(log: AdviceLog, *, folds: int = 8, level: float = 0.95) -> Tr
     Raises
     ------
     ValueError
-        There are fewer than two people.
+        There are fewer than two people, or the likelihood is not finite.
     """
     begins = np.flatnonzero(log.first)
     if len(begins) < 2:
@@ -219,6 +231,11 @@ def fit_advice(log: AdviceLog, rule: str) -> dict[str, Any]:
     -------
     dict
         The rule, its base, its parameters, the log likelihood in nats, and the numbers of people and choices.
+
+    Raises
+    ------
+    ValueError
+        The likelihood is not finite.
     """
     base = base_of(log)
     model = fit_model(AdviceModel.of(base, OF_NAMES[rule]), log)

@@ -45,6 +45,9 @@ a function of theta_0, and 31 nodes are off by up to a few nats of two public da
 POINTS, WEIGHTS = np.polynomial.hermite_e.hermegauss(NODES)
 WEIGHTS = WEIGHTS / WEIGHTS.sum()
 
+TOGETHER = 64
+"""Answers whose likelihoods are multiplied before the logarithm is taken; `LAPSE` to this power does not underflow."""
+
 SLOPES, SLOPE_WEIGHTS = np.polynomial.hermite_e.hermegauss(11)
 SLOPE_WEIGHTS = SLOPE_WEIGHTS / SLOPE_WEIGHTS.sum()
 
@@ -158,14 +161,14 @@ def _likelihood(
     vectorised.
     """
     nodes, advisors, block = len(start), sequence.max() + 1, len(start) // len(slopes)
-    theta, product, p = np.empty((advisors, nodes)), weights.copy(), np.empty(nodes)
+    theta, product, p, logs = np.empty((advisors, nodes)), weights.copy(), np.empty(nodes), np.zeros(nodes)
     good, bad = np.zeros(advisors), np.zeros(advisors)
-    person, of_all = -1, 1.0
+    person, of_all, log_of_all, answers = -1, 1.0, 0.0, 0
     for i in range(len(first)):
         if first[i]:
             person += 1
-            product[:], theta[:], of_all = weights, start, 1.0
-            good[:], bad[:] = 0.0, 0.0
+            product[:], theta[:], of_all, log_of_all, answers = weights, start, 1.0, 0.0, 0
+            good[:], bad[:], logs[:] = 0.0, 0.0, 0.0
         a, c = sequence[i], confidence[i]
         if agrees[i] and by_agreement:
             z = agree[0] + agree[1] * c + advised[i]
@@ -184,7 +187,15 @@ def _likelihood(
         if len(found):
             found[i] = p
         if i + 1 == len(first) or first[i + 1]:
-            totals[person] = math.log(product.sum()) + math.log(of_all)
+            highest = logs.max()
+            if answers >= TOGETHER:
+                product *= np.exp(logs - highest)
+            totals[person] = math.log(product.sum()) + highest + math.log(of_all) + log_of_all
+        answers += 1
+        if answers % TOGETHER == 0:
+            logs += np.log(product)
+            log_of_all += math.log(of_all)
+            product[:], of_all = 1.0, 1.0
         of_start, top, top_one, bottom, bottom_one, good[a], bad[a] = moved_by(
             good[a], bad[a], kind, logit, rule, agrees[i], right[i], shown[i], c
         )

@@ -61,14 +61,13 @@ def show_advice(wanted: TrustOptions, folds: int, level: float, out: Path | None
         log = read_advice(wanted.advice, confidence=wanted.confidence)
     except InputFileError as error:
         fail(str(error), ExitCode.FAILED)
-    if wanted.rule is None:
-        try:
-            compared = compare_advice(log, folds=folds, level=level)
-        except ValueError as error:
-            fail(f"{wanted.advice}: {error}", ExitCode.FAILED)
-        _show_comparison(compared, out, as_json=as_json)
-        return
-    found = fit_advice(log, wanted.rule)
+    try:
+        if wanted.rule is None:
+            _show_comparison(compare_advice(log, folds=folds, level=level), out, as_json=as_json)
+            return
+        found = fit_advice(log, wanted.rule)
+    except ValueError as error:
+        fail(f"{wanted.advice}: {error}", ExitCode.FAILED)
     if out:
         files.write_records(out, [found])
     if as_json:
