@@ -218,6 +218,22 @@ def test_a_line_that_may_have_been_the_first_of_an_episode(tmp_path: Path, tiny:
     assert list(used(file, tiny)) == ["ann", "bob"]
 
 
+@pytest.mark.parametrize("begin", [0, 1, 5])
+@pytest.mark.parametrize("missing", [1, 2])
+def test_an_episode_without_its_first_lines_is_left_out(tmp_path: Path, tiny: Table, begin: int, missing: int) -> None:
+    """Actions after a wrong start would often be applicable, and a person would seem to err who did not."""
+    rows = [dict(row, step=begin + row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
+    file = write_log(tmp_path / "log.jsonl", [*rows[: len(PLAN)], *rows[len(PLAN) + missing :]])
+    assert used(file, tiny) == {"ann": len(PLAN)}
+    (fault,) = read_log(file).faults
+    assert (fault.line, str(fault)) == (
+        len(PLAN) + 1,
+        f"person 'bob', episode '1', which is left out: step {begin + missing} is its first and {begin} that of "
+        "others, as if a line were missing; --gaps if the log counts otherwise",
+    )
+    assert read_log(file, gaps=True).faults == ()
+
+
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
 def test_csv_is_read_as_json_lines_are(tmp_path: Path, tiny: Table, delimiter: str) -> None:
     rows = [*lines(FETCH, RIGHT, told={1: WRONG}), *lines(*PLAN, person='Zoë, Ann\'s "twin"', episode="2")]

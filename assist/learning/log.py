@@ -4,8 +4,9 @@
 entries. A line that cannot be used becomes a `Fault` with its place and the expected content.
 
 An episode can be used only if all its actions are there, because later actions would be assigned to wrong states
-otherwise. So an unusable line excludes its episode, and no other. A missing step number means a missing line. The rest
-of a broken line often names its episode. If it does not, all episodes that may contain the line are excluded.
+otherwise. So an unusable line excludes its episode, and no other. A missing step number means a missing line, and so
+does a first step above that of other episodes. The rest of a broken line often names its episode. If it does not, all
+episodes that may contain the line are excluded.
 """
 
 from __future__ import annotations
@@ -208,8 +209,9 @@ def _log(records: Iterable[Row], gaps: bool, name: str, note: str) -> Log:
     called = {words[0] for entry in entries for words in map(words_of, entry.texts) if words}
     people = {entry.person for entry in entries} | {fault.person for fault in faults if fault.person is not None}
     spoilt = {(fault.person, fault.episode) for fault in faults if fault.spoils}
+    lowest = min((entry.step for entry in entries), default=0)
     entries = [entry for entry in entries if entry.names not in spoilt]
-    incomplete = _incomplete(entries, sorted(lost), gaps)
+    incomplete = _incomplete(entries, sorted(lost), gaps, lowest)
     faults += incomplete.values()
     return Log(
         tuple(entry for entry in entries if entry.names not in incomplete),
@@ -217,8 +219,12 @@ def _log(records: Iterable[Row], gaps: bool, name: str, note: str) -> Log:
     )  # fmt: skip
 
 
-def _incomplete(entries: Sequence[Entry], lost: Sequence[int], gaps: bool) -> dict[Names, Fault]:
-    """Return episodes of which an action is missing, or may be missing because a lost line may belong to it."""
+def _incomplete(entries: Sequence[Entry], lost: Sequence[int], gaps: bool, lowest: int) -> dict[Names, Fault]:
+    """Return episodes of which an action is missing, or may be missing because a lost line may belong to it.
+
+    A log may count from any number, but from the same one in every episode: from `lowest`, that of its first steps. An
+    unreadable line may have been the first of every episode, so that only 0 and 1 are known to be first then.
+    """
     episodes: dict[Names, list[Entry]] = {}
     for entry in entries:
         episodes.setdefault(entry.names, []).append(entry)
@@ -237,6 +243,10 @@ def _incomplete(entries: Sequence[Entry], lost: Sequence[int], gaps: bool) -> di
             found[names] = Fault(first[names].line, *names, message)
             continue
         rows = sorted(rows, key=lambda entry: entry.step)
+        if rows[0].step != lowest:
+            message = f"step {rows[0].step} is its first and {lowest} that of others, as if a line were missing"
+            found[names] = Fault(rows[0].line, *names, f"{message}; --gaps if the log counts otherwise")
+            continue
         for before, after in pairwise(rows):
             if after.step > before.step + 1:
                 message = f"step {after.step} comes after step {before.step}, as if a line were missing"
