@@ -13,11 +13,14 @@ import zipfile
 from functools import partial
 from importlib import metadata
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
 from conftest import KITTING
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 from userstudies import PLAN, written
 
@@ -186,6 +189,47 @@ def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:
 def test_an_answer_that_a_spreadsheet_would_calculate_is_text(tmp_path: Path) -> None:
     folder = exported(tmp_path / "export", answers=[{"answer": "=1+1"}, {"answer": "-1"}, {"answer": "1-1"}])
     assert [row["answer"] for row in read(folder, "answers.csv")] == ["'=1+1", "'-1", "1-1"]
+
+
+@given(st.text(st.sampled_from("'=+-@\t\r\nab,\""), min_size=1))
+def test_a_text_is_read_back_as_it_was(text: str) -> None:
+    """Whatever somebody wrote, an export's report has it too; carriage returns become line feeds."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "answers.csv"
+        file.write_text(written_rows(COLUMNS["answers"], [dict.fromkeys(COLUMNS["answers"]) | {"answer": text}]))
+        (row,) = csv.reader(file.read_text().splitlines(keepends=True)[1:])
+        assert not row[list(COLUMNS["answers"]).index("answer")].startswith(("=", "+", "-", "@", "\t"))
+        (found,) = userstudy_report._rows(file, COLUMNS["answers"])
+    assert found["answer"] == text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def test_names_that_look_like_formulas_are_in_the_report_of_an_export(tmp_path: Path) -> None:
+    plan = PLAN.replace('name = "attention"', 'name = "+robot"').replace(
+        "[[conditions]]",
+        """[[questionnaires]]
+form = "choice"
+name = "change"
+items = [{ name = "change", text = "Was it better?", options = ["-1", "0", "+1"] }]
+
+[[conditions]]""",
+        1,
+    )
+    where = {"participant": "P1", "condition": "+robot", "period": 1}
+    folder = exported(
+        tmp_path / "export",
+        participants=[{
+            "participant": "P1", "condition": "+robot", "status": "done", "stage": "thanks", "simulated": False,
+            "failed_checks": 0,
+        }],
+        tasks=[where | {"task": "tiny", "finished": True, "actions": 7, "suggestions": 0, "followed": 0}],
+        answers=[where | {"questionnaire": "change", "item": "change", "position": 1, "answer": "+1"}],
+    )  # fmt: skip
+    written(folder / "study.toml", plan)
+    summary = json.loads(run("study-report", folder, "--json").stdout)
+    cells = {cell["condition"]: cell["n"] for cell in summary["measures"][0]["cells"]}
+    assert cells == {"none": 0, "+robot": 1}
+    counts = {one["condition"]: one["counts"] for one in summary["answers"] if one["item"] == "change"}
+    assert counts["+robot"] == {"-1": 0, "0": 0, "+1": 1}
 
 
 def test_what_the_command_refuses(tmp_path: Path) -> None:

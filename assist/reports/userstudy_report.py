@@ -18,7 +18,7 @@ from ..userstudy.plan import UserStudy
 from ..userstudy.plan_file import read
 from ..userstudy.questionnaires import TLX
 from ..userstudy.session import JOURNAL, PLAN
-from ..userstudy.tables import COLUMNS, Row, Tables, tables
+from ..userstudy.tables import COLUMNS, Row, Tables, tables, text_of
 from .html_page import html_page, require_packages
 from .preregistration import compared
 from .statistics import FEW
@@ -84,7 +84,7 @@ def _cell(name: str, cell: str) -> Any:
         return cell == "true"
     if cell == "":
         return None
-    return float(cell) if name in NUMBERS else cell
+    return float(cell) if name in NUMBERS else text_of(cell)
 
 
 def write_report(folder: Path, out: Path) -> dict[str, Any]:

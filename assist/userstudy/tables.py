@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -95,6 +96,9 @@ COLUMNS: dict[str, dict[str, str]] = {
 EVENTS = {"visited", "onward", "withdrew", "left", "returned", "expired"}
 """Events of the table `events`. Actions have a table of their own."""
 
+FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
+"""How texts begin that spreadsheets evaluate, unless an apostrophe precedes them; or those with one of their own."""
+
 
 @dataclass
 class Tables:
@@ -153,11 +157,15 @@ def _plain(cell: Any) -> Any:
     if isinstance(cell, bool):
         return str(cell).lower()
     if isinstance(cell, str):
-        # Spreadsheets evaluate such cells as formulas, unless an apostrophe precedes them.
-        safe = f"'{cell}" if cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
         # Some readers take a carriage return for the end of a row.
-        return safe.replace("\r\n", "\n").replace("\r", "\n")
+        text = cell.replace("\r\n", "\n").replace("\r", "\n")
+        return f"'{text}" if FORMULA.match(text) else text
     return cell
+
+
+def text_of(cell: str) -> str:
+    """Return the text of a cell that `written` wrote: without the apostrophe before what looks like a formula."""
+    return cell[1:] if cell.startswith("'") and FORMULA.match(cell) else cell
 
 
 def tables(study: UserStudy, journal: Path) -> Tables:
