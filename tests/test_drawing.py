@@ -18,6 +18,7 @@ from PIL import Image
 from assist.cli import main
 from assist.drawing import (
     Artist,
+    FramesError,
     Profile,
     ProfileError,
     draw,
@@ -367,6 +368,46 @@ def test_an_episode_shows_the_robot_and_what_it_said() -> None:
     strip = draw_strip(artist("kitting/tiny"), rows).svg
     assert strip.count("ka-here") == 2 + 1
     assert strip.count("ka-said") == 2 + 1  # and the rule
+
+
+def test_an_episode_in_which_the_robot_acts_itself_is_drawn(tmp_path: Path) -> None:
+    """People act in the states that the robot's actions led to, and every episode ends in the goal."""
+    trace = tmp_path / "trace.jsonl"
+    arguments = (
+        "simulate kitting/tiny --humans 2 --policy attention --episodes 3 --execute --c-execute 0.01 --c-suggest 5 "
+        f"--trace {trace}"
+    )
+    assert CliRunner().invoke(main, arguments.split()).exit_code == 0
+    trace_rows = [json.loads(line) for line in trace.read_text().splitlines()]
+    executed = {(row["episode"], row["person"], row["step"]): row for row in trace_rows if row["executed"]}
+    assert executed
+    drawn = artist("kitting/tiny")
+    for episode in {row["episode"] for row in trace_rows}:
+        for frames in episode_frames(drawn, trace_rows, episode):
+            facts = drawn.subject.facts(frames[-1].values)
+            assert all(drawn.subject.holds(one, facts, frames[-1].values) for one in drawn.subject.goal)
+            person = frames[0].title.split(",")[0]
+            for step, frame in enumerate(frames[:-1]):
+                row = executed.get((episode, person, step))
+                assert frame.advice.startswith("robot does: ") == (row is not None)
+                assert row is None or frame.robot
+    plain = [{key: row[key] for key in ("person", "episode", "step", "action", "executed")} for row in trace_rows]
+    assert [row[-1].values for row in episode_frames(drawn, plain)] == [
+        row[-1].values for row in episode_frames(drawn, trace_rows)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"step": None}, "ann, one: step null; expected a whole number in every row"),
+        ({"step": "first"}, 'ann, one: step "first"; expected a whole number in every row'),
+        ({"step": 0}, "ann, one, step 0: in two rows; are these two episodes, or two people?"),
+    ],
+)
+def test_rows_without_a_step_of_their_own_are_not_drawn(change: dict, words: str) -> None:
+    with pytest.raises(FramesError, match=re.escape(words)):
+        episode_frames(artist("kitting/tiny"), [*TRACE[:2], TRACE[2] | change])
 
 
 def test_draw_writes_every_format(tmp_path: Path) -> None:

@@ -6,9 +6,12 @@ the robot's location and its suggestions.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from ..people.action_names import words_of
 from . import svg
@@ -36,9 +39,9 @@ class Frame:
     done : str
         The action, in words.
     advice : str
-        The suggestion, and whether it was followed; empty without a suggestion.
+        The suggestion, and whether it was followed; or what the robot did itself. Empty without either.
     acted, hint : frozenset of str
-        The objects of the action, and those of the suggestion.
+        The objects of the action, and those of the suggestion or of the robot's own action.
     robot : bool
         Whether the robot was with this person.
     goals : str
@@ -100,9 +103,11 @@ def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: 
     Raises
     ------
     FramesError
-        The trace has no such episode, or an action is not applicable in its state.
+        The trace has no such episode, a row has no step or that of another row, or an action is not applicable in its
+        state.
     """
     mine = episode_of(list(trace), episode)
+    _check_steps(mine)
     people = list(dict.fromkeys(str(row.get("person")) for row in mine))
     steps = sorted({int(row["step"]) for row in mine})
     found = []
@@ -116,8 +121,10 @@ def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: 
                 row = dict(row)
                 if row.get("suggestion"):
                     row["suggestion"] = _meant(artist, row["suggestion"], values, place_in)[0]
+                if row.get("executed"):
+                    row["executed"], after = _meant(artist, row["executed"], values, place_in)
                 if row.get("action"):
-                    row["action"], after = _meant(artist, row["action"], values, place_in)
+                    row["action"], after = _meant(artist, row["action"], after, place_in)
             frames.append(_frame(artist, values, person, step, row, place, _robot_places(mine, step)))
             values = after
         found.append((*frames, Frame(tuple(values), f"{person}, end")))
@@ -165,6 +172,18 @@ def _meant(artist: Artist, text: str, values: Sequence[int], where: str) -> tupl
         raise FramesError(f"{where}: {error}") from None
 
 
+def _check_steps(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Raise an error if a row of an episode has no step, or if a person has two rows for one."""
+    seen = set()
+    for row in rows:
+        where, step = f"{row.get('person')}, {row.get('episode')}", row.get("step")
+        if not isinstance(step, int | np.integer) or isinstance(step, bool):
+            raise FramesError(f"{where}: step {json.dumps(step, default=str)}; expected a whole number in every row")
+        if (row.get("person"), step) in seen:
+            raise FramesError(f"{where}, step {step}: in two rows; are these two episodes, or two people?")
+        seen.add((row.get("person"), step))
+
+
 def _robot_places(rows: Iterable[Mapping[str, Any]], step: int) -> list[int | None]:
     row = next((row for row in rows if row["step"] == step), {})
     return row.get("robot_places", [row.get("robot_place")])
@@ -175,15 +194,19 @@ def _frame(
     robots: list[int | None],
 ) -> Frame:  # fmt: skip
     title = f"{person}, step {step + 1}"
-    if row is None or not row.get("action"):
+    if row is None or not (row.get("action") or row.get("executed")):
         return Frame(tuple(values), title, "has finished" if row is None else "waits")
-    action, suggestion = str(row["action"]), row.get("suggestion")
-    there = place in robots if {"robot_place", "robot_places"} & set(row) else suggestion is not None
-    if suggestion is None:
-        return Frame(tuple(values), title, artist.say(action), acted=_objects(action), robot=there)
-    followed = suggestion == action
-    advice = f"robot: {artist.say(str(suggestion))} ({'followed' if followed else 'not followed'})"
-    return Frame(tuple(values), title, artist.say(action), advice, _objects(action), _objects(str(suggestion)), there)
+    action, suggestion, executed = row.get("action"), row.get("suggestion"), row.get("executed")
+    helped = suggestion or executed
+    there = place in robots if {"robot_place", "robot_places"} & set(row) else helped is not None
+    done = artist.say(str(action)) if action else "waits"
+    advice = ""
+    if executed:
+        advice = f"robot does: {artist.say(str(executed))}"
+    elif suggestion:
+        advice = f"robot: {artist.say(str(suggestion))} ({'followed' if suggestion == action else 'not followed'})"
+    acted, hint = (_objects(str(one)) if one else frozenset() for one in (action, helped))
+    return Frame(tuple(values), title, done, advice, acted, hint, there)
 
 
 def _objects(action: str) -> frozenset[str]:
