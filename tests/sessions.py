@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
+from assist.live.course import Course
 from assist.live.events import Event
 from assist.live.session import Session
 from assist.people.human import Population
@@ -63,6 +64,7 @@ def happen(session: Session, events: list[tuple[str, int, int]], tag: str = "") 
 
 
 def all_of(session: Session) -> str:
-    """Return all views of a session, and its beliefs."""
+    """Return all views of a session, its beliefs, and the saved team, with the places of robots under way."""
     seen = [session.entry(name) for name in session.people], session.log(), session.recommend(), session.outlook()
-    return repr(seen) + repr(session.beliefs())
+    assert isinstance(session._course, Course)
+    return repr(seen) + repr(session.beliefs()) + session._course.desk.to_json()

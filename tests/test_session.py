@@ -67,6 +67,26 @@ def test_a_session_that_goes_on_is_the_same_to_the_bit(
     once_more.close()
 
 
+def test_a_robot_whose_person_left_and_came_back_is_not_under_way_after_a_restart(tiny: Table, tmp_path: Path) -> None:
+    """It was under way when the person left, so that it counts as being there, and makes a suggestion."""
+    setting = Setting(c_suggest=0.0, c_move=0.0, travel_time=2.0)
+    session = Session(tiny, tmp_path / "journal.sqlite", setting=setting)
+    session.join("ann")
+    session.observe("ann", "(fetch box-a)")
+    session.observe("ann", WRONG)
+    assert (session.recommend().person, session.recommend().arrived) == ("ann", False)
+    session.leave("ann")
+    session.pause()
+    session.join("ann")
+    before = all_of(session)
+    session.close()
+    session = Session(tiny, tmp_path / "journal.sqlite", setting=setting)
+    assert all_of(session) == before
+    session.pause(False)
+    assert (session.recommend().person, session.recommend().arrived) == ("ann", True)
+    session.close()
+
+
 def test_it_is_the_assistant(opened: Callable[..., Session], tiny: Table) -> None:
     """The same actions, reported one by one, give the same beliefs and advice as the assistant."""
     session, desk = opened(), Assistant(tiny, ["ann"], setting=SETTING, population=EASY)

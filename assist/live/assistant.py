@@ -433,6 +433,7 @@ class Assistant:
         """
         self._advice, self._step = tuple(advice), step
         places = self._team.by_name
+        self._places.stop_for_absent(self._team.present)
         self._places.make_room([NOBODY if one.person is None else places[one.person].place for one in advice])
         for number, one in enumerate(advice):
             self._team.ask(one.question)

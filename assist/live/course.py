@@ -131,7 +131,8 @@ class Course:
         advices = self._decided()
         self._known.clear()
         if advices == self.advices and event.kind == "elapsed":
-            self.desk.follow(advices, step)
+            if not self.paused:
+                self.desk.follow(advices, step)
             return None
         if any(advice.person is not None for advice in advices) or advices != self.advices:
             plain = [advice.as_dict() for advice in advices]
