@@ -79,6 +79,32 @@ def test_a_belief_is_saved_when_a_task_is_finished(tiny: Table, tmp_path: Path) 
     session.close()
 
 
+def test_what_cannot_be_kept_takes_nothing_from_the_session(tiny: Table, tmp_path: Path) -> None:
+    """The day on which the belief would expire is no date, so that it cannot be saved."""
+    store = PeopleStore(tmp_path / "people.sqlite", now=lambda: datetime(9999, 12, 31, tzinfo=UTC))
+    session, changed = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING, people=store), list[set[str]]()
+    session.changed = changed.append
+    seen, events = session.join("ann"), 1
+    while not seen["finished"]:
+        seen, events = session.observe("ann", seen["suggestion"] or seen["applicable"][0]), events + 1
+    assert changed == [{"ann"}] * events
+    session.leave("ann")
+    session.close()
+    again = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING)
+    assert (again.outlook().events, again.people) == (events + 1, ())
+    again.close()
+
+
+def test_beliefs_are_kept_for_up_to_a_hundred_years(tmp_path: Path) -> None:
+    for days in (0, -1.0, 36_501, 1e9, float("nan")):
+        with pytest.raises(ValueError, match=r"days .*: expected a number above 0 and up to 36,500"):
+            PeopleStore(tmp_path / "people.sqlite", days)
+    options = ["--people-store", str(tmp_path / "people.sqlite"), "--keep-people", "36501"]
+    result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", *options])
+    assert (result.exit_code, "--keep-people" in result.stderr, "36500" in result.stderr) == (2, True, True)
+    PeopleStore(tmp_path / "people.sqlite", 36_500).save("ann", "m", np.full((1, 2), 0.5))
+
+
 def test_beliefs_with_another_meaning_are_not_used(tiny: Table, tmp_path: Path) -> None:
     store = PeopleStore(tmp_path / "people.sqlite")
     first = work(tiny, tmp_path / "monday", store, "ann")

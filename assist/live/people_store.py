@@ -49,7 +49,7 @@ class PeopleStore:
     file : str or Path
         Created, with its folder, if it does not exist.
     days : float
-        Days after which a belief that is not saved again expires.
+        Days after which a belief that is not saved again expires, up to 36,500.
     except_for : collection of str
         People who are neither saved nor looked up, such as simulated ones.
     now : callable
@@ -71,8 +71,9 @@ class PeopleStore:
         except_for: Collection[str] = (),
         now: Callable[[], datetime] = _now,
     ) -> None:
-        if not days > 0:
-            raise ValueError(f"days {days}: expected a number above 0")
+        most = 36_500  # a hundred years; dates end with the year 9999
+        if not 0 < days <= most:
+            raise ValueError(f"days {days}: expected a number above 0 and up to {most:,}")
         self.file, self._days, self._except, self._now = Path(file), days, frozenset(except_for), now
         self.file.parent.mkdir(parents=True, exist_ok=True)
         os.close(os.open(self.file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY))

@@ -164,11 +164,13 @@ class Session:
     def close(self) -> None:
         """Save what was learned about people, if it is to be kept, and close the store; repeated calls do nothing."""
         with self.lock:
-            if self._people is not None and not self._unsaved:
-                self._learned |= set(self._restored.people)
-                self._keep()
-                self._people = None
-            self._store.close()
+            try:
+                if self._people is not None and not self._unsaved:
+                    self._learned |= set(self._restored.people)
+                    self._keep()
+                    self._people = None
+            finally:
+                self._store.close()
 
     # What is learned about people.
 
@@ -185,18 +187,21 @@ class Session:
         return event if belief is None else replace(event, belief=tuple(belief.ravel().tolist()))
 
     def _keep(self) -> None:
-        """Save the beliefs in people from whose actions something was learned. Failures are logged."""
+        """Save the beliefs in people from whose actions something was learned.
+
+        Failures are only logged: the events are on the disk, and are to be acknowledged.
+        """
         course, learned = self._restored, self._learned
         self._learned = set()
         if self._people is None or not isinstance(course, Course):
             return
         for person in sorted(learned):
-            belief = course.learned(person) if course.knows(person) else None
-            if belief is not None:
-                try:
+            try:
+                belief = course.learned(person) if course.knows(person) else None
+                if belief is not None:
                     self._people.save(person, self._meaning, belief)
-                except (JournalError, DamagedFileError) as error:
-                    logging.getLogger(__name__).warning("what was learned about %s is not kept: %s", person, error)
+            except Exception as error:  # noqa: BLE001
+                logging.getLogger(__name__).warning("what was learned about %s is not kept: %s", person, error)
 
     # Events.
 
@@ -241,9 +246,9 @@ class Session:
                 for event, outcome in zip(events, done, strict=True)
             ]
         self._unsaved = False
-        self._keep()
         if touched and self.changed is not None:
             self.changed(touched)
+        self._keep()
         return outcomes
 
     def _outcome(self, course: EventSourced, event: Event, touched: set[str]) -> Outcome:

@@ -17,7 +17,7 @@ from planner.batch.solve_record import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
 from ...texts.catalogue import FIRST, catalogue
-from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
+from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Number, Option, Range, range_option, with_options
 from .config import read_config
 from .goals import goal_list_options, question_options, questions_of, several_goals
 from .person import model_options, observation_options
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from ...people.goals import Goals
     from ...web.server import ServedTeam
     from ...web.service import Bridge
+
+DAYS = Number(min=0, max=36_500, min_open=True)
 
 
 def live_options(command: Command) -> Command:
@@ -67,7 +69,7 @@ def live_options(command: Command) -> Command:
         ),
         click.option(
             "--keep-people",
-            type=SECONDS,
+            type=DAYS,
             metavar="DAYS",
             default=30.0,
             show_default=True,
