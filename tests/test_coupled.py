@@ -246,6 +246,24 @@ def test_the_whittle_index_is_the_price_of_indifference() -> None:
     assert checked > 20
 
 
+@pytest.mark.parametrize(("reward", "indexable", "index"), [(1.0, False, None), (-1.0, True, -np.inf)])
+def test_an_action_may_lead_to_where_it_is_not_allowed(reward: float, indexable: bool, index: float | None) -> None:
+    # State 0 leads to 1, where the agent may act for ever, or by acting to 2, where it may not act. At a very low price
+    # it therefore waits in state 0. With a reward of 1, it acts there at prices from -1/8 to 1.
+    P = np.zeros((1, 2, 3, 3))
+    P[0, 0, 0, 1] = P[0, 1, 0, 2] = P[0, :, 1, 1] = P[0, :, 2, 2] = 1
+    R = np.zeros((1, 2, 3))
+    R[0, 1, 0] = reward
+    agents = Agents(P, R, gamma=0.9, allowed=np.array([[[True] * 3, [True, True, False]]]))
+    found = whittle_index(agents)
+    assert found.indexable[0] == indexable
+    if indexable:
+        np.testing.assert_allclose(found.index[0], [index, 0.0, -np.inf], atol=1e-9)
+    else:
+        with pytest.raises(ValueError, match="not indexable"):
+            policy(agents, "whittle", 1)
+
+
 def test_kinds_are_shared_and_archives_are_read_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     P, R = rng.dirichlet(np.ones(3), size=(2, 2, 3)), rng.normal(size=(2, 2, 3))

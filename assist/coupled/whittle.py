@@ -1,10 +1,10 @@
 """The Whittle index: the price of the resource at which acting and not acting are equally good.
 
 At a constant price the policy of one agent is optimal on an interval of prices, on which values are linear in the
-price. Starting with an agent that acts wherever it may, which is optimal at a very low price, the price is raised to
-the end of the interval, where one state changes its action. That price is the state's index if the state stops acting.
-The agent is indexable if no state ever starts to act again (Whittle, "Restless bandits: activity allocation in a
-changing world", Journal of Applied Probability 25A, 1988).
+price. Starting with the policy that is optimal at a very low price, which uses as much of the resource as it can, the
+price is raised to the end of the interval, where one state changes its action. That price is the state's index if the
+state stops acting. The agent is indexable if no state ever starts to act (Whittle, "Restless bandits: activity
+allocation in a changing world", Journal of Applied Probability 25A, 1988).
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from planner.system.arrays import outline, read_only
 
 from .agents import Agents, Floats
 
+SAME = 1e-9
+"""Rates of change, gains and differences of prices up to this size count as 0; others are far above rounding errors."""
+
 
 @dataclass(frozen=True, eq=False)
 class WhittleIndex:
@@ -26,7 +29,8 @@ class WhittleIndex:
     Attributes
     ----------
     index : float array, shape (K, S)
-        Price per unit of the resource from which on acting is not better; minus infinity where it is not allowed.
+        Price per unit of the resource from which on acting is not better; minus infinity where it is not allowed, or
+        better at no price.
     indexable : bool array, shape (K,)
         Whether the states in which an agent acts only become fewer as the price rises. The index is defined for these.
     """
@@ -64,15 +68,14 @@ def whittle_index(agents: Agents) -> WhittleIndex:
     place = whole.row // (K * S), whole.row // S % K, whole.row % S, whole.col % S
     np.add.at(P, place, whole.data)
     index, good = np.full((K, S), -np.inf), np.ones(K, dtype=bool)
-    active = agents.allowed[:, 1].copy()
+    active = _at_a_low_price(agents, P, unit)
     price = np.full(K, -np.inf)
-    alone = ~agents.allowed[:, 0]
     # A flip after which a state acts again is a sign of an agent that is not indexable; the number of flips is bounded.
     for _ in range(4 * S):
-        open_ = np.flatnonzero((active & ~alone).any(axis=1) & good)
+        open_ = np.flatnonzero(active.any(axis=1) & good)
         if not len(open_):
             break
-        step, start = _next_change(agents, P, active, alone, price, unit, open_)
+        step, start = _next_change(agents, P, active, price, unit, open_)
         for k, s, at, begins in zip(open_, *step, start, strict=True):
             if begins or not np.isfinite(at):
                 good[k] = False
@@ -80,36 +83,57 @@ def whittle_index(agents: Agents) -> WhittleIndex:
             price[k] = at
             index[k, s] = at
             active[k, s] = False
-    good[(active & ~alone).any(axis=1)] = False
-    index[alone] = np.inf
+    good[active.any(axis=1)] = False
     return WhittleIndex(index, good)
 
 
-def _next_change(
-    agents: Agents, P: Floats, active: NDArray[np.bool_], alone: NDArray[np.bool_], price: Floats, unit: Floats,
-    kinds: NDArray[np.int64], same: float = 1e-9,
-) -> tuple[tuple[NDArray[np.int64], Floats], NDArray[np.bool_]]:  # fmt: skip
-    """Return for each kind the state that changes its action next, the price, and whether it begins to act.
+def _at_a_low_price(agents: Agents, P: Floats, unit: Floats) -> NDArray[np.bool_]:
+    """Return where each kind acts at a very low price, shape (K, S), by policy iteration.
 
-    Rates of change and differences of prices up to `same` count as 0; larger ones are far above rounding errors.
+    Policies are compared by the discounted units that they use. Of equally good ones, the one with more reward is best.
     """
-    S, acts = P.shape[-1], active[kinds]
-    chosen = np.where(acts[:, :, None], P[1, kinds], P[0, kinds])
-    reward = np.where(acts, agents.R[kinds, 1], agents.R[kinds, 0])
-    use = np.where(acts, unit[kinds, None], 0.0)
+    K, _, S = agents.shape
+    may, tiny = agents.allowed[:, 1], SAME * float(abs(agents.R).max())
+    active = may.copy()
+    for _ in range(10 * S):  # it takes a few rounds; rounding errors may repeat a policy
+        gain, rate = _advantage(agents, P, active, unit, np.arange(K))
+        acts = np.where(abs(rate) > SAME, rate > 0, np.where(abs(gain) > tiny, gain > 0, active)) & may
+        if (acts == active).all():
+            break
+        active = acts
+    return active
+
+
+def _advantage(
+    agents: Agents, P: Floats, active: NDArray[np.bool_], unit: Floats, kinds: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Return `gain` and `rate`, shape (kinds, S): the advantage of acting at a price is gain - price * rate.
+
+    `active`, of the same shape, is the policy of later steps.
+    """
+    S = P.shape[-1]
+    chosen = np.where(active[:, :, None], P[1, kinds], P[0, kinds])
+    reward = np.where(active, agents.R[kinds, 1], agents.R[kinds, 0])
+    use = np.where(active, unit[kinds, None], 0.0)
     found = np.linalg.solve(np.eye(S) - agents.gamma * chosen, np.stack([reward, use], axis=-1))
     ahead = agents.gamma * (P[1, kinds] - P[0, kinds]) @ found
-    gain = agents.R[kinds, 1] - agents.R[kinds, 0] + ahead[..., 0]
-    rate = unit[kinds, None] + ahead[..., 1]
-    # The advantage of acting is gain - price * rate.
-    stops = acts & ~alone[kinds] & (rate > same)
-    starts = ~acts & agents.allowed[kinds, 1] & (rate < -same)
+    return agents.R[kinds, 1] - agents.R[kinds, 0] + ahead[..., 0], unit[kinds, None] + ahead[..., 1]
+
+
+def _next_change(
+    agents: Agents, P: Floats, active: NDArray[np.bool_], price: Floats, unit: Floats, kinds: NDArray[np.int64]
+) -> tuple[tuple[NDArray[np.int64], Floats], NDArray[np.bool_]]:
+    """Return for each kind the state that changes its action next, the price, and whether it begins to act."""
+    acts = active[kinds]
+    gain, rate = _advantage(agents, P, acts, unit, kinds)
+    stops = acts & (rate > SAME)
+    starts = ~acts & agents.allowed[kinds, 1] & (rate < -SAME)
     with np.errstate(divide="ignore", invalid="ignore"):
         at = np.where(stops | starts, gain / rate, np.inf)
     # A state that has just stopped is at an advantage of 0; its rounding errors are no change.
     at = np.where(stops, np.maximum(at, price[kinds, None]), at)
     at[
-        starts & (at <= price[kinds, None] + same * (1 + abs(np.where(np.isfinite(price), price, 0.0)[kinds, None])))
+        starts & (at <= price[kinds, None] + SAME * (1 + abs(np.where(np.isfinite(price), price, 0.0)[kinds, None])))
     ] = np.inf
     state = at.argmin(axis=1)
     rows = np.arange(len(kinds))
