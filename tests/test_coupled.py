@@ -228,6 +228,16 @@ def test_policies_are_below_the_bound(name: str) -> None:
         assert found.gap_percent >= -1
 
 
+def test_a_given_bound_is_for_the_same_units_of_the_resource() -> None:
+    agents = problem(0, 3)
+    solved = bound(agents, 1)
+    assert joint_optimum(agents, 3) > solved.upper
+    with pytest.raises(ValueError, match="resources 3: expected 1, as the given bound is for"):
+        sampled_bound(agents, 3, prices=solved)
+    with pytest.raises(ValueError, match="resources 3: expected 1, as the given bound is for"):
+        certify(agents, "prices", 3, solved=solved)
+
+
 def test_the_whittle_index_is_the_price_of_indifference() -> None:
     checked = 0
     for seed in range(12):

@@ -174,6 +174,21 @@ def bound(
     return _bound_at(agents, limit, found, tail)
 
 
+def bound_for(agents: Agents, resources: float, given: PriceBound | None) -> PriceBound:
+    """Return a given bound, or compute one.
+
+    Raises
+    ------
+    ValueError
+        The given one is for other units of the resource, for which its value and its prices may be too low.
+    """
+    if given is None:
+        return bound(agents, resources)
+    if given.resources != resources:
+        raise ValueError(f"resources {resources:g}: expected {given.resources:g}, as the given bound is for")
+    return given
+
+
 def _arrays(agents: Agents):  # type: ignore[no-untyped-def]
     return agents.P.indptr.astype(np.int64), agents.P.indices.astype(np.int64), agents.P.data
 

@@ -37,7 +37,7 @@ from planner.system.jit import njit
 from ..certify.information_relaxation.confidence import SampledBound
 from ..people.arguments import Seed, entropy, positive, whole
 from .agents import Agents, Floats, Ints
-from .price_bound import PriceBound, bound
+from .price_bound import PriceBound, bound_for
 
 
 def sampled_bound(
@@ -63,11 +63,11 @@ def sampled_bound(
     Raises
     ------
     ValueError
-        An argument is invalid.
+        An argument is invalid, or the bound is for other units of the resource.
     """
     limit = float(resources if resources == 0 else positive("resources", resources))
     count, joint = whole("paths", paths, 2), whole("largest", largest, 1)
-    solved = bound(agents, limit) if prices is None else prices
+    solved = bound_for(agents, limit, prices)
     W, (_, A, S) = len(solved.prices), agents.shape
     reward, use, may = agents.flat
     loss = np.empty((W, *reward.shape))

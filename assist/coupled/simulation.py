@@ -12,7 +12,7 @@ from planner.system.arrays import outline, read_only
 from ..people.arguments import Seed, entropy, whole
 from .agents import Agents, Floats, Ints
 from .policies import CoupledPolicy, policy
-from .price_bound import PriceBound, bound, horizon
+from .price_bound import PriceBound, bound_for, horizon
 
 BLOCK = 2_000_000
 """Number of agents in all runs that are simulated at once; each takes about 100 bytes."""
@@ -152,9 +152,9 @@ def certify(
     Raises
     ------
     ValueError
-        As from `simulate`.
+        As from `simulate`, or the bound is for other units of the resource.
     """
-    upper = bound(agents, resources) if solved is None else solved
+    upper = bound_for(agents, resources, solved)
     return CoupledCertificate(simulate(agents, act, resources, runs=runs, seed=seed, control=upper), upper)
 
 
