@@ -184,6 +184,16 @@ def test_many_claims_hold_by_replay(name: str) -> None:
     assert kinds.count("needed") > 20
 
 
+def test_the_other_action_may_reach_the_goal_at_a_higher_cost() -> None:
+    choices = Choices.of(table("delivery/round-trip"))
+    replayed, kinds = Replayed(table("delivery/round-trip")), set()
+    for state, slot in np.argwhere(choices.applicable & choices.goal[choices.targets] & ~choices.optimal).tolist():
+        if not choices.goal[state]:
+            step, other = choices.name(state, int(choices.optimal[state].argmax())), choices.name(state, slot)
+            kinds.add(replayed.check(state, contrast(choices, state, step, other)))
+    assert kinds == {"none"}
+
+
 def test_a_table_gives_the_same_as_its_choices() -> None:
     for name in ("kitting/paper", "delivery/three-parcels"):
         known = table(name)

@@ -192,12 +192,12 @@ def _of_graphs(
     actions = np.unique(graph_b.action)
     names = [action_name(known, one) for one in actions.tolist()]
     is_step = np.array([name == step for name in names], dtype=np.int32)
-    told_apart = np.array([say(name) != say(step) for name in names])
+    told_apart = np.array([say(name) != say(step) for name in names], dtype=bool)
     fewest_b = graph_b.counts(actions)[0]
     fewest_a = graph_a.counts(actions)[0] + is_step
     most_a = graph_a.counts(actions, most=True)[0] + is_step
     # An action that would not be done otherwise says more than one that would be done less often.
-    fresh = (most_a == 0) & np.array([name != alternative for name in names])
+    fresh = (most_a == 0) & np.array([name != alternative for name in names], dtype=bool)
     needed = (fewest_b > fewest_a) & told_apart
     some = needed if needed.any() else fresh & told_apart
     if not some.any():
