@@ -407,6 +407,19 @@ def test_a_single_episode_has_no_bars(team_sizes: pd.DataFrame, categories: pd.D
         assert not any("interval" in text or "deviation" in text for text in words_below)
 
 
+def test_an_episodes_picture_counts_what_the_robot_executes(tiny_choices: Choices) -> None:
+    pool = Pool.sample(tiny_choices, 3, seed=2, setting=Setting(execute=True, c_execute=0.1, c_move=0.1))
+    trace = Trace()
+    [episode] = simulate(pool, "priority", humans=2, episodes=[0], seed=7, trace=trace)
+    assert any(row["action"] is None for row in trace)
+    suggested = sum(row["suggestion"] is not None for row in trace)
+    figure = episode_figure(episode, trace)
+    counts = f"suggestions: {suggested}, executed by the robot: {sum(episode.executed)}, moves: {episode.moves}"
+    assert counts in " ".join(figure.get_suptitle().split())
+    said = [next(text.get_text() for text in axis.texts if "after" in text.get_text()) for axis in figure.axes]
+    assert said == [f"finished after {count} action{'s' * (count != 1)}" for count in episode.actions]
+
+
 @pytest.mark.parametrize("people", [1, 3, 12])
 @pytest.mark.slow
 def test_words_of_an_episodes_picture_do_not_cover_each_other(pool: Pool, people: int) -> None:

@@ -41,9 +41,12 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
     alone_steps = max((row["step"] for row in alone or []), default=0) + 1
     shown = max(steps, min(alone_steps, 2 * steps))  # a person in a trap would squeeze the rest
     highest = max(row["cost_to_go"] or 0 for row in [*trace, *(r for r in alone or [] if r["step"] < shown)])
+    executed = sum(episode.executed)
     title = textwrap.fill(
         f"Episode {episode.episode} under the policy '{episode.policy}': {sum(episode.actions)} human actions, "
-        f"suggestions: {episode.interventions}, moves: {episode.moves}",
+        f"suggestions: {episode.interventions - executed}, "
+        + (f"executed by the robot: {executed}, " if executed else "")
+        + f"moves: {episode.moves}",
         100,
     )
     above = 0.55 + 0.2 * (title.count("\n") + 1)  # inches
@@ -94,7 +97,7 @@ def _about(axis: Axes, episode: Episode, place: int, rows: Trace, alone: Trace) 
         (f"expertise β = {beta:.2f}", "#555555"),
         (f"initial influence θ = {theta:.2f}", "#555555"),
         (f"misconception σ = {sigma:.2f}", "#555555"),
-        (f"{_ending(rows)} action{'s' * (len(rows) != 1)}", BLUE),
+        (f"{_ending(rows)} action{'s' * (_actions(rows) != 1)}", BLUE),
     ]
     if alone:
         lines.append((f"alone {_ending(alone)}", GREY))
@@ -104,7 +107,12 @@ def _about(axis: Axes, episode: Episode, place: int, rows: Trace, alone: Trace) 
 
 
 def _ending(rows: Trace) -> str:
-    return f"{'finished' if rows[-1]['cost_to_go_after'] == 0 else 'not finished'} after {len(rows)}"
+    return f"{'finished' if rows[-1]['cost_to_go_after'] == 0 else 'not finished'} after {_actions(rows)}"
+
+
+def _actions(rows: Trace) -> int:
+    """Return the number of a person's own actions; a robot may reach the goal before the person acts."""
+    return sum(row["action"] is not None for row in rows)
 
 
 def _short(name: str, most: int = 80) -> str:
