@@ -310,6 +310,12 @@ def test_costs_whose_sums_no_array_holds():
         sweep(counter(2, costs=(1, 10**12 + 1)))
 
 
+def test_sums_of_costs_that_no_float_holds():
+    """A plan of 16,383 actions costs 16,382,999,999,983,617, which a float would round to another number."""
+    with pytest.raises(LimitError, match="sums of costs are too large; expected less than 9007199254740992"):
+        sweep(counter(14, costs=(10**12 - 1,) * 14))
+
+
 def wide(bits: int) -> Task:
     """Two states' worth of change among many variables, or a hundred."""
     variables = tuple(Variable(f"var{v}", (f"Atom zero({v})", f"Atom one({v})"), -1) for v in range(bits))

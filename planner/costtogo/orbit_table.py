@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..grounding.task import Task
 from ..search.backward_search import distances
-from ..search.distances import UNREACHED, as_floats, compact, is_dead_end
+from ..search.distances import EXACT, UNREACHED, as_floats, compact, is_dead_end
 from ..search.forward_search import explore
 from ..search.state_registry import RegistryIndex, RegistrySpace
 from ..search.symmetry.automorphisms import symmetries
@@ -119,8 +119,8 @@ def orbits(
     free = min(task.costs) == 0
     # Every action adds 1 to a multiple that exceeds the length of any optimal plan, which visits no orbit twice.
     long = len(space) + 1
-    prices = [cost * long + 1 for cost in space.costs.tolist()] if free else None
-    distance, lengths = distances(space, task.goal, budget, threads, report, prices), None
+    prices, largest = ([cost * long + 1 for cost in space.costs.tolist()], EXACT * long) if free else (None, EXACT)
+    distance, lengths = distances(space, task.goal, budget, threads, report, prices, min(largest, 1 << 63)), None
     if free:
         dead = is_dead_end(distance)
         price = distance.astype(np.int64)

@@ -18,7 +18,7 @@ from ..states.packing import Ints
 from ..system.limits import Budget, CostLimitError
 from ..system.progress_reports import Progress
 from ..system.threads import on_threads
-from .distances import compact, retyped, smallest_type
+from .distances import EXACT, compact, retyped, smallest_type
 from .search_space import SearchSpace, check
 
 
@@ -29,14 +29,15 @@ def distances(
     threads: int,
     progress: Progress,
     costs: Sequence[int] | None = None,
+    largest_sum: int = EXACT,
 ) -> NDArray[np.unsignedinteger]:
     """Return the distance of every state from the goal, shape (n,), in the smallest type.
 
     The states of the space have been found. The largest value of the type marks dead ends. `progress` is called after
     each bucket with "cost-to-go", the number of states settled, and their total. `costs` replace `space.costs`, in the
-    same order. If their sums take more than 63 bits, this raises a `CostLimitError`.
+    same order. Sums of costs must stay below `largest_sum`, at most 2^63; if they do not, this raises a
+    `CostLimitError`.
     """
-    largest_sum = 1 << 63  # sums of costs must stay below this, since they are computed in 64 bits
     costs = space.costs.tolist() if costs is None else costs
     total, dearest = len(space), max(costs, default=0)
     if dearest >= largest_sum:

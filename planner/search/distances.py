@@ -10,6 +10,9 @@ from ..states.packing import Ints
 UNREACHED = np.iinfo(np.int64).max
 """Distance of states from which no goal state is reachable."""
 
+EXACT = 1 << 53
+"""Distances must stay below this, since they are handed on as floats, which are exact up to it."""
+
 
 def smallest_type(largest: int) -> type[np.unsignedinteger]:
     """Return the smallest type for distances up to `largest`; its own largest value is reserved for dead ends."""
