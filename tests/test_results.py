@@ -98,6 +98,15 @@ def test_what_an_answer_depends_on(
     assert kept(tmp_path / "out", asked, options=options) == again
 
 
+def test_a_file_that_was_changed_only_while_it_was_solved_is_solved_again(tmp_path: Path, instance: Instance) -> None:
+    results = Results(tmp_path / "out", [instance], OPTIONS, resume=False)
+    instance.problem.write_text(HALF)
+    results.add(solve_instance(instance, OPTIONS, results.place(instance)))
+    results.finish([instance])
+    instance.problem.write_text(TINY)
+    assert kept(tmp_path / "out", instance) == set()
+
+
 @pytest.mark.parametrize("ending", ["npz", "plan"])
 @pytest.mark.parametrize("damage", ["missing", "cut"])
 def test_damaged_tables_and_plans_are_made_again(ending: str, damage: str, tmp_path: Path, instance: Instance) -> None:

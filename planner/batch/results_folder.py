@@ -36,7 +36,7 @@ class Results:
         Results in the folder without `resume` raise a `ResultsExistError`, and files that are not results of this
         program a `DamagedFileError`.
         """
-        self._folder = folder
+        self._folder, self._options = folder, options
         results, prints = folder / RESULTS, folder / FINGERPRINTS
         if results.exists() and not resume:
             raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
@@ -73,12 +73,15 @@ class Results:
     def add(self, record: SolveRecord, *, lasting: bool = True) -> None:
         """Add a record, which replaces an earlier one of the instance.
 
-        A later run keeps the record only if it is `lasting`, that is, if its table and plan have been saved.
+        A later run keeps the record only if it is `lasting`, that is, if its table and plan have been saved, and if the
+        instance's files have not been changed since this run began: nobody knows which of their contents was solved.
         """
         if not lasting:
             append_record(self._folder / RESULTS, record)
             return
         line = self._lines[_key_of(record)]
+        if fingerprint(Instance(record["instance"], record["domain"]), self._options) != line["fingerprint"]:
+            line["fingerprint"] = None
         line |= {"files": self._sizes(line), "record": _digest(record)}
         append_record(self._folder / FINGERPRINTS, line)  # first: a record without a fingerprint would not be kept
         append_record(self._folder / RESULTS, record)
