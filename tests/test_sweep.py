@@ -428,6 +428,23 @@ def test_a_saved_table_is_opened_without_being_read(tmp_path):
         open_table(file)
 
 
+@pytest.mark.parametrize("damage", ["bytes are missing", "another zip", "an open bracket"])
+def test_a_damaged_table_is_said_to_be_one(tmp_path, damage):
+    file = tmp_path / "table.npz"
+    save_table(file, sweep(counter(9)))
+    content = bytearray(file.read_bytes())
+    match damage:
+        case "bytes are missing":
+            del content[100:140]
+        case "another zip":  # of a later version: the field of the first entry of the central directory
+            content[content.index(b"PK\x01\x02") + 6] = 75
+        case "an open bracket":
+            content[content.index(b"}")] = ord("(")
+    file.write_bytes(content)
+    with pytest.raises(DamagedFileError, match=r"table\.npz.*no table"):
+        open_table(file)
+
+
 def test_a_table_whose_arrays_do_not_belong_together_is_refused(tmp_path):
     """A file as another version might write it: without an array, or with another shape, type or field."""
     file = tmp_path / "table.npz"

@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, Literal
 
 import numpy as np
@@ -115,7 +116,7 @@ def open_table(file: str | Path) -> SavedTable:
             members = archive.infolist()
             arrays = {member.filename.removesuffix(".npy"): _mapped(file, stream, member) for member in members}
         return _table(arrays)
-    except (zipfile.BadZipFile, KeyError, ValueError, IndexError) as error:
+    except (zipfile.BadZipFile, NotImplementedError, TokenError, TypeError, KeyError, ValueError, IndexError) as error:
         raise DamagedFileError(file, None, f"no table of costs-to-go ({error})") from None
 
 
@@ -148,6 +149,8 @@ def _table(arrays: Mapping[str, NDArray[Any]]) -> SavedTable:
 def _mapped(file: Path, stream: io.BufferedReader, member: zipfile.ZipInfo) -> NDArray[Any]:
     """Return an array of an archive, memory-mapped."""
     local_header = 30  # bytes of a file's local header in a ZIP archive, before the file name
+    if member.header_offset < 0:
+        raise ValueError(f"{member.filename} begins before the file")
     stream.seek(member.header_offset)
     header = stream.read(local_header)
     # The file name and an extra field follow; the last two numbers of the header are their lengths.
