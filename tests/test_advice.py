@@ -188,6 +188,9 @@ ROW: dict[str, object] = {
 }  # fmt: skip
 
 
+LATER = ROW | {"trial": 3}
+
+
 def test_a_file_is_read(tmp_path: Path) -> None:
     file = write(tmp_path / "log.csv", ROW, ROW | {"trial": 1, "sequence": "p1-b", "advice": 0})
     own, one = read_advice(file), read_advice(file, confidence="one")
@@ -205,6 +208,8 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ({"advice": 2}, ":2: advice 2; expected 0 to 1"),
         ({"advice": 0.5}, ":2: advice 0.5; expected 0 or 1"),
         ({"trial": ""}, ":2: trial ''; expected a number"),
+        ({"person": ""}, ":2: person ''; expected a name"),
+        ({"own_confidence": 0.65}, "own_confidence is at most 0.65 in all lines; expected 0 to 100"),
     ],
 )
 def test_a_fault_is_told_with_its_line(tmp_path: Path, change: dict[str, object], words: str) -> None:
@@ -214,7 +219,7 @@ def test_a_fault_is_told_with_its_line(tmp_path: Path, change: dict[str, object]
 
 def test_an_advisor_may_be_missing_and_feedback_have_another_name(tmp_path: Path) -> None:
     columns = (*(name for name in COLUMNS if name not in ("sequence", "feedback_shown")), "feedback")
-    log = read_advice(write(tmp_path / "log.csv", ROW | {"feedback": 1}, ROW | {"feedback": 0}, columns=columns))
+    log = read_advice(write(tmp_path / "log.csv", ROW | {"feedback": 1}, LATER | {"feedback": 0}, columns=columns))
     assert (log.shown.tolist(), log.sequence.tolist()) == ([True, False], [0, 0])
 
 
@@ -225,3 +230,27 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
         read_advice(write(tmp_path / "log.csv", ROW), only="person=nobody")
     with pytest.raises(InputFileError, match="No such file"):
         read_advice(tmp_path / "none.csv")
+
+
+def test_a_trial_is_there_once(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    with pytest.raises(InputFileError, match=r":4: trial 2 of p1 is on line 2 already"):
+        read_advice(write(file, ROW, LATER, ROW))
+    other = ROW | {"sequence": "p1-b"}  # trials may be counted for each advisor
+    assert len(read_advice(write(file, ROW, LATER, other))) == 3
+
+
+def test_two_columns_with_one_name_are_refused(tmp_path: Path) -> None:
+    for twice in ("advice", "advice_confidence"):
+        file = write(tmp_path / "log.csv", ROW | {"advice_confidence": 70}, columns=(*COLUMNS, twice, twice))
+        with pytest.raises(InputFileError, match=rf":1: two columns '{twice}'; expected one"):
+            read_advice(file, confidence="one")
+
+
+def test_the_advisors_confidence_is_refused_where_it_has_no_effect(tmp_path: Path) -> None:
+    columns = (*COLUMNS, "advice_confidence")
+    file = write(tmp_path / "log.csv", ROW | {"advice_confidence": 70}, columns=columns)
+    assert read_advice(file, confidence="one").advice_confidence == pytest.approx(-0.1)
+    with pytest.raises(InputFileError, match="advice_confidence is not used with confidences about the own choice"):
+        read_advice(file)
+    assert len(read_advice(write(file, ROW, columns=columns))) == 1

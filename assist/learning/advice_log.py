@@ -1,7 +1,8 @@
 """Logs of judgements with advice: people choose, see advice, and choose again.
 
 Such data tell how people take advice where no task in PDDL is involved. A log is a CSV file with a line for each
-judgement and the columns of `COLUMNS`; other columns are ignored. Choices are 0 or 1.
+judgement and the columns of `COLUMNS`; `OPTIONAL` is used where confidences are about choice 1, and other columns are
+ignored. Choices are 0 or 1.
 """
 
 from __future__ import annotations
@@ -99,7 +100,8 @@ def read_advice(
     Raises
     ------
     InputFileError
-        A column is missing, or a line has no number where one is expected; with the file and the line.
+        A column is missing or there twice, a line has no number where one is expected, a trial is there twice, or no
+        confidence exceeds 1; with the file and the line.
     """
     path = Path(file)
     try:
@@ -110,6 +112,9 @@ def read_advice(
             missing = [name for name, own in names.items() if own not in header and name != ONE_ADVISOR]
             if missing:
                 raise InputFileError(f"{path}:1: no column '{missing[0]}'; expected {', '.join(COLUMNS)}")
+            twice = next((name for name in (*names.values(), OPTIONAL) if list(header).count(name) > 1), None)
+            if twice is not None:
+                raise InputFileError(f"{path}:1: two columns '{twice}'; expected one")
             rows = [
                 (reader.line_num, row | {name: row.get(own) or "" for name, own in names.items()}) for row in reader
             ]
@@ -133,6 +138,19 @@ def read_advice(
             raise InputFileError(f"{path}:{line}: {name} {value:g}; expected 0 to {most:g}")
         return value
 
+    if confidence == "own" and any(row.get(OPTIONAL) for _, row in rows):
+        wanted = "confidences about choice 1 (confidence 'one'), or no such column"
+        raise InputFileError(
+            f"{path}:1: {OPTIONAL} is not used with confidences about the own choice; expected {wanted}"
+        )
+    seen: dict[tuple[str, str, float], int] = {}
+    for line, row in rows:
+        if not row["person"].strip():
+            raise InputFileError(f"{path}:{line}: person ''; expected a name")
+        trial = number(line, row, "trial", np.inf)
+        first_line = seen.setdefault((row["person"], row["sequence"], trial), line)
+        if first_line != line:
+            raise InputFileError(f"{path}:{line}: trial {trial:g} of {row['person']} is on line {first_line} already")
     rows.sort(key=lambda entry: (entry[1]["person"], number(entry[0], entry[1], "trial", np.inf)))
 
     def flag(line: int, row: dict[str, str], name: str) -> bool:
@@ -146,6 +164,8 @@ def read_advice(
         np.array([flag(line, row, name) for line, row in rows], dtype=bool) for name in flags
     )
     stated = np.array([number(line, row, "own_confidence", 100) for line, row in rows])
+    if 0 < stated.max() <= 1:
+        raise InputFileError(f"{path}: own_confidence is at most {stated.max():g} in all lines; expected 0 to 100")
     sure = stated / 100 if confidence == "own" else np.where(own, 1, -1) * (stated - 50) / 50
     advised = np.array(
         [
