@@ -158,6 +158,31 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
     assert invoke("bound", TINY, "--humans", 2, "--population", file).exit_code == 2
 
 
+def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_path: Path) -> None:
+    parts = [{"share": 1.0, "beta": [0.2, 0.5], "theta": [0.4, 0.6], "sigma": [0.0, 0.0]}]
+    file = tmp_path / "people.json"
+    file.write_text(json.dumps({"parts": parts, "eta": 0.9, "utility_scale": 2.0}))
+    without = tmp_path / "without.json"
+    without.write_text(json.dumps({"parts": parts, "eta": None}))
+
+    def simulated(*options: object) -> tuple[dict, list]:
+        found = invoke("simulate", TINY, "--humans", 2, "--policy", "reactive", "--episodes", 20, "--json", *options)
+        assert found.exit_code == 0, found.stderr
+        out = json.loads(found.stdout)
+        return out["setting"], out["policies"]
+
+    setting, results = simulated("--population", file)
+    assert (setting["eta"], setting["utility_scale"]) == (0.9, 2.0)
+    assert results == simulated("--population", without, "--eta", 0.9, "--utility-scale", 2.0)[1]
+    for options in (("--eta", 0.2), ("--utility-scale", 1), ("--trust", "constant")):
+        setting, results = simulated("--population", file, *options)
+        assert (setting["eta"], setting["utility_scale"]) == (0.2, 1.0)
+        assert results == simulated("--population", without, *options)[1]
+    file.write_text(json.dumps({"parts": parts, "eta": "high"}))
+    refused = invoke("simulate", TINY, "--humans", 2, "--population", file)
+    assert (refused.exit_code, f"--population {file}: eta 'high'" in refused.stderr) == (2, True), refused.stderr
+
+
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [

@@ -98,7 +98,7 @@ class FittedPeople(Mapping[str, PersonEstimate]):
         if self.hierarchy is not None:
             if family not in (None, "log-normal"):
                 raise ValueError(f"family '{family}': expected log-normal, which beta is taken to be where terms are")
-            return population_of(self.hierarchy)
+            return replace(population_of(self.hierarchy), utility_scale=self.method.utility_scale)
         assert callable(progress)
         observations = [record.fit.observations for record in self.records]
         advance = adding(progress, "fitting the population", ETAS)

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import chdtri, logit, ndtr
 
+from ..people.arguments import number
 from ..people.decision import NOTHING, Floats
 from ..people.human import Population, Range
 from ..people.mixture import Mixture
@@ -116,6 +117,8 @@ class PopulationFit:
         Mean and standard deviation of each term's weight; empty without terms.
     trust : dict, optional
         The trust rule, as `people.trust_rules.plain_rule` writes it, if it was fitted.
+    utility_scale : float
+        Unit of value in the trust update of which `eta` is the rate, in cost units.
     """
 
     people: int
@@ -126,6 +129,7 @@ class PopulationFit:
     shares: Floats
     weights: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     trust: Mapping[str, Any] | None = None
+    utility_scale: float = 1.0
 
     def __post_init__(self) -> None:
         self.shares.flags.writeable = False
@@ -167,6 +171,7 @@ class PopulationFit:
             "beta": asdict(self.beta),
             "theta": None if self.theta is None else asdict(self.theta),
             "eta": self.eta,
+            **({} if self.eta is None or self.utility_scale == 1 else {"utility_scale": self.utility_scale}),
             "log_likelihood": self.log_likelihood,
             **({"weights": {name: list(one) for name, one in self.weights.items()}} if self.weights else {}),
             **({} if self.trust is None else {"trust": dict(self.trust)}),
@@ -216,6 +221,20 @@ def trust_of(record: dict[str, Any]) -> Shipped | None:
     if not isinstance(plain, dict):
         raise ValueError(f"trust {plain!r}; expected an object as `kitassist fit --trust --population` writes it")  # noqa: TRY004
     return rule_of(plain)
+
+
+def rate_of(record: dict[str, Any]) -> dict[str, float]:
+    """Return the rate of the trust update of a `PopulationFit.as_dict`, with its unit; empty if none was estimated.
+
+    Raises
+    ------
+    ValueError
+        An entry is no number.
+    """
+    if record.get("eta") is None:
+        return {}
+    found = {"eta": record["eta"], "utility_scale": record.get("utility_scale", 1.0)}
+    return {name: number(name, value) for name, value in found.items()}
 
 
 def fit_population(
@@ -293,8 +312,9 @@ def fit_population(
         for k in range(1 + told)
     ]  # fmt: skip
     return PopulationFit(
-        len(observations), margins[0], margins[1] if told else None, eta if known else None, score + top, shares
-    )
+        len(observations), margins[0], margins[1] if told else None, eta if known else None, score + top, shares,
+        utility_scale=method.utility_scale,
+    )  # fmt: skip
 
 
 def population_of(found: Hierarchy) -> PopulationFit:

@@ -140,7 +140,7 @@ def person_problem(
             problem = PersonProblem.of(
                 known, states=states, population=population, sigma=sigma, execute=execute, time_limit=time_limit,
                 memory_limit_mb=memory_limit,
-                progress=advance, **with_rule_of(population_file, setting),
+                progress=advance, **with_rule_of(population_file, setting, rate=True),
             )  # fmt: skip
     except ValueError as error:
         raise click.UsageError(str(error)) from None

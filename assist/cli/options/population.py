@@ -101,8 +101,11 @@ def read_population(file: Path) -> Mixture:
     return populations.mixture(_record(file))
 
 
-def with_rule_of(file: Path | None, setting: dict[str, Any]) -> dict[str, Any]:
+def with_rule_of(file: Path | None, setting: dict[str, Any], *, rate: bool = False) -> dict[str, Any]:
     """Return the options of a `Setting`, with the trust rule of a population file if it has one.
+
+    With `rate`, a file without a rule gives the rate of equation 7 that was estimated, unless options set it. That is
+    for simulated people, as theta of real people stays unless a rule is given.
 
     Raises
     ------
@@ -115,11 +118,12 @@ def with_rule_of(file: Path | None, setting: dict[str, Any]) -> dict[str, Any]:
     from ...people.trust_rules import EquationSeven
 
     try:
-        rule = populations.trust_of(_record(file))
+        rule, estimated = populations.trust_of(record := _record(file)), populations.rate_of(record)
     except ValueError as error:
         raise click.UsageError(f"--population {file}: {error}") from None
     if rule is None:
-        return setting
+        own = is_given("eta") or is_given("utility_scale") or setting.get("trust") not in (None, "paper")
+        return setting | estimated if rate and not own else setting
     for name in ("trust", "eta", "utility_scale"):
         if is_given(name):
             raise click.UsageError(f"--population {file} also sets --{name.replace('_', '-')}; expected one of them")

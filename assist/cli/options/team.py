@@ -113,7 +113,7 @@ def team_of(
     found = one_instance(instance, domain)
     known = goals or costs_of(found, max_states=max_states, memory_limit_mb=None)
     try:
-        travel = travel_of(chosen := Setting(**with_rule_of(population_file, setting)), humans, distances)
+        travel = travel_of(chosen := Setting(**with_rule_of(population_file, setting, rate=True)), humans, distances)
         pool = Pool.sample(
             known, size, seed=seed, setting=chosen, population=population, prior=believed,
             memory_limit_mb=memory_limit, states=region_states,
