@@ -320,6 +320,20 @@ def test_who_does_not_finish_counts_in_completion_and_has_the_worst_rank(tmp_pat
     assert (likert["item"], likert["effect"], likert["n"]) == ("rely", 1.0, 5)
 
 
+def test_tests_within_participants_say_how_many_pairs_they_compare(tmp_path: Path) -> None:
+    """Six people have both conditions, and two left after the first one."""
+    rows, people = [], []
+    for number in range(8):
+        first, second = ("none", "attention") if number % 2 else ("attention", "none")
+        for period, name in enumerate((first, second)[: 2 if number < 6 else 1], start=1):
+            rows.append((f"{first} > {second}", name, period, 9.0 + number * period, 2 + number % 3 + period))
+            people.append(f"P{number}")
+    summary = summarise(study_with(tmp_path, WITHIN), rows_of(rows, who=people.__getitem__))
+    cells = {cell["condition"]: cell["n"] for cell in summary["measures"][0]["cells"]}
+    assert cells == {"none": 7, "attention": 7}
+    assert {one["n"] for one in [*summary["worst_rank"], *summary["likert"]]} == {6}
+
+
 def test_alpha_is_that_of_each_condition_where_participants_answer_in_several(tmp_path: Path) -> None:
     """Answers of one participant are not independent."""
     rng = np.random.default_rng(6)

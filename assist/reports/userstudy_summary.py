@@ -278,6 +278,11 @@ def _ranked(study: UserStudy, own: dict[str, float], reference: dict[str, float]
     return signed_rank([x - y for x, y in values]) if values else None
 
 
+def _compared_by_ranks(study: UserStudy, own: dict[str, float], reference: dict[str, float]) -> int:
+    """Return how many units of a condition `_ranked` compares: within participants, those with both values."""
+    return len(own.keys() & reference.keys()) if study.is_within else len(own)
+
+
 def _worst_rank(study: UserStudy, name: str, tables: Tables) -> Iterator[Row]:
     """Yield comparisons of a measure in which participants who did not finish have the worst rank."""
     values: dict[str, dict[str, float]] = {one.name: {} for one in study.conditions}
@@ -287,7 +292,10 @@ def _worst_rank(study: UserStudy, name: str, tables: Tables) -> Iterator[Row]:
     values = _of_units(tables, values)
     for condition, own in values.items():
         if condition != study.reference and (found := _ranked(study, own, values[study.reference])):
-            yield {"measure": name, "condition": condition, "n": len(own), "p": finite(found.p), "effect": found.effect}
+            yield {
+                "measure": name, "condition": condition, "n": _compared_by_ranks(study, own, values[study.reference]),
+                "p": finite(found.p), "effect": found.effect,
+            }  # fmt: skip
 
 
 def _likert(study: UserStudy, one: Questionnaire, tables: Tables) -> Iterator[Row]:
@@ -304,7 +312,8 @@ def _likert(study: UserStudy, one: Questionnaire, tables: Tables) -> Iterator[Ro
         for condition, own in values.items():
             if condition != study.reference and (found := _ranked(study, own, values[study.reference])):
                 yield {
-                    "questionnaire": one.name, "item": item.name, "condition": condition, "n": len(own),
+                    "questionnaire": one.name, "item": item.name, "condition": condition,
+                    "n": _compared_by_ranks(study, own, values[study.reference]),
                     "p": finite(found.p), "effect": finite(found.effect),
                 }  # fmt: skip
 
