@@ -214,10 +214,14 @@ def test_teams_options_that_cannot_be(tmp_path: Path) -> None:
     folder = tmp_path
     (folder / "far.json").write_text("[[0, 1], [1, 0]]")
     (folder / "no.json").write_text('{"a": 1}')
+    (folder / "null.json").write_text("null")
+    (folder / "text.json").write_text(json.dumps([[0, "1", 1, 1], [1, 0, 1, 1], [1, 1, 0, 1], [1, 1, 1, 0]]))
     tiny = str(KITTING / "tiny.pddl")
     for options, complaint in (
         (["--distances", str(folder / "far.json")], "distance, shape (2, 2): expected (4, 4)"),
         (["--distances", str(folder / "no.json")], "expected a list of lists of numbers"),
+        (["--distances", str(folder / "null.json")], "expected a list of lists of numbers"),
+        (["--distances", str(folder / "text.json")], '"1": expected a number'),
         (["--travel-time", "-1"], "travel_time -1: expected a number from 0"),
         (["--gamma", "1"], "gamma 1"),
     ):

@@ -158,6 +158,34 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
     assert invoke("bound", TINY, "--humans", 2, "--population", file).exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("command", "options", "words"),
+    [
+        ("simulate", ("--goal-knowledge", "known"), "--goal-knowledge has no effect without --goals"),
+        ("simulate", ("--c-execute", 0.5), "--c-execute has no effect without --execute"),
+        ("policy", ("--c-execute", 0.5), "--c-execute has no effect without --execute"),
+        ("bound", ("--trust", "constant", "--eta", 0.5), "--eta has no effect with --trust constant"),
+        ("policy", ("--trust", "constant", "--eta", 0.5), "--eta has no effect with --trust constant"),
+        (
+            "simulate",
+            ("--trust", "outcome", "--utility-scale", 2),
+            "--utility-scale has no effect with --trust outcome",
+        ),
+    ],
+)
+def test_options_without_an_effect_are_refused(command: str, options: tuple[object, ...], words: str) -> None:
+    team = () if command == "policy" else ("--humans", 2)
+    result = invoke(command, TINY, *team, *options)
+    assert (result.exit_code, result.stdout, words in " ".join(result.stderr.split())) == (2, "", True), result.stderr
+
+
+def test_the_cost_of_execution_is_that_of_robots_that_execute() -> None:
+    result = invoke(
+        "simulate", TINY, "--humans", 2, "--episodes", 2, "--robots", "[{execute = true}, {}]", "--c-execute", 0.5
+    )
+    assert (result.exit_code, result.stderr) == (0, ""), result.stderr
+
+
 def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_path: Path) -> None:
     parts = [{"share": 1.0, "beta": [0.2, 0.5], "theta": [0.4, 0.6], "sigma": [0.0, 0.0]}]
     file = tmp_path / "people.json"

@@ -466,6 +466,20 @@ def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
         (("--confidence", "one"), "--confidence: expected --advice as well"),
         (("--advice", "LOG"), "--advice: expected --trust or --compare-trust as well"),
         (("--advice", "LOG", "--trust", "paper"), "INSTANCE has no effect with --advice"),
+        (("--folds", "3"), "--folds has no effect without --compare or --compare-trust"),
+        (("--trust", "paper", "--folds", "3"), "--folds has no effect without --compare or --compare-trust"),
+        (("--compare", "--level", "0.9"), "--level has no effect with --compare"),
+        (("--compare", "--seed", "1"), "--seed has no effect with --compare"),
+        (("--trust", "constant", "--seed", "1"), "--seed has no effect with --trust"),
+        (("--compare-trust", "--seed", "1"), "--seed has no effect with --compare-trust"),
+        (("--trust", "constant", "--eta", "0.1"), "--eta has no effect with --trust constant"),
+        (("--trust", "outcome", "--utility-scale", "2"), "--utility-scale has no effect with --trust outcome"),
+        (("--goals", str(KITTING / "tiny.pddl"), "--seed", "1"), "--seed has no effect with --goals"),
+        (("--people", "people.py:mine", "--seed", "1"), "--seed has no effect with --people"),
+        (
+            ("--advice", "LOG", "--trust", "constant", "--level", "0.9"),
+            "--level has no effect with --advice and --trust",
+        ),
     ],
     ids=lambda given: " ".join(given) if isinstance(given, tuple) else "",
 )
@@ -474,6 +488,18 @@ def test_options_that_exclude_each_other(options: tuple[str, ...], words: str, l
     done = invoke("fit", KITTING / "tiny.pddl", log_file, *given)
     assert done.exit_code == 2
     assert words in done.stderr
+
+
+def test_a_family_of_too_few_people_is_refused(log_file: Path, tmp_path: Path) -> None:
+    rows = [json.loads(line) for line in log_file.read_text().splitlines()]
+    few = sorted({row["person"] for row in rows})[:2]
+    log = tmp_path / "two.jsonl"
+    log.write_text("".join(json.dumps(row) + "\n" for row in rows if row["person"] in few))
+    done = invoke("fit", KITTING / "tiny.pddl", log, "--family", "uniform")
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert "--family: expected a log of 3 people or more, or --population" in done.stderr
+    done = invoke("fit", KITTING / "tiny.pddl", log, "--family", "uniform", "--population", tmp_path / "people.json")
+    assert (done.exit_code, done.stderr) == (0, "")
 
 
 def test_advice_takes_the_place_of_a_log(log_file: Path) -> None:

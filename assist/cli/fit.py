@@ -14,6 +14,7 @@ from .options.common import (
     OUTPUT_FOLDER,
     apart,
     domain_option,
+    refuse_unused,
     separate_files,
 )
 from .options.goals import goal_list_options
@@ -60,6 +61,13 @@ def fit(
     if family and as_json and not population:
         raise click.UsageError("--family: expected --population, since with --json it has no effect otherwise")
     by_rule = trust_of(trust, compare_trust, theta_per_episode, advice, confidence)
+    if not compare and not compare_trust:
+        refuse_unused(["folds"], "without --compare or --compare-trust")
+    if compare:
+        refuse_unused(["level", "seed"], "with --compare")
+    for name, without in {"--goals": problems, "--people": people}.items():
+        if without:
+            refuse_unused(["seed"], f"with {name}")
     kinds = {
         "--goals": problems,
         "--misconception": misconceptions,

@@ -11,7 +11,7 @@ from planner.batch.solve_record import versions
 from planner.system import files
 from planner.system.progress import stages
 
-from .options.common import OUTPUT_FILE, instance_argument, json_option, separate_files
+from .options.common import OUTPUT_FILE, instance_argument, json_option, refuse_unused, separate_files
 from .options.goals import goal_knowledge_option, goal_list_options, question_options, questions_of, several_goals
 from .options.help import command
 from .options.person import observation_options
@@ -62,6 +62,8 @@ def simulate(
     from ..team.plain_setting import plain_setting
     from .output.episode_summaries import show_summaries
 
+    if not problems:
+        refuse_unused(["goal_knowledge"], "without --goals")
     size = size or max(12, team["humans"])
     team |= questions_of(ask, ask_error, problems)
     team["observation"] = ObservationModel(miss, confusion)

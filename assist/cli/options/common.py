@@ -103,6 +103,21 @@ def is_given(name: str) -> bool:
     return click.get_current_context().get_parameter_source(name) in GIVEN
 
 
+def refuse_unused(names: Sequence[str], reason: str) -> None:
+    """Raise a usage error if the user set one of these parameters, which have no effect.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Parameters of the running command; those that it does not have are not given.
+    reason : str
+        Why, such as "without --goals".
+    """
+    for parameter in click.get_current_context().command.params:
+        if parameter.name in names and is_given(parameter.name):
+            raise click.UsageError(f"{parameter.opts[0]} has no effect {reason}")
+
+
 def separate_files(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:
     """Raise an error if two outputs are the same file, or if an output is one of the command's input files.
 

@@ -21,10 +21,11 @@ from .common import (
     domain_option,
     is_given,
     lapse_option,
+    refuse_unused,
     scale_option,
     with_options,
 )
-from .population import people_option, population_of, population_options, with_rule_of
+from .population import people_option, population_of, population_options, refuse_unused_rates, with_rule_of
 from .task import one_instance
 
 TRUST = ("paper", "constant", "outcome", "outcome-at-disagreement", "reliability")
@@ -122,6 +123,9 @@ def person_problem(
     from ...large_tasks.person_problem import PersonProblem, is_whole
     from ...people.goals import each_of
 
+    refuse_unused_rates(setting.get("trust"))
+    if not execute:
+        refuse_unused(["c_execute"], "without --execute")
     found = one_instance(instance, domain)
     population = population_of(beta, theta, file=population_file, people=people)
     known = known_of(found)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ...people import user_code
-from .common import INPUT_FILE, NUMBER, Command, Option, Range, is_given, range_option, with_options
+from .common import INPUT_FILE, NUMBER, Command, Option, Range, is_given, range_option, refuse_unused, with_options
 
 if TYPE_CHECKING:
     from ...people.choice_model import ChoiceModel
@@ -130,6 +130,12 @@ def with_rule_of(file: Path | None, setting: dict[str, Any], *, rate: bool = Fal
     if isinstance(rule, EquationSeven):
         return setting | {"trust": "paper", "eta": rule.eta, "utility_scale": rule.utility_scale}
     return setting | {"trust": rule}
+
+
+def refuse_unused_rates(trust: str | None) -> None:
+    """Raise a usage error if the user set the rate or the unit of equation 7 beside another trust rule."""
+    if trust not in (None, "paper"):
+        refuse_unused(["eta", "utility_scale"], f"with --trust {trust}")
 
 
 def _record(file: Path) -> dict[str, Any]:

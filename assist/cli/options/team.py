@@ -20,11 +20,19 @@ from .common import (
     max_states_option,
     megabytes_option,
     range_option,
+    refuse_unused,
     region_states_option,
     with_options,
 )
 from .person import model_options
-from .population import people_option, population_of, population_options, read_population, with_rule_of
+from .population import (
+    people_option,
+    population_of,
+    population_options,
+    read_population,
+    refuse_unused_rates,
+    with_rule_of,
+)
 from .task import costs_of, one_instance
 from .travel import travel_of, travel_options
 
@@ -101,8 +109,10 @@ def team_of(
     Expected errors end the command in one line.
     """
     from ...simulation.pool import Pool
+    from ...team.robots import best_robots
     from ...team.settings import Setting
 
+    refuse_unused_rates(setting.get("trust"))
     if humans > size:
         raise click.UsageError(f"--humans {humans} is more than --pool {size}")
     population = population_of(beta, theta, sigma, file=population_file, people=people)
@@ -113,7 +123,10 @@ def team_of(
     found = one_instance(instance, domain)
     known = goals or costs_of(found, max_states=max_states, memory_limit_mb=None)
     try:
-        travel = travel_of(chosen := Setting(**with_rule_of(population_file, setting, rate=True)), humans, distances)
+        chosen = Setting(**with_rule_of(population_file, setting, rate=True))
+        if not best_robots(chosen).execute:
+            refuse_unused(["c_execute"], "without --execute")
+        travel = travel_of(chosen, humans, distances)
         pool = Pool.sample(
             known, size, seed=seed, setting=chosen, population=population, prior=believed,
             memory_limit_mb=memory_limit, states=region_states,

@@ -47,6 +47,12 @@ def travel_of(setting: Setting, humans: int, distances: Path | None) -> Travel:
     if distances is None:
         return setting.travel(humans)
     try:
-        return setting.travel(humans, json.loads(distances.read_text(encoding="utf-8")))
+        table = json.loads(distances.read_text(encoding="utf-8"))
+        if not isinstance(table, list) or not all(isinstance(row, list) for row in table):
+            raise ValueError("expected a list of lists of numbers")
+        for cell in (cell for row in table for cell in row):
+            if not isinstance(cell, int | float) or isinstance(cell, bool):
+                raise ValueError(f"{json.dumps(cell)}: expected a number")  # noqa: TRY004
+        return setting.travel(humans, table)
     except ValueError as error:
         raise click.UsageError(f"--distances {distances}: {error}") from None

@@ -7,8 +7,9 @@ from typing import Any, Literal, NamedTuple
 
 import click
 
-from .common import INPUT_FILE, Command, Option, is_given, with_options
+from .common import INPUT_FILE, Command, Option, is_given, refuse_unused, with_options
 from .person import TRUST
+from .population import refuse_unused_rates
 
 Confidence = Literal["own", "one"]
 
@@ -85,6 +86,10 @@ def trust_of(
         An option has no effect together with the others.
     """
     found = TrustOptions(trust, compare_trust, not theta_per_episode, advice, confidence)
+    refuse_unused_rates(trust)
+    for option, given in found.named.items():
+        if given:
+            refuse_unused(["seed"], f"with {option}")
     if theta_per_episode and not found.wanted:
         raise click.UsageError("--theta-per-episode: expected --trust or --compare-trust as well")
     if advice is None:
@@ -93,6 +98,8 @@ def trust_of(
         return found
     if not found.wanted:
         raise click.UsageError("--advice: expected --trust or --compare-trust as well")
+    if trust is not None:
+        refuse_unused(["level"], "with --advice and --trust")
     context = click.get_current_context()
     for parameter in context.command.params:
         if parameter.name and parameter.name not in WITH_ADVICE and is_given(parameter.name):
