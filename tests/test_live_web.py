@@ -6,6 +6,7 @@ import asyncio
 import json
 import re
 import socket
+import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -302,6 +303,33 @@ def test_the_operator_is_told_of_everything(web: Web) -> None:
         while (told := team.receive_json())["seq"] < 3:
             pass
         assert told["people"][0]["steps"] == 1
+
+
+def test_the_operator_sees_what_changes_while_the_view_is_computed(tiny: Table, tmp_path: Path) -> None:
+    web, read, changed = Web(tiny, tmp_path), threading.Event(), threading.Event()
+    entries_of = web.service._entries_of
+
+    def late(people: list[str]) -> dict[str, bytes]:
+        found = entries_of(people)
+        read.set()
+        assert changed.wait(60)
+        return found
+
+    async def run() -> list[dict[str, Any]]:
+        web.service.start()
+        web.service._entries_of = late  # type: ignore[method-assign]
+        first = asyncio.create_task(web.service.team())
+        await asyncio.to_thread(read.wait, 60)
+        await web.service.report(Event("acted", "ann", "(fetch box-a)"))
+        web.service.watch("bob")
+        changed.set()
+        views = [await first, await web.service.team()]
+        await web.service.stop()
+        return [json.loads(view) for view in views]
+
+    before, after = asyncio.run(run())
+    assert [one["person"] for one in before["people"]] == ["ann", "bob"]
+    assert [(one["steps"], one["connected"]) for one in after["people"]] == [(1, False), (0, True)]
 
 
 def test_a_watcher_that_does_not_read_is_dropped_and_nobody_waits(tiny: Table, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import json
 import logging
 import queue
 import threading
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -127,6 +128,7 @@ class Service:
         self.measures, self.bridges = Measures(), dict[str, Bridge]()
         self.changed_settings: Callable[[], list[Event]] | None = None
         self._entries: dict[str, bytes] = {}
+        self._outdated = Counter[str]()  # how often a person's entry has become outdated
         self._watchers: dict[str, set[Watcher]] = {}
         self._operators: set[asyncio.Event] = set()
         self._reports: queue.Queue[tuple[Event | Erasure, asyncio.Future[Outcome]] | None] = queue.Queue(waiting)
@@ -209,7 +211,7 @@ class Service:
             logging.getLogger(__name__).warning("the policy: %s", outlook.fault)
         self.outlook = outlook
         for person, view in changes.items():
-            self._entries.pop(person, None)
+            self._outdate(person)
             if view is None:
                 self.views.pop(person, None)
             else:
@@ -324,8 +326,13 @@ class Service:
             self._watchers.pop(person, None)
         self._connected(person)
 
-    def _connected(self, person: str) -> None:
+    def _outdate(self, person: str) -> None:
+        """Let the operator's next view compute a person's entry anew, and store none that is computed already."""
         self._entries.pop(person, None)
+        self._outdated[person] += 1
+
+    def _connected(self, person: str) -> None:
+        self._outdate(person)
         for operator in self._operators:
             operator.set()
 
@@ -347,15 +354,18 @@ class Service:
 
     async def team(self) -> bytes:
         """Return the operator's view as JSON: all people, the robot and the latest events."""
-        missing = [person for person in self.views if person not in self._entries]
-        if missing:
-            self._entries.update(await asyncio.to_thread(self._entries_of, missing))
+        missing = {person: self._outdated[person] for person in self.views if person not in self._entries}
+        found = await asyncio.to_thread(self._entries_of, list(missing)) if missing else {}
+        for person, entry in found.items():
+            if self._outdated[person] == missing[person]:
+                self._entries[person] = entry
         now = self.outlook
         rest = {"seq": now.events, "paused": now.paused, "robot": now.robot, "log": now.recent}
         rest |= {"time": round(self.session.now(), 3), "fault": now.fault, "tasks": list(self.session.tasks)}
         if len(now.robots) > 1:
             rest["robots"] = now.robots
-        people = b",".join(self._entries[person] for person in self.views if person in self._entries)
+        entries = found | self._entries
+        people = b",".join(entries[person] for person in self.views if person in entries)
         return _json(rest)[:-1] + b',"people":[' + people + b"]}"
 
     def explain(self, person: str, against: str | None = None) -> Explanation:
