@@ -97,7 +97,7 @@ def test_nothing_of_an_erased_person_is_in_the_folder(tiny: Table, fixed: Table,
     before, mine = session.beliefs()["ann"], session.person("ann")
     with pytest.raises(AbsentError, match="nothing is recorded about 'bob'"):
         session.erase("bob", "as asked")
-    for reason in ("", "x" * 201, "bartholomew asked"):
+    for reason in ("", "x" * 201, "bartholomew asked", "asked by BARTHOLOMEW.", "Bartholomew's wish"):
         with pytest.raises(ValueError, match="reason: expected 1 to 200 characters, without the person's name"):
             session.erase("Bartholomew", reason)
     stone = session.erase("Bartholomew", "withdrew by e-mail")
@@ -114,6 +114,16 @@ def test_nothing_of_an_erased_person_is_in_the_folder(tiny: Table, fixed: Table,
     assert session.join("Bartholomew")["steps"] == 0  # somebody new
     session.erase("Bartholomew", "again")
     assert [stone.label for stone in session.tombstones()] == ["(erased 1)", "(erased 2)"]
+    session.close()
+
+
+def test_a_short_name_within_the_words_of_a_reason_is_no_name(tiny: Table, tmp_path: Path) -> None:
+    session = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING)
+    for name, reason in (("e", "withdrew by e-mail"), ("Al", "personal reasons"), ("a.b", "a b")):
+        session.join(name)
+        with pytest.raises(ValueError, match="without the person's name"):
+            session.erase(name, f"as {name.lower()}, wished")
+        assert session.erase(name, reason).reason == reason
     session.close()
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -310,7 +311,8 @@ class Session:
             again.
         """
         reason = " ".join(reason.split())
-        if not 0 < len(reason) <= LONGEST_REASON or person.casefold() in reason.casefold():
+        named = re.search(rf"(?<![\w-]){re.escape(person.casefold())}(?![\w-])", reason.casefold())
+        if named or not 0 < len(reason) <= LONGEST_REASON:
             raise InvalidError(
                 f"reason: expected 1 to {LONGEST_REASON} characters, without the person's name; found {len(reason)}"
             )
