@@ -59,6 +59,23 @@ def test_metrics_are_what_happened(tmp_path: Path) -> None:
     assert "ann" not in answer.text
 
 
+def test_an_action_on_an_older_view_answers_no_suggestion(tmp_path: Path) -> None:
+    """The counts are those of the actions that have a suggestion in the log."""
+    web = Web(kit("tiny"), tmp_path)
+    with web.client:
+        answered = [0]
+        for late in (1, 0, 1, 0):
+            seen = web.ask("GET", "/api/people/ann", "ann").json()
+            assert seen["suggestion"] is not None
+            other = next(action for action in seen["applicable"] if action != seen["suggestion"])
+            assert web.act(other, seq=seen["seq"] - late).status_code == 200
+            found = values(web.ask("GET", "/metrics", None).text)
+            answered.append(int(found["kitassist_suggestions_answered_total", "no"]))
+            assert found["kitassist_suggestions_answered_total", "yes"] == 0
+            assert answered[-1] == sum(row["suggestion"] is not None for row in web.service.session.log())
+    assert answered == [0, 0, 1, 1, 2]
+
+
 def test_metrics_are_for_the_operator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     web = Web(kit("tiny"), tmp_path)
     with web.client:

@@ -119,7 +119,8 @@ class Service:
         self._most_connections = connections
         self.session, self.access, self.tick, self._batch = session, access, tick, batch
         session.changed = self._seen
-        self.views = {person: _json(self.session.person(person)) for person in self.session.people}
+        self._suggested: dict[str, tuple[Any, int]] = {}  # a suggestion, and the `seq` of the first view with it
+        self.views = {person: self._view(person) for person in self.session.people}
         for person in self.views:
             access.token(person)
         self.outlook = self.session.outlook()
@@ -194,9 +195,18 @@ class Service:
         """Update the views of people for whom something changed. The writer calls it after saving the events."""
         for person in touched:
             try:
-                self._changes[person] = _json(self.session.person(person))
+                self._changes[person] = self._view(person)
             except AbsentError:
                 self._changes[person] = None
+                self._suggested.pop(person, None)
+
+    def _view(self, person: str) -> bytes:
+        """Return a person's view as JSON, and note since when they can have seen its suggestion."""
+        view = self.session.person(person)
+        suggested = view["suggestion"], view["task"], view["steps"]
+        if self._suggested.get(person, (None, 0))[0] != suggested:
+            self._suggested[person] = suggested, view["seq"]
+        return _json(view)
 
     def _deliver(
         self,
@@ -241,7 +251,7 @@ class Service:
         """
         future: asyncio.Future[Any] = self._loop.create_future()
         kind = event.kind if isinstance(event, Event) else "erased"
-        before = self.views.get(event.person or "") if kind == "acted" else None
+        before = self.views.get(event.person or "") if self._may_answer(event) else None
         began, outcome = self._loop.time(), "failed"
         try:
             self._reports.put_nowait((event, future))
@@ -259,6 +269,13 @@ class Service:
         if isinstance(event, Event) and event.action is not None:
             self.measures.acted(before, event.action, answer)
         return answer
+
+    def _may_answer(self, event: Event | Erasure) -> bool:
+        """Return whether an event is an action of a person who can have seen what was suggested."""
+        if not isinstance(event, Event) or event.kind != "acted":
+            return False
+        since = self._suggested.get(event.person or "", (None, 0))[1]
+        return event.seen is None or event.followed is not None or event.seen >= since
 
     def unready(self) -> list[str]:
         """Return why the service is not ready to do all its work; empty if it is."""
