@@ -56,6 +56,33 @@ def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
     assert (found["humans"], found["beta"], found["data"]) == (3, (0.5, 2.0), str(tmp_path / "text"))
 
 
+def test_paths_in_a_file_are_relative_to_its_folder(tmp_path: Path) -> None:
+    (folder := tmp_path / "line").mkdir()
+    for name in ("more.pddl", "xx.toml"):
+        (folder / name).write_text("")
+    file = folder / "line.toml"
+    file.write_text("""
+instances = ["more.pddl", "*.pddl", "kitting/tiny"]
+goals = ["more.pddl", "kitting/tiny"]
+goal_prior = ["more.pddl=0.5"]
+language = "xx.toml"
+policy = "own.py:in_turn"
+people = "../own.py:chooses"
+host = "line"
+""")
+    assert read_config(file, serve.params) == {
+        "instances": (str(folder / "more.pddl"), str(folder / "*.pddl"), "kitting/tiny"),
+        "problems": (str(folder / "more.pddl"), "kitting/tiny"),
+        "goal_prior": ("more.pddl=0.5",),
+        "language": str(folder / "xx.toml"),
+        "policy": f"{folder / 'own.py'}:in_turn",
+        "people": f"{folder / '../own.py'}:chooses",
+        "host": "line",
+    }
+    file.write_text('policy = "attention"\nlanguage = "de"')
+    assert read_config(file, serve.params) == {"policy": "attention", "language": "de"}
+
+
 @pytest.mark.parametrize(
     ("line", "environment", "said"),
     [

@@ -6,7 +6,8 @@ variables, such as KITASSIST_C_SUGGEST, override the file; options on the comman
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from glob import glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,6 +16,7 @@ from click.core import ParameterSource
 
 from planner.system.errors import InputFileError, MissingExtraError
 
+from ...people.user_code import parse
 from .common import INPUT_FILE, ROBOTS, Option
 
 if TYPE_CHECKING:
@@ -99,12 +101,37 @@ def _name(option: click.Parameter) -> str:
 
 
 def _beside(file: Path, option: click.Parameter, value: Any) -> Any:
-    """Return a value; a relative path is one from the file's folder."""
+    """Return a value; a relative path in it is one from the file's folder."""
     if isinstance(option.type, click.Path):
         return str(file.parent / value)
-    if isinstance(option, click.Argument):  # a file, or the name of a bundled task
-        return tuple(str(file.parent / one) if (file.parent / one).exists() else one for one in value)
-    return value
+    beside = BESIDE.get(option.name or "")
+    if beside is None:
+        return value
+    return beside(file.parent, value) if isinstance(value, str) else tuple(beside(file.parent, one) for one in value)
+
+
+def _problem_beside(folder: Path, text: str) -> str:
+    """Return the path of problems that are in a folder; other texts, which may name bundled tasks, as they are."""
+    there = (folder / text).exists() or glob(text, root_dir=folder)  # noqa: PTH207  which takes absolute patterns, too
+    return str(folder / text) if there else text
+
+
+def _function_beside(folder: Path, text: str) -> str:
+    """Return FILE.py:FUNCTION with a path from a folder; a name as it is."""
+    place = parse(text, folder)
+    return text if place is None else f"{place[0]}:{place[1]}"
+
+
+def _texts_beside(folder: Path, text: str) -> str:
+    """Return a file of texts with a path from a folder; a language as it is."""
+    return str(folder / text) if text.endswith(".toml") else text
+
+
+BESIDE: dict[str, Callable[[Path, str], str]] = {
+    "instances": _problem_beside, "problems": _problem_beside, "policy": _function_beside, "people": _function_beside,
+    "language": _texts_beside,
+}  # fmt: skip
+"""Options whose texts may be paths, and how these begin in a folder."""
 
 
 def _kinds(options: dict[str, click.Parameter], tables: Sequence[str]) -> type[Struct]:
