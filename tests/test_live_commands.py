@@ -168,6 +168,12 @@ def test_people_are_drawn_from_a_file(begun: Begun, tmp_path: Path) -> None:
         (("--distances", TINY), "--distances"),
         (("--gamma", 2), "gamma"),
         (("--sigma", 2, 1), "sigma range"),
+        (("--sigma", 0.1, 1.0), "--sigma: expected --simulate N as well"),
+        (("--pace", 1), "--pace: expected --simulate N as well"),
+        (("--seed", 1), "--seed: expected --simulate N as well"),
+        (("--keep-people", 30), "--keep-people: expected --people-store FILE as well"),
+        (("--eta", 0.3), "--eta: expected --trust paper as well"),
+        (("--utility-scale", 2, "--trust", "outcome"), "--utility-scale: expected --trust paper as well"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line_before_anything_is_served(
@@ -178,6 +184,14 @@ def test_what_cannot_be_is_said_in_one_line_before_anything_is_served(
     assert says in result.stderr
     assert "Traceback" not in result.stderr
     assert begun.sessions == []
+
+
+def test_options_that_need_another_one_are_accepted_with_it(begun: Begun, tmp_path: Path) -> None:
+    rule = ("--trust", "paper", "--eta", 0.3, "--utility-scale", 2)
+    kept = ("--people-store", tmp_path / "people.sqlite", "--keep-people", 7)
+    begun(TINY, "--humans", 2, "--simulate", 1, "--sigma", 0.2, 0.4, "--pace", 1, "--seed", 5, *rule, *kept)
+    plan = begun.plan
+    assert (plan.setting.eta, plan.setting.utility_scale, plan.pace, plan.seed, plan.keep_people) == (0.3, 2, 1, 5, 7)
 
 
 def test_a_choice_model_needs_all_states(begun: Begun) -> None:
