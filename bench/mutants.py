@@ -41,7 +41,7 @@ TESTS = {
     "assist/people/belief.py": "test_belief test_unknown_goals test_trust_rules",
     "assist/people/decision.py": "test_human test_equations test_misconception",
     "planner/costtogo/table.py": "test_costtogo test_ondemand test_tables",
-    "assist/large_tasks/truncated_task.py": "test_region test_frontier",
+    "assist/large_tasks/truncated_task.py": "test_region test_frontier test_large_goals",
     "assist/team/attention.py": "test_attention test_policies",
     "assist/team/attention_subproblem.py": "test_attention_subproblem test_bounds test_different_robots",
     "assist/certify/team_bound.py": "test_certify test_upper_bound test_different_robots",
