@@ -15,15 +15,16 @@ from hypothesis import strategies as st
 from test_sweep import UNLISTED, SweepOptions, counter, random_task
 
 from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, sweep
+from planner.costtogo.astar import ADMISSIBLE
 from planner.grounding import fast_downward
 from planner.grounding.sas_reader import from_sas
 from planner.pddl.reader import read
 
 
 def plain(task: Task) -> Task:
-    """The same task with the conditions of its operators in order."""
+    """The same task with its goal and the conditions of its operators in order."""
     ordered = [replace(one, preconditions=tuple(sorted(one.preconditions))) for one in task.operators]
-    return replace(task, operators=tuple(ordered), note=None)
+    return replace(task, operators=tuple(ordered), goal=tuple(sorted(task.goal)), note=None)
 
 
 def check(task: Task) -> float:
@@ -130,6 +131,13 @@ def test_goals_that_fast_downward_does_not_read() -> None:
             assert not table.is_goal(np.arange(len(table))).any()
             assert table.dead_end.all()
         assert not OnDemand(never).is_goal([0]).any()
+
+
+@pytest.mark.parametrize("search", ADMISSIBLE)
+def test_the_order_of_a_goal_does_not_matter(search: str) -> None:
+    switches = tuple(Operator(v, (), (Effect((), v, 1),)) for v in range(2))
+    both = replace(counter(2), operators=switches, goal=((1, 1), (0, 1)))
+    assert astar(both, search=search)[0] == 2
 
 
 def test_costs_are_divided_by_what_divides_all() -> None:

@@ -208,7 +208,8 @@ def _rendered(task: Task) -> str:
     for group in groups:
         lines += ["begin_mutex_group", *listed(group), "end_mutex_group"]
     lines += ["begin_state", *map(str, task.initial), "end_state", "begin_goal"]
-    lines += [*listed(tuple(dict.fromkeys(task.goal))), "end_goal"]
+    # In another order, Fast Downward's h^m landmarks, which do not sort the goal as they sort preconditions, are wrong.
+    lines += [*listed(sorted(set(task.goal))), "end_goal"]
     lines.append(str(len(task.operators)))
     for operator in task.operators:
         # The precondition on a variable that changes is written with its effects, the other conditions separately.
