@@ -9,7 +9,7 @@ import pytest
 from conftest import write_instance
 from test_reading import DOMAIN, PROBLEM, RULE
 
-from planner import PDDLError, Task, load
+from planner import PDDLError, Task, load, sweep
 from planner.grounding import cross_check
 from planner.pddl.reader import Reading, read
 
@@ -74,3 +74,13 @@ def test_a_predicate_may_be_named_like_the_translators_own(tmp_path: Path) -> No
     check(reading, task, {})
     with pytest.raises(PDDLError, match="holds initially"):
         check(reading, task, {"Atom at(red)": "Atom at(blue)"})
+
+
+def test_a_variable_like_the_translators_own_does_not_make_a_task_decided(tmp_path: Path) -> None:
+    domain = """(define (domain d) (:predicates (dummy ?x))
+      (:action go :parameters (?a ?b) :precondition (dummy ?a) :effect (and (not (dummy ?a)) (dummy ?b))))"""
+    problem = """(define (problem p) (:domain d) (:objects val1 val2) (:init (dummy val1)) (:goal (dummy val2)))"""
+    _, task = both(tmp_path, domain, problem)
+    assert [variable.facts for variable in task.variables] == [("Atom dummy(val1)", "Atom dummy(val2)")]
+    assert not task.decided_by_translator
+    assert sweep(task).h.tolist() == [1, 0]

@@ -91,7 +91,8 @@ class Subject:
             reading = read(task.instance) if all(file.is_file() for file in files) else None
         except PDDLError:  # the files have changed since the task was loaded
             reading = None
-        changing = {a for v in task.variables if "dummy(" not in "".join(v.facts) for f in v.facts if (a := atom(f))}
+        variables = () if task.decided_by_translator else task.variables
+        changing = {a for v in variables for f in v.facts if (a := atom(f))}
         if reading is None:
             objects = dict.fromkeys(_named(task, changing), "object")
             return cls(task, objects, {}, {}, frozenset(), frozenset(changing), {}, _grounded_goal(task))

@@ -152,7 +152,8 @@ class Task:
         This happens if the goal is unreachable even when delete effects are ignored, or if it consists of facts that
         always hold. The result is a dummy task of one state; `astar` tells the two cases apart.
         """
-        return [variable.facts for variable in self.variables] == [("Atom dummy(val1)", "Atom dummy(val2)")]
+        dummy = [("Atom dummy(val1)", "Atom dummy(val2)")]
+        return not self.operators and [variable.facts for variable in self.variables] == dummy
 
     @cached_property
     def sas(self) -> str:
