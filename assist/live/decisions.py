@@ -78,7 +78,7 @@ class Decisions:
             self._made = None
 
     def point(self, number: int, asked: Question | None = None) -> DecisionPoint:
-        """Return the team as it is now, from which a decision about a robot is explained later.
+        """Return the present team, from which a decision about a robot is explained later.
 
         `asked` is a question that the decision opens.
         """
@@ -96,7 +96,7 @@ class Decisions:
     def decide(self, step: int) -> tuple[Advice, ...]:
         """Return what each robot does next; `step` is the number of decisions before.
 
-        Nothing is suggested or asked yet: if the policy fails, nobody sees what is not in the advice.
+        Nothing is suggested or asked yet: if the policy fails, no view shows what the record lacks.
         """
         places = self._places
         places.stop_for_absent(self._team.present)

@@ -344,7 +344,7 @@ class Service:
         self._connected(person)
 
     def _outdate(self, person: str) -> None:
-        """Let the operator's next view compute a person's entry anew, and store none that is computed already."""
+        """Let the operator's next view compute a person's entry again, and discard one that is being computed."""
         self._entries.pop(person, None)
         self._outdated[person] += 1
 

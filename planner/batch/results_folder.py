@@ -74,7 +74,7 @@ class Results:
         """Add a record, which replaces an earlier one of the instance.
 
         A later run keeps the record only if it is `lasting`, that is, if its table and plan have been saved, and if the
-        instance's files have not been changed since this run began: nobody knows which of their contents was solved.
+        instance's files have not been changed since this run began. Otherwise it is unknown which contents were solved.
         """
         if not lasting:
             append_record(self._folder / RESULTS, record)

@@ -117,13 +117,13 @@ def _problem_beside(folder: Path, text: str) -> str:
 
 
 def _function_beside(folder: Path, text: str) -> str:
-    """Return FILE.py:FUNCTION with a path from a folder; a name as it is."""
+    """Return FILE.py:FUNCTION with a path from a folder; other names unchanged."""
     place = parse(text, folder)
     return text if place is None else f"{place[0]}:{place[1]}"
 
 
 def _texts_beside(folder: Path, text: str) -> str:
-    """Return a file of texts with a path from a folder; a language as it is."""
+    """Return a file of texts with a path from a folder; a language unchanged."""
     return str(folder / text) if text.endswith(".toml") else text
 
 

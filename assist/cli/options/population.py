@@ -133,7 +133,7 @@ def with_rule_of(file: Path | None, setting: dict[str, Any], *, rate: bool = Fal
 
 
 def refuse_unused_rates(trust: str | None) -> None:
-    """Raise a usage error if the user set the rate or the unit of equation 7 beside another trust rule."""
+    """Raise a usage error if the user set the rate or the unit of equation 7 together with another trust rule."""
     if trust not in (None, "paper"):
         refuse_unused(["eta", "utility_scale"], f"with --trust {trust}")
 
