@@ -238,6 +238,12 @@ def test_a_given_bound_is_for_the_same_units_of_the_resource() -> None:
         certify(agents, "prices", 3, solved=solved)
 
 
+def test_a_policy_without_value_has_no_finite_gap() -> None:
+    agents = Agents(np.ones((1, 2, 1, 1)), [[[0.0], [1.0]]], gamma=GAMMA)
+    assert certify(agents, lambda _, states: np.zeros_like(states), 1, runs=5).gap_percent == np.inf
+    assert certify(agents, "prices", 1, runs=5).gap_percent == pytest.approx(0, abs=1e-3)
+
+
 def test_the_whittle_index_is_the_price_of_indifference() -> None:
     checked = 0
     for seed in range(12):

@@ -81,8 +81,9 @@ class CoupledCertificate:
 
     @property
     def gap_percent(self) -> float:
-        """100 (upper - value) / abs(value)."""
-        return 100 * (self.bound.upper - self.runs.value) / abs(self.runs.value) if self.runs.value else 0.0
+        """100 (upper - value) / abs(value); infinite if the value is 0 and the bound is not."""
+        value, difference = self.runs.value, self.bound.upper - self.runs.value
+        return 100 * difference / abs(value) if value else math.inf if difference > 0 else 0.0
 
 
 def simulate(
