@@ -184,6 +184,14 @@ def test_pettingzoo_finds_nothing_wrong(pool: Pool, shared: bool, capsys: pytest
     assert capsys.readouterr().out.count("Passed") == 2
 
 
+@pytest.mark.parametrize("actions", [{"robot_0": -1, "robot_1": 0}, {"robot_0": 99, "robot_1": 0}, {"robot_1": 0}])
+def test_an_action_of_a_station_is_one_of_its_robot(pool: Pool, actions: dict[str, int]) -> None:
+    env = StationsEnv(pool, 2)
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match=r"action .* of robot_0: expected 0 to "):
+        env.step(actions)
+
+
 def test_a_station_is_a_team_of_one_whose_robot_is_there(tiny_choices: Choices) -> None:
     setting, beginners = Setting(c_suggest=0.3, c_move=0.0), Population(beta=(0.1, 0.3))
     pool = Pool.sample(tiny_choices, 3, seed=2, setting=setting, population=beginners)

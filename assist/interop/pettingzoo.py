@@ -139,7 +139,16 @@ class StationsEnv(pettingzoo.ParallelEnv):
         return self._observed(dict.fromkeys(self.agents, False))
 
     def step(self, actions: dict[str, int]) -> tuple[dict[str, Any], ...]:
-        """Apply the robots' actions, then let each person who has not finished act once."""
+        """Apply the robots' actions, then let each person who has not finished act once.
+
+        Raises
+        ------
+        ValueError
+            The action of a robot is missing or out of range.
+        """
+        for agent in self.agents:
+            if actions.get(agent) not in self.action_spaces[agent]:
+                raise ValueError(f"action {actions.get(agent)} of {agent}: expected 0 to {self._sight.robots - 1}")
         teams, row = self._teams, np.zeros(1, dtype=np.int64)
         robot = np.zeros_like(teams.x)
         illegal = {}
