@@ -256,6 +256,7 @@ def test_faults_are_told_with_their_place(
         ("(:derived (idle ?t) (att ?t))", "unknown predicate 'att'"),
         ("(:derived (idle ?t))", "expected \\(:derived"),
         ("(:derived (idle ?t) (not (idle ?t)))", "depend on their own negation"),
+        ("(:derived (idle ?t) (forall (?u - tray) (idle ?u)))", r"or on themselves within \(forall \.\.\.\)"),
         ("(:derived (at ?t - tray) (free))", "action 'go' changes 'at', which is derived \\(line 7\\)"),
     ],
 )

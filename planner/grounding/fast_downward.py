@@ -213,7 +213,11 @@ def _refused(reading: Reading, code: int, output: str) -> PDDLError:
     """Return the error for a task that the translator refuses although it has passed all checks."""
     if "not stratifiable" in output:
         line = next((rule.head.place.line for rule in reading.domain.rules), None)
-        return PDDLError(reading.instance.domain, line, "derived predicates depend on their own negation")
+        return PDDLError(
+            reading.instance.domain,
+            line,
+            "derived predicates depend on their own negation, or on themselves within (forall ...)",
+        )
     fault = re.search(r"^(\w+(?:Error|Exception))\b", output, re.M)
     kind = f" ({fault[1]})" if fault else ""
     return PDDLError(
