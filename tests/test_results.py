@@ -121,6 +121,14 @@ def test_damaged_tables_and_plans_are_made_again(ending: str, damage: str, tmp_p
     assert not list(out.rglob("problem.*"))  # nothing is left that no record stands for
 
 
+@pytest.mark.parametrize("field", ["instance", "domain", "place"])
+def test_a_fingerprint_of_nothing_keeps_no_record(field: str, tmp_path: Path, instance: Instance) -> None:
+    solved(tmp_path / "out", instance)
+    prints = tmp_path / "out" / "fingerprints"
+    prints.write_text(json.dumps({**json.loads(prints.read_text()), field: []}) + "\n")
+    assert kept(tmp_path / "out", instance) == set()
+
+
 def test_results_of_other_instances_stay(tmp_path: Path, instance: Instance) -> None:
     other = write_instance(tmp_path / "other", DOMAIN, TINY)
     solved(tmp_path / "out", instance, other)

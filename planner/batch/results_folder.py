@@ -41,8 +41,7 @@ class Results:
         if results.exists() and not resume:
             raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
         before = {_key_of(record): record for record in _records(results) if record["status"] in DONE}
-        named = {"instance", "domain", "place"}
-        lines = {_key_of(line): line for line in read_records(prints) if named <= line.keys()}
+        lines = {_key_of(line): line for line in read_records(prints) if _is_line(line)}
         current = {key(instance): fingerprint(instance, options) for instance in instances}
         self.records: dict[Key, SolveRecord] = {
             name: record
@@ -114,6 +113,11 @@ def key(instance: Instance) -> Key:
 
 def _key_of(record: Mapping[str, Any]) -> Key:
     return record["instance"], record["domain"]
+
+
+def _is_line(line: Mapping[str, Any]) -> bool:
+    """Whether a line of `FINGERPRINTS` says of which instance it is, and where its files are."""
+    return all(isinstance(line.get(name), str) for name in ("instance", "domain", "place"))
 
 
 def fingerprint(instance: Instance, options: SolveOptions) -> str | None:
