@@ -137,6 +137,22 @@ def test_the_cache_outlives_the_process_and_is_addressed_by_content(tmp_path: Pa
     assert other.read() == {}
 
 
+def test_a_damaged_cache_is_replaced_and_an_unusable_one_is_named(tmp_path: Path, tiny: Table) -> None:
+    cache = Cache(tiny.task, tmp_path)
+    cache.write({b"state": 3.0})
+    assert cache.read() == {b"state": 3.0}
+    cache.file.write_bytes(b"no database, but longer than the header of one " * 9)
+    assert cache.read() == {}
+    cache.file.write_bytes(b"no database, but longer than the header of one " * 9)
+    cache.write({b"state": np.inf})
+    assert Cache(tiny.task, tmp_path).read() == {b"state": np.inf}
+    cache.file.unlink()
+    cache.file.mkdir()
+    with pytest.raises(OSError, match="unable to open database file") as error:
+        cache.read()
+    assert error.value.filename == str(cache.file)
+
+
 def test_a_grounded_task_is_kept_by_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (KITTING / "tiny.pddl").read_text()
     instance = write_instance(tmp_path / "in", (KITTING / "domain.pddl").read_text(), text)
