@@ -112,6 +112,16 @@ def test_larger_tasks_are_solved_on_demand() -> None:
     assert len(record["plan"]) == 10
 
 
+def test_a_reason_names_the_instance_once(tmp_path: Path) -> None:
+    dear = "(:action x :effect (and (a) (increase (total-cost) 1000000000000)))"
+    problem = "(define (problem p) (:domain d) (:init) (:goal (a)) (:metric minimize (total-cost)))"
+    cheap = "(:action y :effect (and (not (a)) (increase (total-cost) 1)))"  # so that the costs have no divisor
+    instance = write_instance(tmp_path, f"(define (domain d) (:predicates (a)) {dear} {cheap})", problem)
+    result = invoke("solve", instance.problem, "--max-states", 1)
+    what = "a cost of 1000000000000 is more than Fast Downward can read; not swept: more than 1 state"
+    assert result.stderr == f"{instance.problem}: {what}\n"
+
+
 @pytest.mark.slow
 def test_a_time_limit_holds_and_disturbs_nobody() -> None:
     names = [DOMAINS / "depot" / "four-boxes.pddl", KITTING / "tiny.pddl"]  # the first takes minutes with either method

@@ -85,8 +85,8 @@ def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) 
 
 
 def unsolved(instance: Instance, status: str, message: str) -> SolveRecord:
-    """Return the record of an instance that was not solved, with the reason."""
-    return empty_record(instance, status, error_entry(instance.problem, None, message))
+    """Return the record of an instance that was not solved, with the reason, which may begin with the instance."""
+    return empty_record(instance, status, error_entry(instance.problem, None, message.removeprefix(f"{instance}: ")))
 
 
 def error_entry(file: Path, line: int | None, message: str) -> dict[str, Any]:
