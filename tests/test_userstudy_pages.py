@@ -247,12 +247,49 @@ def test_who_is_not_connected_for_long_is_gone_and_may_come_back(tiny: Table, tm
             time.sleep(0.4)  # longer than away, but connected
             assert web.ask("GET", path, ann).json()["study"]["kind"] == "consent"
         deadline = time.monotonic() + PATIENCE / 1000
-        while web.ask("GET", path, ann).json()["study"]["kind"] != "gone":
+        while web.ask("GET", path).json()["study"]["kind"] != "gone":
             assert time.monotonic() < deadline
             time.sleep(0.02)
         assert web.ask("GET", "/api/study").json()["taken"] == 0
         back = web.ask("POST", f"/api/study/participants/{ann}/return", ann).json()
         assert back["study"]["kind"] == "consent"
+
+
+class Later:
+    """An event loop whose clock is ahead."""
+
+    def __init__(self, loop: Any) -> None:
+        self._loop, self.seconds = loop, 0.0
+
+    def time(self) -> float:
+        return float(self._loop.time()) + self.seconds
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._loop, name)
+
+
+def test_who_works_where_no_connection_can_be_kept_is_present(tiny: Table, tmp_path: Path) -> None:
+    web = Web(tiny, tmp_path, look_every=1e6)  # `away` is ten minutes
+    with web.client:
+        clock: Any = Later(web.service._loop)
+        web.service._loop = clock
+        ann, bob = (web.come(name).json()["person"] for name in ("ann", "bob"))
+
+        def left() -> set[str | None]:
+            return {event.person for event in web.service._held.see(web.service._due) if event.kind == "left"}
+
+        assert left() == set()
+        for _ in range(2):
+            clock.seconds += 6 * 60
+            assert web.ask("GET", f"/api/people/{ann}", ann).status_code == 200
+            assert web.ask("GET", f"/api/people/{bob}").status_code == 200  # by the experimenter
+        assert left() == {bob}
+        clock.seconds += 11 * 60
+        assert left() == {ann, bob}
+        assert web.ask("DELETE", f"/api/team/people/{ann}").status_code == 200
+        back = web.ask("POST", f"/api/study/participants/{ann}/return")  # by the experimenter, for ann
+        assert back.json()["study"]["kind"] == "consent"
+        assert left() == {bob}
 
 
 @pytest.mark.parametrize("language", languages())

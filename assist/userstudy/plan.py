@@ -119,7 +119,7 @@ class UserStudy:
     replace : bool
         Whether participants who leave after their task began are replaced.
     away : float
-        Minutes without a connection after which a participant counts as dropped out.
+        Minutes without a connection or a request after which a participant counts as dropped out.
     minutes : float or None
         Time limit of a task in minutes, after which participants may proceed.
     tick : float

@@ -36,7 +36,7 @@ async def operator(request: Request, _: Annotated[Any, Depends(bearer)] = None) 
     """Refuse every caller except the operator."""
     if request.state.caller.person is not None:
         raise HTTPException(403, "only the operator may do this")
-    request.app.state.service.visited.set()
+    request.app.state.service.heard(None)
 
 
 async def own(request: Request, name: str, _: Annotated[Any, Depends(bearer)] = None) -> str:
@@ -46,7 +46,7 @@ async def own(request: Request, name: str, _: Annotated[Any, Depends(bearer)] = 
         raise HTTPException(403, "this link belongs to another person")
     if name not in request.app.state.service.views:
         raise HTTPException(404, f"{name[:80]!r} is not in the team")
-    request.app.state.service.visited.set()
+    request.app.state.service.heard(caller.person)
     return name
 
 

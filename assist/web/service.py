@@ -323,6 +323,10 @@ class Service:
 
     # Watching.
 
+    def heard(self, person: str | None) -> None:  # noqa: ARG002  a user study needs it
+        """Note a request or a connection of a person, or of the operator (None)."""
+        self.visited.set()
+
     def is_crowded(self, person: str) -> bool:
         """Whether no further connection for a person's view is accepted."""
         return len(self._watchers.get(person, ())) >= self._most_connections

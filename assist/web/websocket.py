@@ -66,7 +66,7 @@ async def person_events(socket: WebSocket, name: str) -> None:
     if name not in service.views:
         await _hang_up(socket, REMOVED)
         return
-    service.visited.set()
+    service.heard(socket.state.caller.person)
     watcher = service.watch(name)
 
     async def send() -> int:

@@ -249,6 +249,7 @@ async def exclude(_: Operator, name: Own, study: Study, given: Excluded) -> Any:
 @router.post("/api/study/participants/{name}/return", tags=["study"], response_model=Participant, responses=WRITE)
 async def come_back(name: Own, study: Study, once: Once | None = None) -> Response:
     """Rejoin after an absence, if the study is not full."""
+    study.heard(name)  # also if somebody else asks for it
     return plain(await study.report(StudyEvent("returned", name, id=once.id if once else None)))
 
 

@@ -71,7 +71,7 @@ class StudyService(Service):
         self.study, self.folder, self.ticks, self.rehearsal = session.study, session.folder, ticks, rehearsal
         self._held: StudySession = session
         self._look_every = look_every
-        self._away: dict[str, float] = {}
+        self._heard: dict[str, float] = {}  # when a participant who is not connected was last heard of
         access.token(VISITOR)
         # Studies that began with an earlier version have no file for this key.
         self._codes_key = access.operator.encode() if session.was_imported else secret_in(self.folder / CODES_KEY)
@@ -173,16 +173,16 @@ class StudyService(Service):
         except InapplicableError:
             raise InapplicableError("this participant has joined on another device; continue there") from None
 
-    def watch(self, person: str) -> Watcher:
-        """Register a watcher of a participant's view. The participant counts as present again."""
-        self._away.pop(person, None)
-        return super().watch(person)
+    def heard(self, person: str | None) -> None:
+        """Note a request or a connection. A participant counts as present, also where no connection can be kept."""
+        super().heard(person)
+        if person is not None:
+            self._heard[person] = self._loop.time()
 
     def leave(self, person: str, watcher: Watcher) -> None:
         """Remove one watcher of a participant's view."""
+        self._heard[person] = self._loop.time()
         super().leave(person, watcher)
-        if person not in self._watchers:
-            self._away[person] = self._loop.time()
 
     def connected(self, person: str) -> bool:
         """Whether a page of the participant is connected."""
@@ -203,7 +203,7 @@ class StudyService(Service):
             if person.status != HERE:
                 continue
             stage = cohort.stages[person.at]
-            away = 0.0 if self.connected(code) else now - self._away.setdefault(code, now)
+            away = 0.0 if self.connected(code) else now - self._heard.setdefault(code, now)
             # Who waits for a group has to be there when it begins; half a minute suffices for a reload.
             if away > 60 * (min(study.away, 0.5) if stage.kind == WAITING else study.away):
                 found.append(Event("left", code))
