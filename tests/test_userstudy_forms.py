@@ -282,6 +282,9 @@ def test_all_forms_can_be_answered_in_a_browser(chromium: Any, tmp_path: Path) -
         page.check('text="games"')
         page.click('button:text("Continue")')
         assert page.locator(".error:visible").all_inner_texts() == ["Please enter a number from 18 to 99."]
+        age.fill("42.000")  # forty-two to some, and 42,000 to others
+        page.click('button:text("Continue")')
+        assert page.locator(".error:visible").all_inner_texts() == ["Please enter a number from 18 to 99."]
         age.fill("42")
         page.locator('[id="item height"] input').fill("1,8")
         page.reload()  # answers survive a reload

@@ -7,6 +7,7 @@ import { pathToFileURL } from "node:url";
 
 const folder = mkdtempSync(join(tmpdir(), "kitassist-pages-"));
 cpSync(new URL("../../assist/web/pages/", import.meta.url), join(folder, "pages"), { recursive: true });
+cpSync(new URL("../../assist/web/user_study/pages/", import.meta.url), join(folder, "user_study", "pages"), { recursive: true });
 writeFileSync(join(folder, "package.json"), '{"type": "module"}'); // they are modules, as in the pages
 process.on("exit", () => rmSync(folder, { recursive: true }));
 
@@ -60,6 +61,7 @@ export async function open(path, { fetch = () => new Response("{}"), language = 
     },
   });
   const query = `?${Math.random()}`; // each page has its own modules
-  const [page, connection] = await Promise.all([import(pathToFileURL(join(folder, "pages", "page.js")) + query), import(pathToFileURL(join(folder, "pages", "connection.js")) + query)]);
-  return { ...page, ...connection, elements, asked, stored };
+  const files = ["pages/page.js", "pages/connection.js", "user_study/pages/questions.js"];
+  const modules = await Promise.all(files.map((file) => import(pathToFileURL(join(folder, file)) + query)));
+  return { ...Object.assign({}, ...modules), elements, asked, stored };
 }

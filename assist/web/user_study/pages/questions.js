@@ -5,6 +5,21 @@ import { at, element, figure, first, text } from "../../pages/page.js";
 const SCALES = ["slider", "nasa-tlx"];
 const POINTS = ["likert", "likert-grid"];
 
+/** Whether the numbers have no finer parts than such, as hundredths. */
+const inParts = (parts, ...numbers) => numbers.every((one) => Math.abs(parts * one - Math.round(parts * one)) < 1e-6);
+
+/**
+ * The number in a text; nothing if it is empty; the text itself if it is no number, or its separator may be one of
+ * thousands: 10,000 and 10.000 are ten thousand to some and ten to others.
+ */
+export function numberIn(written, { min, step }) {
+  const given = written.trim();
+  const ambiguous = inParts(1, min, step) ? /[.,]/ : inParts(100, min, step) ? /[.,]\d{3}$/ : null;
+  const value = Number(given.replace(",", "."));
+  if (given === "") return undefined;
+  return Number.isFinite(value) && !ambiguous?.test(given) ? value : given;
+}
+
 /** The questions in `names`, in this order. `answers` has the given answers; `changed` is called with each new one. */
 export class Questions {
   constructor(items, names, answers, changed) {
@@ -171,11 +186,7 @@ export class Questions {
   number(item) {
     const input = element("input", { type: "text", inputmode: "decimal", autocomplete: "off", size: 12, "aria-label": text("question.a_number", { question: item.text, range: range(item) }) });
     input.value = this.answers[item.name] ?? "";
-    input.addEventListener("input", () => {
-      const given = input.value.trim().replace(",", ".");
-      const value = Number(given);
-      this.answer(item, given === "" ? undefined : Number.isFinite(value) ? value : given);
-    });
+    input.addEventListener("input", () => this.answer(item, numberIn(input.value, item)));
     return [element("p", { class: "figure" }, input, element("span", { class: "hint", "aria-hidden": "true" }, ` ${range(item)}`))];
   }
 
