@@ -45,6 +45,14 @@ test("a refusal has the reason, or the status where no JSON comes", async () => 
   assert.equal(passes(error), true);
 });
 
+test("a request that takes long may wait longer", async (context) => {
+  const { LONG, ask } = await open("/join/ann");
+  const limits = context.mock.method(AbortSignal, "timeout").mock;
+  await ask("/x");
+  await ask("/x", { silence: LONG });
+  assert.deepEqual(limits.calls.map((one) => one.arguments), [[10000], [600000]]);
+});
+
 test("an action survives bad gateways and lost answers under one id, and is answered once", async () => {
   const { Outbox, asked } = await open("/join/ann", {
     fetch: (_, n) => {

@@ -37,6 +37,9 @@ async function exchange() {
 const SLOWEST = 3000; // milliseconds between two attempts to connect
 const SILENCE = 10000; // milliseconds after which a request counts as lost
 
+/** Milliseconds for a request that reads or rewrites all data. */
+export const LONG = 600000;
+
 export class Refused extends Error {
   constructor(status, detail) {
     super(detail);
@@ -57,14 +60,14 @@ export function pathOf(name, rest = "") {
 /**
  * Send a request once. Throws Refused if the service refuses it, and another error if the service is not reached.
  * @param {string} path
- * @param {{ method?: string, body?: object }} options
+ * @param {{ method?: string, body?: object, silence?: number }} options `silence`: milliseconds after which it counts as lost
  */
-export async function ask(path, { method = "GET", body } = {}) {
+export async function ask(path, { method = "GET", body, silence = SILENCE } = {}) {
   const answer = await fetch(address(path), {
     method,
     headers: { ...credentials(), ...(body === undefined ? {} : { "Content-Type": "application/json" }) },
     body: body === undefined ? undefined : JSON.stringify(body),
-    signal: AbortSignal.timeout(SILENCE),
+    signal: AbortSignal.timeout(silence),
   });
   if (answer.ok) return answer;
   let detail = `${answer.status} ${answer.statusText}`;

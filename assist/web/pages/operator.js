@@ -1,6 +1,6 @@
 // The operator's page: people's progress, the beliefs about them, the robot, and the log.
 
-import { Channel, Refused, ask, askJson, newId, pathOf } from "./connection.js";
+import { Channel, LONG, Refused, ask, askJson, newId, pathOf } from "./connection.js";
 import { all, at, clock, complain, element, focused } from "./page.js";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -227,7 +227,7 @@ async function tell(path, options, said) {
 
 function erase(name) {
   const reason = prompt(`Erase everything that is recorded about ${name}, permanently? Enter a reason that does not contain the name.`);
-  if (reason) tell(`/api/people/${encodeURIComponent(name)}/records?reason=${encodeURIComponent(reason)}`, { method: "DELETE" }, `The records of ${name} are erased.`);
+  if (reason) tell(`/api/people/${encodeURIComponent(name)}/records?reason=${encodeURIComponent(reason)}`, { method: "DELETE", silence: LONG }, `The records of ${name} are erased.`);
 }
 
 function remove(name) {
@@ -249,7 +249,7 @@ at("add").addEventListener("submit", async (event) => {
 });
 at("export").addEventListener("click", async () => {
   try {
-    const content = await (await ask("/api/log")).blob();
+    const content = await (await ask("/api/log", { silence: LONG })).blob();
     const link = element("a", { href: URL.createObjectURL(content), download: "log.jsonl" });
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 60000);

@@ -1,6 +1,6 @@
 // The experimenter's page: participants and their progress, dropouts, the sizes of conditions, and the export.
 
-import { Refused, ask, askJson } from "../../pages/connection.js";
+import { LONG, Refused, ask, askJson } from "../../pages/connection.js";
 import { all, at, clock, complain, focused } from "../../pages/page.js";
 
 const BETWEEN = 2000; // milliseconds between two updates
@@ -57,7 +57,7 @@ function remover(code) {
 function eraser(code) {
   const request = () => {
     const reason = prompt(`Erase everything that is recorded about ${code}, permanently? Enter a reason that does not contain the code.`);
-    return reason ? [`/api/people/${encodeURIComponent(code)}/records?reason=${encodeURIComponent(reason)}`, { method: "DELETE" }] : null;
+    return reason ? [`/api/people/${encodeURIComponent(code)}/records?reason=${encodeURIComponent(reason)}`, { method: "DELETE", silence: LONG }] : null;
   };
   return button(code, "Erase", request, `The records of ${code} are erased.`);
 }
@@ -138,7 +138,7 @@ at("copy").addEventListener("click", async () => {
 });
 at("export").addEventListener("click", async () => {
   try {
-    const content = await (await ask("/api/study/export")).blob();
+    const content = await (await ask("/api/study/export", { silence: LONG })).blob();
     const link = document.createElement("a");
     link.href = URL.createObjectURL(content);
     link.download = "user-study.zip";
