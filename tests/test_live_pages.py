@@ -229,6 +229,10 @@ def asks_where_several_things_are_possible(clicked: Seat) -> None:
     assert page.locator("#menu").is_hidden()
     page.click("#undo")
     clicked.waits_for(0)
+    page.locator("#actions button").first.dblclick(delay=150)  # the second click would meet another action
+    clicked.waits_for(1)
+    page.click("#undo")
+    clicked.waits_for(0)
 
 
 def follows_one_suggestion_and_ignores_another(clicked: Seat) -> None:

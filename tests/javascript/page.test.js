@@ -31,3 +31,13 @@ test("a complaint is shown until there is none", async () => {
   complain(null);
   assert.deepEqual([elements.problem.textContent, elements.problem.hidden], ["", true]);
 });
+
+test("the second click of a double click does nothing, and a key does what a click does", async () => {
+  const { single } = await open("/join/ann");
+  let clicks = 0;
+  const click = single(() => (clicks += 1));
+  for (const detail of [1, 2, 3]) click({ detail });
+  assert.equal(clicks, 1);
+  click({ detail: 0 }); // a key
+  assert.equal(clicks, 2);
+});

@@ -63,6 +63,11 @@ export function keep(key, value, where = "sessionStorage") {
 /** Minutes and seconds. */
 export const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 
+/** What a click does; the second click of a double click, which may meet another button, does nothing. */
+export const single = (act) => (event) => {
+  if (event.detail <= 1) act();
+};
+
 export function element(name, attributes = {}, ...children) {
   const made = document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {

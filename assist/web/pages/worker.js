@@ -1,7 +1,7 @@
 // A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
 import { Outbox, askJson, follow, passes, pageOf, pathOf, person, place } from "./connection.js";
-import { all, at, clock, complain, element, figure, first, focused, keep, language, recall, sentence, text } from "./page.js";
+import { all, at, clock, complain, element, figure, first, focused, keep, language, recall, sentence, single, text } from "./page.js";
 
 const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
 const WIDTHS = [320, 400, 520, 640, 760, 960];
@@ -49,7 +49,7 @@ function item(words, act) {
   const button = document.createElement("button");
   button.type = "button";
   button.textContent = words;
-  button.addEventListener("click", act);
+  button.addEventListener("click", single(act));
   line.append(button);
   return line;
 }
@@ -127,7 +127,7 @@ function showQuestion(question) {
   const answers = question.goal === null ? question.options.map((action) => [words(action), action])
     : [[text("task.yes"), true], [text("task.no"), false]];
   fill(at("answers"), [...answers, [text("task.no_answer"), null]].map(([words, answer]) => {
-    return element("button", { type: "button", disabled: outbox.busy, click: () => reply(answer) }, words);
+    return element("button", { type: "button", disabled: outbox.busy, click: single(() => reply(answer)) }, words);
   }));
 }
 
@@ -277,7 +277,7 @@ function showTargets(svg) {
     for (const [side, attribute, whole] of [["left", "x", width], ["top", "y", height], ["width", "width", width], ["height", "height", height]]) {
       button.style[side] = `${(100 * Number(frame.getAttribute(attribute))) / whole}%`;
     }
-    button.addEventListener("click", () => choose(name, button));
+    button.addEventListener("click", single(() => choose(name, button)));
     buttons.push(button);
   }
   fill(at("targets"), buttons);
@@ -356,8 +356,9 @@ const outbox = new Outbox("actions", {
 function take(next) {
   if (view !== null && next.seq < view.seq) return;
   const changed = view === null || next.seq !== view.seq;
-  if (view?.study && view.study.stage !== next.study?.stage) remember(Date.now());
+  const moved = view === null || view.study?.stage !== next.study?.stage;
   view = next;
+  if (moved) started = recall(began());
   if (started === null) remember(Date.now());
   show();
   const elsewhere = view.study && !["practice", "task"].includes(view.study.kind);
@@ -394,39 +395,41 @@ const refresh = follow(outbox, { take, gone: leave, over: () => leave(text("task
 
 // Steps and time.
 
+/** The key of the time at which the task began; a user study can have several tasks. */
+const began = () => `kitassist began ${place} ${view.study?.stage ?? ""}`;
+
 function remember(when) {
   started = when;
-  keep(`kitassist began ${place}`, when);
+  keep(began(), when);
 }
 
-started = recall(`kitassist began ${place}`);
 setInterval(() => {
   if (started === null || (view?.finished && !probably())) return;
   at("time").textContent = clock(Math.max(0, Math.round((Date.now() - started) / 1000)));
 }, 1000);
 
-at("accept").addEventListener("click", () => {
+at("accept").addEventListener("click", single(() => {
   if (open() !== null) act(open());
   at("choices-title").focus({ preventScroll: true });
-});
-at("ignore").addEventListener("click", () => {
+}));
+at("ignore").addEventListener("click", single(() => {
   declined = `${view.steps} ${view.suggestion}`;
   say(text("task.declined"));
   show();
   if (drawn !== null) showDrawing();
   at("choices-title").focus({ preventScroll: true });
-});
+}));
 at("reasons").addEventListener("toggle", explain);
 at("against").addEventListener("change", compare);
-at("retract").addEventListener("click", () => {
+at("retract").addEventListener("click", single(() => {
   complain(null);
   if (outbox.send(pathOf(person, "/retract"), {})) show();
   at("choices-title").focus({ preventScroll: true });
-});
-at("undo").addEventListener("click", () => {
+}));
+at("undo").addEventListener("click", single(() => {
   complain(null);
   if (outbox.send(pathOf(person, "/undo"), {})) show();
-});
+}));
 at("again").addEventListener("click", () => {
   remember(Date.now());
   if (outbox.send(pathOf(person, "/begin"), {})) show();
