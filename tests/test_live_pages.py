@@ -519,6 +519,31 @@ def test_people_and_the_operator_see_and_answer_questions_about_probable_goals(c
 
 
 @pytest.mark.slow
+def test_an_operator_behind_a_proxy_without_websockets_sees_changes_and_readmits_a_person(
+    chromium: Any, tmp_path: Path
+) -> None:
+    from serving import served
+
+    tasks = KITTING / "tiny.pddl", KITTING / "sealed.pddl"
+    with served(tasks[1], "--humans", 1, "--data", tmp_path, instance=tasks[0]) as running:
+        page = chromium.new_page()
+        page.set_default_timeout(PATIENCE)
+        page.route_web_socket(re.compile("/events$"), lambda socket: socket.close())
+        page.goto(running.operator)
+        page.wait_for_selector('.card:has-text("person-1")')
+        running.ask("POST", "/api/team/people", json={"person": "dora", "task": "sealed"})
+        page.wait_for_selector('.card:has-text("dora")')
+        page.on("dialog", lambda dialog: dialog.accept())
+        page.click('[aria-label="Remove dora"]')
+        page.wait_for_selector('.card:has-text("dora")', state="detached")
+        page.fill("#name", "dora")
+        page.keyboard.press("Enter")
+        page.wait_for_selector('.card:has-text("sealed: "):has-text("dora")')  # at the task that they left
+        assert page.locator("#problem").is_hidden()
+        page.close()
+
+
+@pytest.mark.slow
 def test_a_person_says_what_they_did_last_when_it_was_seen_badly(chromium: Any, tmp_path: Path) -> None:
     from serving import served
 

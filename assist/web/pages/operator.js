@@ -213,10 +213,17 @@ function keepingFocus(redraw) {
   if (key) all("[data-key]").find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
 }
 
-async function tell(path, options, said) {
+/**
+ * Send a request, and say what it did; if it is refused in the present state, send it with the `other` options.
+ * @type {(path: string, options: any, said: string, other?: any) => Promise<any>}
+ */
+async function tell(path, options, said, other = null) {
   complain(null);
   try {
-    const answer = await ask(path, options);
+    const answer = await ask(path, options).catch((error) => {
+      if (other === null || error.status !== 409) throw error;
+      return ask(path, other);
+    });
     at("said").textContent = said;
     return answer.status === 204 ? null : await answer.json().catch(() => null);
   } catch (error) {
@@ -241,7 +248,9 @@ at("add").addEventListener("submit", async (event) => {
   event.preventDefault();
   const name = at("name").value.trim();
   if (!name) return;
-  const added = await tell("/api/team/people", { method: "POST", body: { person: name, ...(team?.tasks.length > 1 ? { task: at("task").value } : {}) } }, `${name} is added.`);
+  const again = { method: "POST", body: { person: name } }; // who returns has a task already
+  const first = team?.tasks.length > 1 ? { method: "POST", body: { person: name, task: at("task").value } } : again;
+  const added = await tell("/api/team/people", first, `${name} is added.`, again);
   if (added === null) return;
   at("name").value = "";
   if (added.join) links[name] = added.join;
@@ -260,25 +269,25 @@ at("export").addEventListener("click", async () => {
 });
 
 let waiting = null;
+function take(next) {
+  if (team !== null && next.seq < team.seq) return;
+  team = next;
+  waiting ??= requestAnimationFrame(() => {
+    waiting = null;
+    show();
+  });
+}
+
 new Channel("/api/team/events", {
-  message(next) {
-    if (team !== null && next.seq < team.seq) return;
-    team = next;
-    waiting ??= requestAnimationFrame(() => {
-      waiting = null;
-      show();
-    });
-  },
+  message: take,
   async state(state) {
     at("connection").textContent = { connected: "Connected", lost: "Reconnecting…", over: "Not connected" }[state];
     at("connection").classList.toggle("lost", state !== "connected");
-    if (state === "lost" && team === null) {
-      try {
-        team = await askJson("/api/team");
-        show();
-      } catch (error) {
-        if (error instanceof Refused && [401, 403].includes(error.status)) complain("This link is not valid.");
-      }
+    if (state !== "lost") return;
+    try {
+      take(await askJson("/api/team"));
+    } catch (error) {
+      if (error instanceof Refused && [401, 403].includes(error.status)) complain("This link is not valid.");
     }
   },
 });
