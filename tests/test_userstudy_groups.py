@@ -345,6 +345,10 @@ def test_who_waits_in_vain_gets_a_code_and_may_withdraw(chromium: Any, tmp_path:
         page.wait_for_selector(f'h2:text("{said("study.unmatched")}")')
         assert page.get_attribute("html", "lang") == language
         assert len(page.input_value("#code")) == 8
+        other = context.new_page()  # of the same browser: somebody else may begin
+        other.goto(study.links["everybody"])
+        other.wait_for_selector(f'button:text("{said("study.begin_next")}")')
+        other.close()
         page.wait_for_selector("#withdrawal")
         assert violations(page, dark=False) == []
         page.click("#leave-button")

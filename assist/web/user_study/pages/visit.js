@@ -71,7 +71,7 @@ async function begin() {
   }
   try {
     const seat = await visit(id);
-    if (sent() === null && ["thanks", "withdrew", "declined"].includes(seat.study.kind)) {
+    if (sent() === null && ["thanks", "unmatched", "withdrew", "declined"].includes(seat.study.kind)) {
       next(seat);
       return;
     }
