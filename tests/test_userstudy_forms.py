@@ -290,7 +290,12 @@ def test_all_forms_can_be_answered_in_a_browser(chromium: Any, tmp_path: Path) -
         page.reload()  # answers survive a reload
         assert page.locator('[id="item age"] input').input_value() == "42"
         is_well("background")
+        page.route("**/onward", lambda route: route.abort())
         page.click('button:text("Continue")')
+        age.and_(page.locator(":disabled")).wait_for()  # what is being sent cannot be changed
+        page.reload()
+        age.and_(page.locator(":disabled")).wait_for()
+        page.unroute("**/onward")
         page.wait_for_selector('[id="item clear"]')
         for name, value in (("clear", 5), ("lost", 1), ("reads", 4), ("calm", 2), ("hints", 3)):
             page.locator(f'[name="item {name}"][value="{value}"]').check()

@@ -435,3 +435,72 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
     assert actions[2:] == tiny.optimal_plan(tiny.initial)
     assert faults == []
     context.close()
+
+
+EARLIER = """() => {
+  for (const key of Object.keys(sessionStorage)) {
+    if (key.startsWith("kitassist began")) sessionStorage.setItem(key, String(Date.now() - 600000));
+  }
+}"""
+"""Lets the task have begun ten minutes earlier."""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+@pytest.mark.slow
+def test_a_refusal_stays_on_the_page_and_each_task_has_a_clock_of_its_own(
+    chromium: Any, tmp_path: Path, tiny: Table
+) -> None:
+    """Two tasks, each with a questionnaire, and a date for withdrawals that is over."""
+    remarks = PLAN[PLAN.index('[[questionnaires]]\nform = "text"') : PLAN.index("[[conditions]]")]
+    text = PLAN.replace(f'practice = "{PLAN.split("practice = ")[1].split(chr(34))[1]}"\n', "")
+    text = text[: text.index("[[questionnaires]]")] + remarks + text[text.index("[[conditions]]") :]
+    text = text.replace("seed = 3", 'seed = 3\ndesign = "within"\nwithdraw_until = 2020-01-01')
+    file = written(tmp_path / "study.toml", text)
+    context = chromium.new_context()
+    page, conducts = context.new_page(), context.new_page()
+    for one in (page, conducts):
+        one.set_default_timeout(PATIENCE)
+
+    def works() -> None:
+        for action in tiny.optimal_plan(tiny.initial) or ():
+            page.click(f'#actions button[data-action="{action}"]:not([disabled])')
+        page.click("#onward")
+        page.wait_for_selector("textarea")
+        page.click('button:text("Continue")')
+
+    with served("--study", file, "--data", tmp_path / "data", instance=None) as study:
+        page.goto(study.links["everybody"])
+        page.click("text=I agree and take part")
+        page.click('h2:text("What you will do") ~ form >> button')
+        page.wait_for_selector("#actions button")
+        page.evaluate(EARLIER)
+        page.reload()
+        page.wait_for_selector('#time:text("10:")')
+        works()
+        page.wait_for_selector("#actions button")
+        page.wait_for_function("() => document.getElementById('time').textContent !== '0:00'")
+        assert page.inner_text("#time").startswith("0:")
+        works()
+        page.wait_for_selector("#code")
+        page.click("#leave-button")
+        with page.expect_response("**/withdraw"):
+            page.click("#leave-now")
+        page.wait_for_selector('#problem:text("2020-01-01")')
+        page.wait_for_selector("#leave-now:not([disabled])")
+        assert page.inner_text("#problem") == "Data could be withdrawn until 2020-01-01."
+        page.click("#stay")
+        page.wait_for_selector("#problem", state="hidden")
+
+        conducts.goto(study.operator)
+        code = conducts.inner_text("#people td >> nth=0")
+        conducts.on("dialog", lambda dialog: dialog.accept(f"{code} asked for it"))
+        conducts.click('#people button:text("Erase")')
+        conducts.wait_for_selector('#problem:text("without the person\'s name")')
+        for _ in range(2):  # updates
+            with conducts.expect_response("**/api/study"):
+                pass
+        assert conducts.is_visible("#problem")
+        conducts.click('#people button:text("Exclude")')
+        conducts.wait_for_selector("#problem", state="hidden")
+    context.close()

@@ -91,6 +91,7 @@ test("a refused action is not sent again", async () => {
   outbox.send("/act", {});
   await until(() => !outbox.busy);
   assert.equal(told[0][1].message, "not applicable");
+  assert.equal(told[0][2], "/act");
   assert.equal(asked.length, 1);
 });
 

@@ -134,7 +134,7 @@ export class Outbox {
         const answer = await askJson(path, { method: "POST", body });
         return () => this.answered(answer, body);
       } catch (error) {
-        if (!passes(error)) return () => this.refused(error);
+        if (!passes(error)) return () => this.refused(error, path);
         this.waiting(error);
         await wait(pause);
       }

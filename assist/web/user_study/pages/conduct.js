@@ -37,6 +37,7 @@ function button(code, word, request, said) {
   made.addEventListener("click", async () => {
     const asked = request();
     if (asked === null) return;
+    complain(null);
     try {
       await ask(asked[0], asked[1]);
       at("said").textContent = said;
@@ -75,7 +76,9 @@ function excluder(code, excluded) {
 function show(study) {
   const { participants, stages, conditions } = study;
   at("title").textContent = document.title = study.title;
-  complain(study.fault === null ? null : `A policy failed: ${study.fault}`);
+  const fault = study.fault === null ? "" : `A policy failed: ${study.fault}`;
+  if (at("fault").textContent !== fault) at("fault").textContent = fault; // so that screen readers announce it once
+  at("fault").hidden = !fault;
   const here = participants.filter((one) => one.status === "here").length;
   const done = participants.filter((one) => one.status === "done").length;
   at("count").textContent = `${participants.length} joined, ${here} present, ${done} completed${study.places === null ? "" : `, ${study.taken} of ${study.places} places taken`}`;
@@ -137,6 +140,7 @@ at("copy").addEventListener("click", async () => {
   }
 });
 at("export").addEventListener("click", async () => {
+  complain(null);
   try {
     const content = await (await ask("/api/study/export", { silence: LONG })).blob();
     const link = document.createElement("a");

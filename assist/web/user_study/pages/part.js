@@ -6,10 +6,11 @@ import { Questions } from "./questions.js";
 
 const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${rest}`;
 const TASKS = ["practice", "task"];
+const LEAVING = "leaving";
 
 let form = null; // texts and questionnaires of the study
 let view = null; // the latest view from the service
-let shown = null; // the stage that the page shows
+let shown = null; // the stage that the page shows, or LEAVING
 
 // Answers that are not sent yet survive a reload.
 
@@ -130,21 +131,27 @@ function show() {
     at("progress").max = study.waiting.of;
     at("progress").value = study.waiting.here;
   }
-  for (const button of all("main .buttons button")) button.disabled = outbox.busy;
-  if (shown === key(study) && !leaving) return;
+  const now = leaving ? LEAVING : key(study);
+  if (shown !== now) build(study, now);
+  // Nothing can be changed that has been sent already.
+  for (const one of all("main .buttons button, #form fieldset")) one.disabled = outbox.busy;
+}
+
+function build(study, now) {
   const first = shown === null;
-  shown = key(study);
-  complain(null);
+  shown = now;
+  if (!first) complain(null);
   at("body").replaceChildren();
   at("form").replaceChildren();
   at("form").onsubmit = (event) => event.preventDefault();
   at("stage").removeAttribute("aria-busy");
-  if (leaving) at("leaving-title").focus();
-  else {
-    STAGES[study.kind](study);
-    scrollTo(0, 0);
-    if (!first) at("stage-title").focus({ preventScroll: true });
+  if (now === LEAVING) {
+    at("leaving-title").focus();
+    return;
   }
+  STAGES[study.kind](study);
+  scrollTo(0, 0);
+  if (!first) at("stage-title").focus({ preventScroll: true });
 }
 
 // Requests.
@@ -162,9 +169,10 @@ const outbox = new Outbox("part", {
     take(answer);
     show();
   },
-  refused(error) {
+  refused(error, path) {
     refresh();
-    if (error.status !== 409) complain(sentence(error.message));
+    // Where another tab was faster, the page shows how things are; a refused withdrawal changes nothing.
+    if (error.status !== 409 || path === own("withdraw")) complain(sentence(error.message));
     show();
   },
   waiting() {
@@ -183,6 +191,7 @@ const refresh = follow(outbox, { take, gone: complain });
 const back = () => {
   history.replaceState(null, "", location.pathname + location.hash);
   shown = null;
+  complain(null);
   show();
 };
 at("stay").addEventListener("click", back);
@@ -202,3 +211,4 @@ async function load() {
   }
 }
 load();
+outbox.resume();
