@@ -10,7 +10,6 @@ import math
 import threading
 from typing import Any
 
-from ..states.packing import Ints
 from ..system.limits import Budget
 from ..system.progress_reports import Progress
 from ..system.threads import on_threads
@@ -32,7 +31,7 @@ def explore(
         ready: dict[int, Any] = {}  # results that wait for those of earlier blocks
         turn = 0
 
-        def work(part: tuple[int, Ints], waiting: int = waiting, ready: dict[int, Any] = ready) -> None:
+        def work(part: tuple[int, Any], waiting: int = waiting, ready: dict[int, Any] = ready) -> None:
             nonlocal turn
             number, block = part
             if space.transitions >= most:

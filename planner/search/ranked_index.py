@@ -189,11 +189,10 @@ class RankedSpace:
 
     def _new(self, operators: RankedOperators, closed: Words, block: Ints) -> list[tuple[Ints, int]]:
         """Add the successors of a block, by some operators, to a bitmap; return the new ones and transition counts."""
-        size, stop, found = max(RANKS_AT_A_TIME, 4 * operators.tree.most), 0, []
+        out, stop, found = np.empty(max(RANKS_AT_A_TIME, 4 * operators.tree.most), dtype=np.int64), 0, []
         while stop < len(block):
-            out = np.empty(size, dtype=np.int64)
             stop, filled, count = expansion.expand_block(operators, self.index.coding.decoder, closed, block, stop, out)
-            found.append((out[:filled].copy() if filled < size // 2 else out[:filled], count))
+            found.append((out[:filled].copy(), count))
         return found
 
     def expand(self, block: Ints) -> list[tuple[Ints, int]]:

@@ -58,16 +58,16 @@ class SearchSpace(Protocol):
     def __len__(self) -> int:
         """Return the number of states found so far."""
 
-    def start(self) -> list[Ints]:
-        """Return the first layer: the key of the initial state."""
+    def start(self) -> list[Any]:
+        """Return the first layer: the key of the initial state. A layer is a list of arrays, or of ranges, of keys."""
 
-    def blocks(self, layer: list[Ints], threads: int) -> deque[Ints]:
+    def blocks(self, layer: list[Any], threads: int) -> deque[Any]:
         """Return the keys of a layer in blocks of suitable size; the given list is emptied."""
 
-    def expand(self, block: Ints) -> Any:
+    def expand(self, block: Any) -> Any:
         """Expand the states of a block; several threads may call this at once."""
 
-    def add(self, expanded: Any) -> list[Ints]:
+    def add(self, expanded: Any) -> list[Any]:
         """Record what `expand` returned, in the order of the blocks; return the keys of the new states."""
 
     def finish(self) -> None:

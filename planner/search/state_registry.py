@@ -190,29 +190,35 @@ class RegistrySpace:
         each = 8 * self._packing.words + 24
         return self._met.slots.nbytes + each * len(self) + (8 + 4 * (len(self.costs) > 1)) * self.transitions
 
-    def start(self) -> list[Ints]:
+    def start(self) -> list[range]:
         """Return the number of the initial state."""
-        return [np.zeros(1, dtype=np.int64)]
+        return [range(1)]
 
-    def blocks(self, layer: list[Ints], threads: int) -> deque[Ints]:  # noqa: ARG002
-        """Return the numbers of a layer in blocks with a bounded number of transitions; the given list is emptied."""
-        numbers = np.concatenate(layer)
+    def blocks(self, layer: list[Any], threads: int) -> deque[Any]:  # noqa: ARG002
+        """Return the numbers of a layer in blocks with a bounded number of transitions; the given list is emptied.
+
+        The forward search's layers are ranges, one after the other, so that they take no memory.
+        """
+        if isinstance(layer[0], range):
+            numbers: Any = range(layer[0].start, layer[-1].stop)
+        else:
+            numbers = np.concatenate(layer)
         layer.clear()
         of_each = max(1, self.transitions // max(1, self._expanded))
         size = max(1, min(STATES_AT_A_TIME, TRANSITIONS_AT_A_TIME // of_each))
-        return deque(np.split(numbers, range(size, len(numbers), size)))
+        return deque(numbers[at : at + size] for at in range(0, len(numbers), size))
 
-    def expand(self, block: Ints) -> list[Expanded]:
+    def expand(self, block: range) -> list[Expanded]:
         """Return the successors of a block's states, canonical if there is a `form`, as `expanded` yields them."""
         parts = []
-        for part in expanded(self._operators, self._met.states(block)):
+        for part in expanded(self._operators, self._met.states(slice(block.start, block.stop))):
             self._budget.check_time(len(self))
             if self._form is not None:
                 self._form(part[2])
             parts.append(part)
         return parts
 
-    def add(self, expanded: list[Expanded]) -> list[Ints]:
+    def add(self, expanded: list[Expanded]) -> list[range]:
         """Number the new states and store the transitions; return the numbers of the new states."""
         before = len(self)
         for counts, actions, after in expanded:
@@ -222,7 +228,7 @@ class RegistrySpace:
                 self._kinds.append(self.transitions, self._kind_of[actions])
             self._expanded += len(counts)
             self.transitions += len(actions)
-        return [np.arange(before, len(self))] if len(self) > before else []
+        return [range(before, len(self))] if len(self) > before else []
 
     def finish(self) -> None:
         """Build the index, and sort the transitions by their targets."""
