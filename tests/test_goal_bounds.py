@@ -173,6 +173,18 @@ def test_the_solver_goes_on_where_a_goal_is_reached_that_may_be_another_persons(
     assert solution.upper >= -4.9297
 
 
+def test_bounds_at_further_beliefs_count_people_who_have_not_finished() -> None:
+    """In a state that is the goal of some people, the bound that is stored is that of the others."""
+    pomdp, plain = problem(ring((0.45, 0.45, 0.1))), solved()
+    states = np.flatnonzero(~pomdp.final[: pomdp.task_states])
+    beliefs = np.repeat(pomdp.prior[None], len(states), axis=0)
+    solution = solve(pomdp, gap=1e-5, further_beliefs=(states, beliefs))
+    assert solution.lower <= solution.upper
+    assert solution.lower <= plain.upper + 1e-9
+    assert solution.upper >= plain.lower - 1e-9
+    assert (solution.value(states, beliefs) <= solution.upper_bound(states, beliefs) + 1e-9).all()
+
+
 def test_values_of_the_solution_are_those_of_a_plain_look_ahead() -> None:
     """People who have reached their goal cost no more than a suggestion; a row of any goal may stand for its state."""
     found, rng = solved(suggestions="all"), np.random.default_rng(3)

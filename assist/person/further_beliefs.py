@@ -71,9 +71,10 @@ def _upper_backups(start, states, beliefs, step, trial, hull, q, m):
     for i in range(start, len(states)):
         if len(hull.drop) == hull.space[0]:
             return i
-        x, belief = states[i], beliefs[i]
+        x = states[i]
         trial.state[0] = x
-        hsvi.start_node(hsvi.ZERO, belief, 1.0, q, trial, m)
+        hsvi.start_node(hsvi.ZERO, beliefs[i], 1.0, q, trial, m)
+        belief = trial.belief[0]  # given that the goal is none that is reached in x
         value = trial.q[0, hsvi.most_promising(hsvi.ZERO, work, room, trial, hull, m)]
         value += 2 * ROUNDING * abs(value)
         if value < hsvi.upper(x, belief, hull, room) - step - 4 * ROUNDING * abs(value):
