@@ -177,3 +177,14 @@ def test_kept_solutions_are_those_of_the_solver_and_only_for_equal_problems(tiny
         assert values(population=wide, **other) is not first
     nothing = SolutionCache(limit_mb=0.0)
     assert (nothing.qmdp(make(tiny_choices)).value_mdp == first).all(), "what is not kept is solved again"
+
+
+@pytest.mark.parametrize("dear", [10**6, 10**6 + 1, 10**6 + 3, 10**7 + 9])
+def test_a_suggestion_against_a_dear_action_keeps_its_precision(dear: int) -> None:
+    """Nobody follows; who is advised to take the dear action takes one of two that cost 1 for sure."""
+    roads = [(1, 0, dear), (1, 2, 1), (2, 0, 0), (1, 3, 1), (3, 0, 0)]
+    model = HumanModel.exact(Choices.of(sweep(graph_task(roads))), lapse=0.0)
+    grid = Grid(np.array([0.0]), np.array([0.0, 1.0]))
+    pomdp = AssistPOMDP.of(model, grid=grid, gamma=0.9, c_suggest=0.1, suggestions="all", trust=constant())
+    found = qmdp(pomdp, tolerance=1e-13).value_mdp[model.choices.initial, 0, 0]
+    assert found == pytest.approx(-1.1, rel=1e-14)

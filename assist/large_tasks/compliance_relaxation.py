@@ -144,7 +144,7 @@ def compliance_bounds(
     arrays = [read_only(array) for array in (order, rows.offsets, rows.actions, number, costs, h, perceived)]
 
     def one(beta: float) -> Floats:
-        value, stamp = start.copy(), np.zeros(len(start), dtype=np.uint8)
+        value, stamp = start.copy(), np.zeros(len(start), dtype=np.uint16)
         for sweep in range(1, max_sweeps + 1):
             if time.perf_counter() > deadline:
                 break
@@ -163,7 +163,7 @@ def mistaken_about_states(human: Human) -> bool:
 
 @njit(nogil=True)
 def _sweep(
-    value: Floats, stamp: NDArray[np.uint8], sweep: int, order: Ints, offsets: Ints, actions: NDArray[np.integer],
+    value: Floats, stamp: NDArray[np.uint16], sweep: int, order: Ints, offsets: Ints, actions: NDArray[np.integer],
     targets: NDArray[np.int32], prices: Floats, h: Floats, perceived: Floats, beta: float, gamma: float,
     c_suggest: float, lapse: float, optimal: bool,
 ) -> float:  # fmt: skip
@@ -203,9 +203,10 @@ def _sweep(
         for a in range(choices):
             if optimal and prices[actions[first + a]] + h[targets[first + a]] != h[x]:
                 continue
-            influenced = highest  # an upper bound on o_a; for p close to 1 the difference below would lose precision
-            if p[a] < 0.9:
-                influenced = max(u[a], (alone - p[a] * u[a]) / (1.0 - p[a]))
+            influenced = highest  # an upper bound on o_a, where the difference below would lose precision
+            others = alone - p[a] * u[a]
+            if p[a] < 0.9 and abs(others) > 0.1 * abs(alone):
+                influenced = max(u[a], others / (1.0 - p[a]))
             best = max(best, (1.0 - lapse) * influenced + lapse * mean - c_suggest)
         change = value[x] - best
         if change > 0.0:

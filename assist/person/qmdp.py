@@ -402,16 +402,18 @@ def action_values(
                 m.chosen[acting, slot, b],
                 m.unsuggested[x, r, b],
             )
-            if p > 0.9:
+            small = p > 0.9  # whether the difference would lose precision
+            if not small:
+                for t in range(len(m.theta)):
+                    declined[t] = expected[t] - p * (m.gamma * value[y, b, t] - c)
+                    small |= abs(declined[t]) < 0.1 * abs(expected[t])
+            if small:
                 declined[:] = 0.0
                 for a in range(m.counts[acting]):
                     if a != slot:
                         for t in range(len(m.theta)):
                             u = m.gamma * value[m.targets[acting, a], b, t] - m.costs[acting, a]
                             declined[t] += m.chosen[acting, a, b] * u
-            else:
-                for t in range(len(m.theta)):
-                    declined[t] = expected[t] - p * (m.gamma * value[y, b, t] - c)
             for t in range(len(m.theta)):
                 at, up, theta = m.low[x, r, t], m.weight[x, r, t], m.theta[t]
                 followed = p * (m.gamma * ((1.0 - up) * value[y, b, at] + up * value[y, b, at + 1]) - c)
