@@ -581,7 +581,10 @@ def test_people_whose_task_is_solved_at_the_start_have_a_bound_of_zero() -> None
         assert team_bound.upper_bound(pool, paths=paths, seed=0).upper == 0
 
 
-def test_shares_of_the_penalty_are_from_0_to_1() -> None:
+def test_numbers_for_which_the_penalty_is_not_proven_are_refused() -> None:
     for alphas in ((), (0.5, 1.5), (-0.1, 0.5)):
         with pytest.raises(ValueError, match="expected numbers from 0 to 1"):
             RelaxationOptions(alphas=alphas)
+    for wrong in ({"fading": 1.5}, {"fading": -0.1}, {"decay_steps": 0.0}, {"decay_steps": -5.0}, {"steps_ahead": -1}):
+        with pytest.raises(ValueError, match="expected"):
+            RelaxationOptions(**wrong)

@@ -328,6 +328,14 @@ def test_what_gives_no_chances_is_refused(tiny: Table, own: Any, message: str) -
         chances(own, choices, HumanModel.exact(choices).q, np.array([0.5, 2.0]))
 
 
+def test_chances_that_almost_add_up_to_one_are_scaled(tiny: Table) -> None:
+    choices = Choices.of(tiny)
+    found = chances(
+        lambda c, q, beta: boltzmann(c, q, beta) * (1 + 9e-10), choices, HumanModel.exact(choices).q, np.array([0.5])
+    )
+    np.testing.assert_allclose(found.sum(axis=2)[0], choices.applicable.any(axis=1), atol=1e-15)
+
+
 def test_populations_with_weights_are_checked(tiny: Table) -> None:
     with pytest.raises(ValueError, match="weight range \\(2, 1\\) of goals"):
         Population(weights={"goals": (2, 1)})

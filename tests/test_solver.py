@@ -281,6 +281,12 @@ def test_bounds_are_lower_at_beliefs_that_are_named(tiny_choices: Choices) -> No
     assert np.count_nonzero(above - below <= 2e-3 * np.abs(below)) > 150
 
 
+def test_options_with_which_nothing_is_searched_are_refused() -> None:
+    for wrong in ({"depth": 0}, {"backups_per_check": 0}, {"first_sweeps": 0}, {"finest": 0.0}):
+        with pytest.raises(ValueError, match=f"{next(iter(wrong))} .*expected"):
+            SolverOptions(**wrong)  # type: ignore[arg-type]
+
+
 def test_dead_ends_cost_for_ever(sealed: Table) -> None:
     """In a dead end both bounds are the value of never reaching the goal."""
     solution = solution_of("sealed")

@@ -17,7 +17,8 @@ def relaxed_value(bound: TeamBound, *, episodes: int = 20_000, seed: Seed = 0) -
     """Simulate QMDP's policies in the relaxed problem of a bound; return the mean and its standard error.
 
     Optimal policies of the relaxed problem have at least this value, and the bound is at least theirs. So the part of a
-    certificate's gap below this mean is due to the relaxation and the team policy, not to the solver.
+    certificate's gap below this mean is due to the relaxation and the team policy, not to the solver. Costs after the
+    horizon, at most a millionth of the dearest step for each person, are left out.
     """
     for policy in bound.pool.policies:
         policy.require_enumerated("relaxed_value")

@@ -82,7 +82,7 @@ def chances(chooses: ChoiceModel, choices: Choices, q: Floats, beta: Floats) -> 
             f"{named}: chances {p[b, x].tolist()} in state {x} for beta {beta[b]:g}; expected 0 or more, 0 in empty "
             f"slots, adding up to {wanted[x]:g}"
         )
-    return p
+    return p / np.where(np.abs(total - wanted) > 1e-12, total, 1.0)[..., None]
 
 
 def value(chooses: ChoiceModel, choices: Choices, q: Floats) -> Floats:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..people.arguments import whole
 from ..people.decision import Floats
 from ..people.goals import Value, in_task_states
 from . import hsvi
@@ -21,7 +22,7 @@ from .upper_hull import new_program
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """Options of the search in `solve`. The bounds are valid for all values.
+    """Options of the search in `solve`. The bounds are valid for all values that are accepted.
 
     Attributes
     ----------
@@ -42,6 +43,13 @@ class SolverOptions:
     finest: float = 1e-6
     backups_per_check: int = 1000
     first_sweeps: int = 20
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for name in ("depth", "backups_per_check", "first_sweeps"):
+            whole(name, getattr(self, name), 1)
+        if not self.finest > 0:
+            raise ValueError(f"finest {self.finest:g}: expected more than 0")
 
 
 def relative_gap(lower: float, upper: float) -> float:

@@ -8,7 +8,7 @@ After the last price attention is free.
 
 `AttentionSubproblem.of` builds this problem as an `AssistPOMDP`. Its observed state consists of the task state, the
 step as long as the price depends on it, and the robot's position (`TimeExpansion`). The robot's possible moves depend
-on its position only (`RobotMoves`). So every solver and bound for an `AssistPOMDP` applies.
+on its position only (`RobotMoves`). So every solver and bound for an `AssistPOMDP` of one goal applies.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ...people.arguments import whole
+
 
 @dataclass(frozen=True)
 class RelaxationOptions:
@@ -57,6 +59,12 @@ class RelaxationOptions:
     decay_steps: float = 5.0
 
     def __post_init__(self) -> None:
-        """Check the candidates for alpha."""
+        """Check the numbers on which the proof depends."""
         if not self.alphas or not all(0 <= alpha <= 1 for alpha in self.alphas):
             raise ValueError(f"alphas {self.alphas}: expected numbers from 0 to 1")
+        if not 0 <= self.fading <= 1:
+            raise ValueError(f"fading {self.fading:g}: expected 0 to 1")
+        if not self.decay_steps > 0:
+            raise ValueError(f"decay_steps {self.decay_steps:g}: expected more than 0")
+        for name in ("free_steps", "congestion_steps", "steps_ahead", "full_weight_steps"):
+            whole(name, getattr(self, name), 0)
