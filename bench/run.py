@@ -21,17 +21,17 @@ BENCH = Path(__file__).resolve().parent
 
 # For each script and its commands: the arguments of the default run, and of the smallest case.
 CASES = {
-    "coupled_bounds": ("--problems 50 --fleets 5", "--problems 6 --fleets 2 --paths 30"),
+    "coupled_bounds": ("--problems 50 --fleets 5", "--problems 3 --fleets 1 --paths 10"),
     "cost_to_go": (
         "kitting-3-4 kitting-4-5 --repeat 1 --timeout 60 --sample 10 --sample-seconds 5",
         "kitting-1-1 kitting-1-2 --repeat 1 --peers kitassist",
     ),
-    "crosscheck": ("20", "3"),
+    "crosscheck": ("20", "2"),
     "endurance": (
         "--people 10 --minutes 1 --kills 1",
-        "--through mqtt --instance domains/kitting/tiny.pddl --people 2 --minutes 0.05 --kills 1 --every 1",
+        "--through mqtt --instance domains/kitting/tiny.pddl --people 2 --minutes 0.03 --kills 1 --every 1",
     ),
-    "explanations": ("", "--pairs 5 --texts 2"),
+    "explanations": ("", "--pairs 2 --texts 1"),
     "environments": ("--steps 40 --repeat 1", "--instance kitting/tiny --teams 8 --steps 5 --repeat 1"),
     "fit recover": ("--people 100", "--instance kitting/tiny --people 8 --episodes 2"),
     "fit information": ("--people 100", "kitting/tiny --people 10 --episodes 2"),
@@ -40,7 +40,7 @@ CASES = {
     "fit time": ("--people 8", "--people 2 --actions 6 --instance kitting/tiny"),
     "goals": ("", "--per-domain 1 --domain satellite"),
     "kits": ("", "--goals 2 --episodes 20 --pool 2 --humans 2"),
-    "fleet": ("--cells 1/3 --cells 1/5 --instances 20 --runs 200", "--cells 1/3 --instances 2 --runs 20"),
+    "fleet": ("--cells 1/3 --cells 1/5 --instances 20 --runs 200", "--cells 1/3 --instances 1 --runs 10"),
     "foreign": ("counters stacks", "--one domains/kitting/tiny.pddl"),
     "growth": ("--repeat 1", "--repeat 1 --steps 1"),
     "habits": (
@@ -83,7 +83,7 @@ CASES = {
         "--timeout 10 --solvers kitassist --settings 0.95/1/1 --settings 0.99/0.5/0.5",
         "--timeout 2 --solvers kitassist --settings 0.95/1/0 --no-cold",
     ),
-    "confidence": ("--seeds 100", "--seeds 5 --settings 1"),
+    "confidence": ("--seeds 100", "--seeds 2 --settings 1"),
     "random_pddl": ("100 --jobs 2", "10"),
     "repriced": ("--steps 100", "--instance kitting/tiny --people 3 --robots 2 --steps 4"),
     "robots": (
@@ -95,7 +95,7 @@ CASES = {
     "study": ("--humans 2 --people 4", "--check"),
     "userstudy_intervals": ("", "--studies 2 --people 12"),
     "team latency": ("--repeat 11", "--repeat 1 --instance tiny"),
-    "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1 --people 400"),
+    "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1 --people 100"),
     "team gap": (
         "--instance paper-fixed --gamma .95 --humans 2 --humans 100 --time-limit 10",
         "--instance tiny --gamma .95 --humans 2 --time-limit 1",
