@@ -21,7 +21,7 @@ BENCH = Path(__file__).resolve().parent
 
 # For each script and its commands: the arguments of the default run, and of the smallest case.
 CASES = {
-    "coupled_bounds": ("--problems 50 --fleets 5", "--problems 3 --fleets 1 --paths 10"),
+    "coupled_bounds": ("--problems 50 --fleets 5", "--problems 6 --fleets 1 --paths 10"),
     "cost_to_go": (
         "kitting-3-4 kitting-4-5 --repeat 1 --timeout 60 --sample 10 --sample-seconds 5",
         "kitting-1-1 kitting-1-2 --repeat 1 --peers kitassist",
@@ -40,7 +40,7 @@ CASES = {
     "fit time": ("--people 8", "--people 2 --actions 6 --instance kitting/tiny"),
     "goals": ("", "--per-domain 1 --domain satellite"),
     "kits": ("", "--goals 2 --episodes 20 --pool 2 --humans 2"),
-    "fleet": ("--cells 1/3 --cells 1/5 --instances 20 --runs 200", "--cells 1/3 --instances 1 --runs 10"),
+    "fleet": ("--cells 1/3 --cells 1/5 --instances 20 --runs 200", "--cells 1/3 --instances 2 --runs 10"),
     "foreign": ("counters stacks", "--one domains/kitting/tiny.pddl"),
     "growth": ("--repeat 1", "--repeat 1 --steps 1"),
     "habits": (
