@@ -21,7 +21,7 @@ BENCH = Path(__file__).resolve().parent
 
 # For each script and its commands: the arguments of the default run, and of the smallest case.
 CASES = {
-    "coupled_bounds": ("--problems 50 --fleets 5", "--problems 6 --fleets 1 --paths 10"),
+    "coupled_bounds": ("--problems 50 --fleets 5", "--problems 6 --fleets 2 --paths 30"),
     "cost_to_go": (
         "kitting-3-4 kitting-4-5 --repeat 1 --timeout 60 --sample 10 --sample-seconds 5",
         "kitting-1-1 kitting-1-2 --repeat 1 --peers kitassist",
