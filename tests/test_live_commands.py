@@ -168,12 +168,12 @@ def test_people_are_drawn_from_a_file(begun: Begun, tmp_path: Path) -> None:
         (("--distances", TINY), "--distances"),
         (("--gamma", 2), "gamma"),
         (("--sigma", 2, 1), "sigma range"),
-        (("--sigma", 0.1, 1.0), "--sigma: expected --simulate N as well"),
-        (("--pace", 1), "--pace: expected --simulate N as well"),
-        (("--seed", 1), "--seed: expected --simulate N as well"),
-        (("--keep-people", 30), "--keep-people: expected --people-store FILE as well"),
-        (("--eta", 0.3), "--eta: expected --trust paper as well"),
-        (("--utility-scale", 2, "--trust", "outcome"), "--utility-scale: expected --trust paper as well"),
+        (("--sigma", 0.1, 1.0), "--sigma has no effect without --simulate"),
+        (("--pace", 1), "--pace has no effect without --simulate"),
+        (("--seed", 1), "--seed has no effect without --simulate"),
+        (("--keep-people", 30), "--keep-people has no effect without --people-store"),
+        (("--eta", 0.3), "--eta has no effect without --trust paper"),
+        (("--utility-scale", 2, "--trust", "outcome"), "--utility-scale has no effect without --trust paper"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line_before_anything_is_served(

@@ -346,7 +346,7 @@ class _Person:
         if self.human is not None or hasattr(self.chooses, "value"):  # otherwise V(x) is minus the cost-to-go
             choices = region.choices
             best = choices.optimal if choices.offered is None else choices.offered
-            advised = best if self.setting.offered == "optimal" else choices.applicable
+            advised = best if self.setting.considered_suggestions == "optimal" else choices.applicable
             at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
             expected[at] = self.expected(region.states[region.frontier[at]])
         return self.problem(region, replace(beyond, value=expected))
@@ -394,7 +394,7 @@ class _Person:
         in_time = 20_000 * share * max(0.0, left)
         bytes_of_a_state = 600  # values and transitions, roughly
         most = int(min(SIZES.complying, self.memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
-        best_only = setting.offered == "optimal" and self.among is None
+        best_only = setting.considered_suggestions == "optimal" and self.among is None
         found = compliance_bounds(
             known, human, Grid.regular(self.prior).beta, breadth_first(known, region.states, most), gamma=setting.gamma,
             c_suggest=best_robots(setting).c_suggest, lapse=setting.lapse, optimal=best_only,

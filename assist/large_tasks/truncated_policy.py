@@ -214,7 +214,7 @@ class TruncatedPolicy(Policy):
         then : int array, shape (M,)
             Successors to which suggestions lead, unless `deep`.
         """
-        optimal = self.setting.offered == "optimal"
+        optimal = self.setting.considered_suggestions == "optimal"
         region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
         return LocalProblem(self, self.problem(region), region, len(states), deep)
 

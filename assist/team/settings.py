@@ -146,7 +146,7 @@ class Setting:
         return trust_rule(self.trust, self.eta, self.utility_scale)
 
     @property
-    def offered(self) -> Suggestions:
+    def considered_suggestions(self) -> Suggestions:
         """Which suggestions a robot considers: all of them if it may mistake the state of a task."""
         return self.suggestions if self.observation is None else "all"
 
@@ -208,6 +208,6 @@ class Setting:
         return AssistPOMDP.of(
             model, chooses=self.chooses(human, population), grid=Grid.regular(population),
             population=population, gamma=self.gamma, c_suggest=robot.c_suggest,
-            suggestions=self.offered, execute=robot.execute,
+            suggestions=self.considered_suggestions, execute=robot.execute,
             c_execute=robot.c_execute, frontier=frontier, trust=self.believed_rule(),
         )  # fmt: skip

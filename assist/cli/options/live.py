@@ -17,7 +17,18 @@ from planner.batch.solve_record import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
 from ...texts.catalogue import FIRST, catalogue
-from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Number, Option, Range, is_given, range_option, with_options
+from .common import (
+    OUTPUT_FOLDER,
+    SECONDS,
+    SEED,
+    Command,
+    Number,
+    Option,
+    Range,
+    range_option,
+    refuse_unused,
+    with_options,
+)
 from .config import read_config
 from .goals import goal_list_options, question_options, questions_of, several_goals
 from .person import model_options, observation_options
@@ -124,9 +135,9 @@ def plan_of(
         raise click.UsageError(f"--simulate {simulate} is more than --humans {humans}")
     population = population_of(beta, theta, sigma, file=population_file, people=people)
     if not simulate:
-        _require_not_given("--simulate N", "sigma", "pace", "seed")
+        refuse_unused(["sigma", "pace", "seed"], "without --simulate")
     if people_store is None:
-        _require_not_given("--people-store FILE", "keep_people")
+        refuse_unused(["keep_people"], "without --people-store")
     (chosen,) = policies_of((policy,)).values()
     try:
         texts = catalogue(language)
@@ -135,7 +146,7 @@ def plan_of(
         options["observation"] = ObservationModel(miss, confusion)
         setting = Setting(**with_rule_of(population_file, options))
         if setting.trust != "paper":  # influence on real people is constant unless a rule is given
-            _require_not_given("--trust paper", "eta", "utility_scale")
+            refuse_unused(["eta", "utility_scale"], "without --trust paper")
         if best_robots(setting).execute:
             raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")
         distance = None if distances is None else travel_of(setting, humans, distances).distance
@@ -207,13 +218,6 @@ def changed_settings(config: Path, context: click.Context, session: Session) -> 
         return events + [Event("began", name, task=task) for name, task in chosen if tasks[name] != task]
 
     return read
-
-
-def _require_not_given(needed: str, *names: str) -> None:
-    """Refuse options that have no effect without another one."""
-    for name in names:
-        if is_given(name):
-            raise click.UsageError(f"--{name.replace('_', '-')}: expected {needed} as well")
 
 
 def _require_known(chosen: Mapping[str, str], people: Collection[str], tasks: Collection[str]) -> None:
