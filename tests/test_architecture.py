@@ -20,8 +20,8 @@ ROOMS = {
     "planner.system": """lazy_imports errors arrays files machine processes threads progress_reports progress jit
         limits workers""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment formulas reader
-        writer validation validation_process built_problems""",
-    "planner.grounding": "fast_downward task sas_reader cross_check load semantics",
+        compilation writer validation validation_process built_problems""",
+    "planner.grounding": "fast_downward task sas_reader cross_check shown_names load semantics",
     "planner.states": "packing state_space",
     "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors
         expansion distance_updates""",

@@ -21,8 +21,9 @@ from ..grounding.fast_downward import FastDownwardError
 from ..grounding.load import ground
 from ..grounding.semantics import replay
 from ..grounding.task import Effect, Operator, Task, Variable
+from ..pddl.compilation import Compilation, compiled
 from ..pddl.instances import Instance, PDDLError
-from ..pddl.reader import Reading, read
+from ..pddl.reader import read
 from ..pddl.validation import InvalidPlanError
 from ..pddl.validation_process import PATIENCE, ValidationProcess
 from ..system.errors import MismatchError
@@ -136,9 +137,9 @@ def solve_instance(
     reset_peak_memory()
     try:
         with phases.phase("read"):
-            reading = read(instance)
-        with ValidationProcess(reading, phases.limits()) as checker, ExitStack() as until_solved:
-            task = _grounded(reading, checker, phases, until_solved)
+            compilation = compiled(read(instance))
+        with ValidationProcess(compilation.reading, phases.limits()) as checker, ExitStack() as until_solved:
+            task = _grounded(compilation, checker, phases, until_solved)
             record = _solve(task, checker, options, place, phases, use)
     except Exception as error:
         found = _record_of(error, instance, options)
@@ -173,12 +174,13 @@ def _record_of(error: Exception, instance: Instance, options: SolveOptions) -> S
     return None
 
 
-def _grounded(reading: Reading, checker: ValidationProcess, phases: _Phases, until_solved: ExitStack) -> Task:
+def _grounded(compilation: Compilation, checker: ValidationProcess, phases: _Phases, until_solved: ExitStack) -> Task:
     """Ground an instance. Meanwhile, a thread loads the compiled code that the search needs."""
+    instance = compilation.reading.instance
     with phases.phase("translate", "reading"):
-        loading = threading.Thread(target=_load_search, args=(reading.instance, phases, until_solved), daemon=True)
+        loading = threading.Thread(target=_load_search, args=(instance, phases, until_solved), daemon=True)
         loading.start()
-        task = ground(reading, checker, phases.limits())
+        task = ground(compilation, checker, phases.limits())
         loading.join()
         return task
 

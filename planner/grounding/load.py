@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..pddl import built_problems, bundled, instance_finder, instances
-from ..pddl.reader import Reading, read
+from ..pddl.compilation import Compilation, compiled
+from ..pddl.reader import read
 from ..pddl.validation_process import PATIENCE, ValidationProcess
 from ..system.files import atomic
 from ..system.limits import NO_LIMITS, Limits
 from . import cross_check, fast_downward
 from .sas_reader import from_sas
+from .shown_names import in_the_files_terms
 from .task import Task
 
 if TYPE_CHECKING:
@@ -59,38 +63,42 @@ def load(
     if cache is not None and instance.domain.is_file() and instance.problem.is_file():
         stored = Path(cache) / f"{fast_downward.digest(instance)}.sas"
         if (kept := _kept(stored)) is not None:
-            return from_sas(kept[1], instance, kept[0])
-    reading = read(instance)
-    with ValidationProcess(reading, limits) as checker:
-        task = ground(reading, checker, limits)
+            note, unit, sas = kept
+            return replace(from_sas(sas, instance, note), unit=unit)
+    compilation = compiled(read(instance))
+    with ValidationProcess(compilation.reading, limits) as checker:
+        task = ground(compilation, checker, limits)
     # The files may have been changed since their digest was made.
     if stored is not None and stored.stem == fast_downward.digest(instance):
-        content = f"{task.note or ''}\n{task.sas}"
+        content = f"{task.note or ''}\n{task.unit}\n{task.sas}"
         with atomic(stored) as path:
             path.write_text(f"{_digest(content)}\n{content}", encoding="utf-8")
     return task
 
 
-def _kept(file: Path) -> tuple[str | None, str] | None:
-    """Return the note and the SAS text of a cache file; None if there is none, or it is damaged."""
+def _kept(file: Path) -> tuple[str | None, Fraction, str] | None:
+    """Return the note, the unit and the SAS text of a cache file; None if there is none, or it is damaged."""
     try:
         digest, _, content = file.read_text(encoding="utf-8").partition("\n")
     except (FileNotFoundError, UnicodeDecodeError):
         return None
-    note, _, sas = content.partition("\n")
-    return (note or None, sas) if digest == _digest(content) else None
+    if digest != _digest(content):
+        return None
+    note, unit, sas = content.split("\n", 2)
+    return note or None, Fraction(unit), sas
 
 
 def _digest(content: str) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def ground(reading: Reading, checker: ValidationProcess, limits: Limits = NO_LIMITS) -> Task:
-    """Ground an instance while unified-planning reads it.
+def ground(compilation: Compilation, checker: ValidationProcess, limits: Limits = NO_LIMITS) -> Task:
+    """Ground a compiled instance while unified-planning reads it.
 
     If unified-planning refuses an instance that Fast Downward's translator accepts, the task's note says so. The files
     have passed this project's own checks before.
     """
+    reading = compilation.reading
     sas = fast_downward.translate(reading, limits)
     refusal = checker.refusal(PATIENCE if limits.seconds is None else limits.seconds)
     note = None
@@ -98,9 +106,9 @@ def ground(reading: Reading, checker: ValidationProcess, limits: Limits = NO_LIM
         if rules := reading.domain.rules:  # without the file's path, since a cached task may be that of a copy
             refusal = f"it knows no derived predicates (line {rules[0].head.place.line} of the domain)"
         note = f"read by Fast Downward's translator, not checked by unified-planning: {refusal}"
-    task = from_sas(sas, reading.instance, note)
+    task = from_sas(sas, reading.instance, "; ".join(filter(None, [note, *compilation.notes])) or None)
     cross_check.check(reading, task)
-    return task
+    return in_the_files_terms(task, compilation)
 
 
 def _load_built(problem: Problem, limits: Limits) -> Task:
@@ -108,9 +116,11 @@ def _load_built(problem: Problem, limits: Limits) -> Task:
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         instance, names = built_problems.write(problem, Path(folder))
         try:
-            reading = read(instance)
-            sas = fast_downward.translate(reading, limits)
-            cross_check.check(reading, from_sas(sas, instance))
+            compilation = compiled(read(instance))
+            sas = fast_downward.translate(compilation.reading, limits)
+            task = from_sas(sas, instance, "; ".join(compilation.notes) or None)
+            cross_check.check(compilation.reading, task)
         except instances.PDDLError as error:  # the user does not know the temporary files
             raise instances.PDDLError(named.problem, None, error.message) from None
-    return from_sas(built_problems.restore_names(sas, names), named)
+    task = in_the_files_terms(task, compilation)
+    return replace(from_sas(built_problems.restore_names(task.sas, names), named, task.note), unit=task.unit)

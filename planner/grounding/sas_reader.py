@@ -26,15 +26,18 @@ def from_sas(sas: str, instance: Instance, note: str | None = None) -> Task:
     text.expect("end_goal")
     grounded = text.each("operator", text.operator)
     axioms = text.each("rule", text.axiom)
-    costs = {action: cost if has_costs else 1 for action, _, _, cost in grounded}
-    actions = tuple(sorted(costs))
+    priced = [(action, cost if has_costs else 1) for action, _, _, cost in grounded]
+    actions = sorted(set(priced))  # one for each cost that an action may have
     index = {action: number for number, action in enumerate(actions)}
     return Task(
         instance=instance,
         variables=variables,
-        actions=actions,
-        costs=tuple(costs[action] for action in actions),
-        operators=tuple(Operator(index[a], preconditions, effects) for a, preconditions, effects, _ in grounded),
+        actions=tuple(action for action, _ in actions),
+        costs=tuple(cost for _, cost in actions),
+        operators=tuple(
+            Operator(index[action], preconditions, effects)
+            for action, (_, preconditions, effects, _) in zip(priced, grounded, strict=True)
+        ),
         axioms=axioms,
         initial=initial,
         goal=goal,

@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from numbers import Integral
 from pathlib import Path
@@ -91,9 +92,10 @@ class Task:
         Files of the task. For a problem that was built in Python, these files do not exist.
     variables : tuple of Variable
     actions : tuple of str
-        Ground actions as `(name arg ...)`, each once, sorted.
+        Ground actions as `(name arg ...)`, sorted. An action occurs once for each cost that it may have; in each state
+        at most one of these is applicable.
     costs : tuple of int
-        The cost of each action: its PDDL cost, or 1 where the problem has no metric.
+        The cost of each action, a multiple of `unit`: its PDDL cost, or 1 where the problem has no metric.
     operators, axioms : tuple
         Operators, and axioms as effects on derived variables.
     initial : tuple of int
@@ -103,7 +105,9 @@ class Task:
         Groups of facts such that operators preserve that at most one of each group holds. They are used only to speed
         up searches.
     note : str or None
-        Warning for the user that unified-planning has not validated the files, with the reason.
+        What the user should know: that unified-planning has not validated the files, or what was assumed.
+    unit : Fraction
+        Cost in the file's unit that a cost of 1 stands for. It is 1 unless the file has decimals.
     """
 
     instance: instances.Instance
@@ -116,6 +120,7 @@ class Task:
     goal: tuple[Fact, ...]
     mutexes: tuple[tuple[Fact, ...], ...] = ()
     note: str | None = None
+    unit: Fraction = Fraction(1)
 
     __repr__ = outline
 
@@ -127,6 +132,8 @@ class Task:
             raise ValueError(f"{len(self.costs)} costs; expected one for each of the {len(self.actions)} actions")
         if len(self.initial) != len(self.variables):
             raise ValueError(f"an initial state of {len(self.initial)} values; expected {len(self.variables)}")
+        if self.unit <= 0:
+            raise ValueError(f"a unit of {self.unit}; expected more than 0")
         for where, facts in (("initial state", enumerate(self.initial)), ("goal", self.goal)):
             for variable, value in facts:
                 if not 0 <= variable < len(self.variables):

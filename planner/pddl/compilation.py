@@ -1,0 +1,48 @@
+"""Compilation of an instance into classical planning with action costs, which Fast Downward's translator grounds.
+
+What the translator does not read is finite for one person who acts in sequence, and is compiled away. A `Compilation`
+says how the compiled names and numbers are shown, so that users only meet those of their files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+from .reader import Reading
+
+
+@dataclass(frozen=True)
+class Compilation:
+    """An instance as a classical one, and what its names and numbers mean in the file.
+
+    Attributes
+    ----------
+    reading : Reading
+        A classical instance; its costs are whole numbers.
+    unit : Fraction
+        Cost in the file's unit of one unit of whole-number cost.
+    actions : mapping of str to (str, int)
+        By compiled action: its name in the file, and how many of its first parameters are those of the file. Actions
+        that are not listed are unchanged.
+    numbers : mapping of str to (str, mapping of str to str)
+        By compiled predicate of a function: the function's name, and the number that each value object stands for, as
+        it is shown: "3", "2.5", "more than 3", "undefined". The value is the predicate's last argument.
+    compiled : mapping of str to int
+        What was compiled away: "durations" counts durative actions, "numbers" functions that change.
+    notes : tuple of str
+        What the user should know, such as the cost that was assumed.
+    """
+
+    reading: Reading
+    unit: Fraction = Fraction(1)
+    actions: Mapping[str, tuple[str, int]] = field(default_factory=dict)
+    numbers: Mapping[str, tuple[str, Mapping[str, str]]] = field(default_factory=dict)
+    compiled: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def compiled(reading: Reading) -> Compilation:
+    """Return the compilation of an instance; a classical instance is its own."""
+    return Compilation(reading)
