@@ -64,7 +64,7 @@ def returns(instance: str, episodes: int, humans: int, size: int, seed: int, rec
         for policy in ("none", "reactive", "attention", "priority"):
             if policy == "none" and "none" in exact:  # which sees nothing
                 continue
-            found = simulate(pool, policy, humans=humans, episodes=episodes, seed=seed, explain=False)
+            found = simulate(pool, policy, humans=humans, episodes=episodes, seed=seed)
             reward, summary = found.discounted_return, found.summary()
             loss = interval(exact.setdefault(policy, reward) - reward)
             gain = (exact[policy] - exact["none"]).mean() or math.nan

@@ -38,7 +38,7 @@ ROOMS = {
         weighted_choice human mixture spread belief influence_kernels trust_rules user_code action_names signals""",
     "assist.person": """leaf_bounds observation_model pomdp known_goals visiting_robot policy lazy_policy archive
         problem_arrays belief_filter reached_goals dynamics joint_belief qmdp solution_cache alpha_vectors upper_hull
-        convex_bound hsvi search memory_needed further_beliefs solver suggestion_threshold""",
+        convex_bound hsvi search memory_needed further_beliefs solver""",
     "assist.learning": """log_files log advice_log trust_scores advice_rules advice_model advice_fit replay
         observations likelihood choosing profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
         diagnostics population person_estimate fit joint_states goals goal_fit comparison rule_families trust_log
@@ -50,7 +50,7 @@ ROOMS = {
         truncated_bound truncated_policy person_problem""",
     "assist.simulation": """memory_needed affordable union pool schedule common_random_numbers hidden_goals trace
         episode episodes trust_of_people model_group task_parts task_view observed_people run traced_run requested
-        suggestion_search simulate belief_trace illustration""",
+        simulate belief_trace illustration""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.explain": "continuations contrast explanation",
     "assist.live": """live_task events advice roster uncertain_actions beliefs live_questions decision_point

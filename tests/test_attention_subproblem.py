@@ -20,7 +20,6 @@ from assist.people.trust_rules import outcome
 from assist.person.leaf_bounds import LeafBounds
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, qmdp
-from assist.person.suggestion_threshold import priced
 from assist.team import attention_subproblem
 from assist.team.attention_subproblem import AttentionSubproblem, backwards
 from assist.team.time_expansion import AWAY, HERE
@@ -238,7 +237,8 @@ def values(pomdp: AssistPOMDP, then: np.ndarray, states: list[int] | None = None
 def test_values_with_prices_go_backwards_from_those_without(monkeypatch: pytest.MonkeyPatch) -> None:
     chain = [(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 1), (1, 2, 1)]
     alone = AssistPOMDP.of(HumanModel.exact(Choices.of(sweep(graph_task(chain, start=3)))), grid=GRID, gamma=0.6)
-    alone = priced(alone, 0.01)
+    cheap = np.where(alone.suggested == NOTHING, alone.robot_costs, 0.01)
+    alone = replace(alone, c_suggest=0.01, robot_costs=cheap)
     free = AttentionSubproblem.of(alone, 0.3, 1)
     tail = qmdp(free.pomdp, tolerance=1e-12).value_mdp
     visits = AttentionSubproblem.of(alone, 0.3, 1, [0.5, 0.0, 1.0])

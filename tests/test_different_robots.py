@@ -29,7 +29,6 @@ from assist.people.human import Population
 from assist.person.qmdp import qmdp
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.simulation.suggestion_search import priced_pool
 from assist.simulation.trace import Trace
 from assist.study.protocol import read
 from assist.team.action_check import check
@@ -99,7 +98,7 @@ def test_robots_without_a_difference_act_like_alike_ones(
     assert same.setting.differ
     episodes = 3 if name == "rollout" else 12
     found = [
-        simulate(one, name, humans=3, episodes=episodes, seed=3, explain=False, travel=one.setting.travel(3, distance))
+        simulate(one, name, humans=3, episodes=episodes, seed=3, travel=one.setting.travel(3, distance))
         for one in (two, same)
     ]
     for column in ("discounted_return", "moves", "helped", "actions"):
@@ -329,8 +328,6 @@ def test_robots_that_cannot_be(robots: Any, message: str) -> None:
 
 def test_where_robots_have_to_be_alike() -> None:
     pool = people((Robot(execute=True), Robot()))
-    with pytest.raises(ValueError, match="robots: they differ; expected robots that are alike, which have one cost"):
-        priced_pool(pool, 1.0)
     with pytest.raises(ValueError, match="joined: c_suggest is"):
         Pool.joined([pool, people((Robot(execute=True), Robot()), c_suggest=0.1)])
 

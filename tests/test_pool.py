@@ -119,14 +119,14 @@ def test_a_policy_of_the_user_needs_a_problem_and_values(tiny_choices: Choices, 
         Pool.sample(tiny_choices, 2, seed=0, setting=setting, solver=partial(ByCostToGo, least=least))
         for least in (np.inf, 0.0)
     ]
-    never, always = (simulate(pool, policy, humans=2, episodes=5, seed=1, explain=False) for pool in pools)
+    never, always = (simulate(pool, policy, humans=2, episodes=5, seed=1) for pool in pools)
     if policy == "attention":
         assert never.interventions.sum() == 0
         assert (always.interventions >= always.steps - 1).all()
     else:  # it solves problems of its own
         assert list(never) == list(always)
     direct = replace(pools[0], policies=(ByCostToGo(pools[0].policies[0].pomdp, np.inf),))
-    assert list(simulate(direct, policy, humans=2, episodes=5, seed=1, explain=False)) == list(never)
+    assert list(simulate(direct, policy, humans=2, episodes=5, seed=1)) == list(never)
 
 
 def test_people_of_large_tasks_are_solved_when_they_are_drawn(tiny: Table) -> None:

@@ -53,7 +53,7 @@ def of(pool: Pool, robots: int, **setting: Any) -> Pool:
 
 
 def run(pool: Pool, policy: str, humans: int = 3, episodes: int = 50, **options: Any) -> Episodes:
-    return simulate(pool, policy, humans=humans, episodes=episodes, seed=3, explain=False, **options)
+    return simulate(pool, policy, humans=humans, episodes=episodes, seed=3, **options)
 
 
 @st.composite

@@ -21,7 +21,7 @@ from assist.person.observation_model import ObservationModel
 from assist.reports.study_report import Report
 from assist.reports.study_summary import BASELINES, Found, has_same_baseline
 from assist.study.protocol import read
-from assist.study.runner import load_study, run_study, without_suggestions
+from assist.study.runner import load_study, run_study
 from assist.study.study import Study
 from assist.team.settings import Setting
 from planner import Instance, cost_to_go, load
@@ -64,7 +64,7 @@ def test_the_summary_is_computed_over_pools(small_study: tuple[Study, Path, dict
         assert headline[key]["mean"] == pytest.approx(saved)
         assert headline[key] == headline["instances"]["tiny"][key]
         assert headline[key]["low"] <= saved <= headline[key]["high"]
-    found = Found(study, frame, without_suggestions(out))
+    found = Found(study, frame)
     assert found.summary() == printed
 
 

@@ -123,7 +123,7 @@ def test_the_belief_is_that_of_enumerated_histories(name: str, seed: int) -> Non
         return team.act(np.where(team.active.any(axis=1), team.active.argmax(axis=1), -1), rng.integers(count))
 
     watched = Watched(anything)
-    simulate(pool, watched, humans=2, episodes=1, seed=seed, trace=trace, explain=False)
+    simulate(pool, watched, humans=2, episodes=1, seed=seed, trace=trace)
     for place in (0, 1):
         steps, x = Steps(), choices.initial
         for row in (row for row in trace if row["place"] == place):

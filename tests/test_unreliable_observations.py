@@ -176,7 +176,7 @@ def test_a_simulation_without_errors_is_that_of_perfect_observation(tiny_choices
         # a robot that may err suggests any applicable action
         setting = Setting(c_suggest=0.2, suggestions="all", observation=observation)
         pool = Pool.sample(tiny_choices, 3, seed=1, setting=setting)
-        return simulate(pool, policy, humans=2, episodes=40, seed=4, explain=False)
+        return simulate(pool, policy, humans=2, episodes=40, seed=4)
 
     exact = run(None)
     assert Setting(observation=ObservationModel(0, 0)).observation is None
@@ -193,7 +193,7 @@ def test_errors_of_observation_cost_return_and_people_act_alike_without_a_robot(
         setting = Setting(c_suggest=0.2, suggestions="all", observation=ObservationModel(share, share))
         pool = Pool.sample(tiny_choices, 3, seed=1, setting=setting)
         for policy in ("none", "attention", "priority"):
-            found = simulate(pool, policy, humans=2, episodes=200, seed=4, explain=False)
+            found = simulate(pool, policy, humans=2, episodes=200, seed=4)
             returns[policy, share] = found.discounted_return.mean()
     assert returns["none", 0.0] == returns["none", 0.3]
     for policy in ("attention", "priority"):

@@ -118,9 +118,7 @@ def returns(
         if parts and deadline is not None and time.perf_counter() > deadline:
             break
         numbers = np.arange(start, min(episodes, start + portion))
-        run = simulate(
-            pool, policy, humans=list(team), episodes=numbers, seed=seed, travel=travel, world="model", explain=False
-        )
+        run = simulate(pool, policy, humans=list(team), episodes=numbers, seed=seed, travel=travel, world="model")
         remaining = (~run.finished).sum(axis=1) * largest_cost * gamma**end / (1 - gamma)
         parts.append(run.discounted_return - remaining)
     return np.concatenate(parts)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,8 +49,8 @@ def policy(
 ) -> None:  # fmt: skip
     """Solve the POMDP of assisting one person, with a lower and an upper bound on the optimal value."""
     from ..people.goals import first_of
+    from ..person.policy import not_worth_its_cost
     from ..person.solver import solve
-    from ..person.suggestion_threshold import threshold_of
 
     if out is not None and out.suffix != ".npz":
         raise click.UsageError(f"--out {out}: expected a name that ends in .npz")
@@ -69,20 +68,19 @@ def policy(
                 problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit,
                 bounds=lambda _, *found: show(line_of(*found)),
             )  # fmt: skip
-            threshold = threshold_of(solution)
         if out is not None:
             solution.save(out, values=first_of(problem.known).values(problem.states), task_states=problem.states)
-    frontier = problem.pomdp.frontier
+    frontier, too_high = problem.pomdp.frontier, None if solution.suggests else problem.pomdp.c_suggest
     goals = problem.pomdp.model.choices.goals
     record = {
         "instance": str(found.problem), "domain": str(found.domain), **solution.as_dict(),
         **({} if goals is None else {"goals": dict(goals)}),
         "method": problem.known.method, "frontier": 0 if frontier is None else len(frontier.states),
-        "suggestion_threshold": threshold and asdict(threshold), "versions": versions(),
+        "c_suggest_too_high": too_high, "versions": versions(),
     }  # fmt: skip
     if as_json:
         print_json(record)
     else:
         show_bounds(record)
-        if threshold is not None:
-            click.echo(f"{threshold} (--c-suggest)")
+        if too_high is not None:
+            click.echo(f"{not_worth_its_cost(too_high)} (--c-suggest)")

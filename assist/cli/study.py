@@ -43,7 +43,7 @@ def study(
     """
     from planner.system.errors import InputFileError
 
-    from ..reports.study_report import headline, require, threshold_notes, write_report
+    from ..reports.study_report import cost_notes, headline, require, write_report
     from ..study.cells import check
     from ..study.protocol import read
     from ..study.runner import run_study
@@ -75,6 +75,6 @@ def study(
     for row in rows:
         table.add_row(*row)
     print_table(table)
-    for line in threshold_notes(summary):
+    for line in cost_notes(summary):
         click.echo(line)
     click.echo(f"{pools}; the report is {out / 'report.md'}")

@@ -11,5 +11,3 @@ from .qmdp import qmdp as qmdp
 from .search import SolverOptions as SolverOptions
 from .solver import Solution as Solution
 from .solver import solve as solve
-from .suggestion_threshold import SuggestionThreshold as SuggestionThreshold
-from .suggestion_threshold import threshold_of as threshold_of

@@ -137,3 +137,8 @@ class Policy:
         """
         del entry, limits
         return None
+
+
+def not_worth_its_cost(c_suggest: float) -> str:
+    """Return the sentence on a policy that weighs costs and makes no suggestion at this cost of one, in cost units."""
+    return f"no suggestion was worth its cost (c_suggest {c_suggest:g})"

@@ -145,6 +145,12 @@ class Solution(Policy):
         """The relative gap (upper - lower) / abs(lower)."""
         return relative_gap(self.lower, self.upper)
 
+    @property
+    def suggests(self) -> bool:
+        """Whether a suggestion is worth its cost, or may be, as the search was stopped before this was known."""
+        alone = self.value_never + 1e-3  # more than rounding errors, in cost units
+        return self.lower > alone or (self.stopped in ("time", "memory") and self.upper > alone)
+
     def as_dict(self) -> dict[str, Any]:
         """Return the size of the problem, its bounds and the effort, as plain data."""
         return {

@@ -16,9 +16,9 @@ from pathlib import Path
 from planner.system.files import atomic, remove_unfinished
 from planner.system.workers import outcomes
 
-from ..person.suggestion_threshold import SuggestionThreshold
+from ..person.policy import not_worth_its_cost
 from ..plots import style
-from ..study.runner import load_study, without_suggestions
+from ..study.runner import load_study
 from ..study.study import OWN, Study
 from ..team.plain_setting import plain_setting
 from . import study_claims
@@ -66,7 +66,7 @@ class Report:
     @classmethod
     def of(cls, study: Study, folder: str | Path) -> Report:
         """Build the report of a study's results."""
-        found = Found(study, load_study(Path(folder)), without_suggestions(folder))
+        found = Found(study, load_study(Path(folder)))
         summary = found.summary()
         shown = tuple(pictures(found, summary))
         text = report_text(found, summary, {each.name: each.text for each in shown})
@@ -129,7 +129,7 @@ def report_text(found: Found, summary: Record, pictures: dict[str, str]) -> str:
         FEW=FEW, OWN=OWN, whose=of_whom(found),
         pools={c.name: min(study.repeats, c.repeats or study.repeats) for c in study.conditions},
         differing={name: len({group[name] for group in groups}) for name in varying(groups, COLUMNS)},
-        headline=_headline(study, summary), effects=_effects(study, summary), notes=threshold_notes(summary),
+        headline=_headline(study, summary), effects=_effects(study, summary), notes=cost_notes(summary),
         claims=study_claims.claims(study, summary), contrasts=study_claims.contrasts(study, summary),
         team_sizes=_team_sizes(found, summary), decline=_decline(summary), kinds=_kinds_of_people(found, summary),
         readings=partial(study_claims.readings, study), sensitivity=_sensitivity(found, summary),
@@ -164,12 +164,11 @@ def _headline(study: Study, summary: Record) -> str:
     return table(head + ([reference.name, "comparison"] if reference and published else []), rows)
 
 
-def threshold_notes(summary: Record) -> Iterator[str]:
-    """Yield a note for each policy that makes no suggestion. The threshold was determined on the first pool."""
+def cost_notes(summary: Record) -> Iterator[str]:
+    """Yield a note for each policy that weighs costs and makes no suggestion."""
     for row in summary["without_suggestions"]:
         where = ", ".join(row[name] for name in ARM if row[name] and row[name] != OWN)
-        why = SuggestionThreshold(row["c_suggest"], row["worth_at"], row["searched"])
-        yield f"{row['policy']} makes no suggestion ({where}): {why}"
+        yield f"{row['policy']} makes no suggestion ({where}): {not_worth_its_cost(row['c_suggest'])}"
 
 
 def headline(summary: Record) -> tuple[list[str], list[list[str]], str]:

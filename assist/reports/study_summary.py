@@ -6,7 +6,7 @@ Everything is computed over pools of people, not over their episodes; see `assis
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from planner.system.files import finite
 
 from ..study.study import SCHEMA, Study
+from ..team.policies import POLICIES
 from ..team.settings import Setting
 from . import statistics
 from .statistics import IntervalEstimate
@@ -30,6 +31,9 @@ MEASURES = {
 }  # fmt: skip
 BASELINES = ("none", "reactive")
 """Policies that others are compared with."""
+
+WEIGHING = tuple(name for name in POLICIES if name not in BASELINES)
+"""Policies that weigh the cost of a suggestion."""
 
 # The reactive policy weighs no costs and has no belief, so that prices, discounting and the robot's model of people
 # change none of `MEASURES`. Studies have no goals to ask about. Every other field counts, new ones included.
@@ -50,10 +54,8 @@ class Found:
         The arms of the headline and the figures: the first condition with its first setting, prior and population.
     """
 
-    def __init__(
-        self, study: Study, episodes: pd.DataFrame, without_suggestions: Sequence[dict[str, Any]] = ()
-    ) -> None:
-        self.study, self.episodes, self.without_suggestions = study, episodes, without_suggestions
+    def __init__(self, study: Study, episodes: pd.DataFrame) -> None:
+        self.study, self.episodes = study, episodes
         keys = [*ARM, "policy", "humans", "repeat"]
         measured = episodes.groupby(keys, observed=True)[list(MEASURES.values())].mean()
         pools = measured.rename(columns={column: name for name, column in MEASURES.items()}).reset_index()
@@ -191,14 +193,15 @@ class Found:
         return found
 
     def arms_without_suggestions(self) -> list[dict[str, Any]]:
-        """Return the arms and policies without any suggestion, with the suggestion threshold of each."""
+        """Return the arms in which a policy that weighs costs makes no suggestion, with the cost of one."""
         found = []
-        most = self.episodes.groupby([*ARM, "policy"], observed=True, sort=False)["interventions"].max()
-        for record in self.without_suggestions:
-            arm = {name: record[name] for name in ARM}
-            for policy, threshold in record["suggestion_thresholds"].items():
-                if most.get((*arm.values(), policy), 1) == 0:
-                    found.append({**arm, "policy": policy, **threshold})
+        most = self.episodes.groupby([*ARM, "policy"], observed=True, sort=False)[["interventions", "steps"]].max()
+        for key, interventions, steps in most.itertuples():
+            *arm, policy = _texts(key)
+            labels = dict(zip(ARM, arm, strict=True))
+            setting = self._setting(labels)
+            if policy in WEIGHING and not interventions and steps and not setting.differ:
+                found.append({**labels, "policy": policy, "c_suggest": setting.c_suggest})
         return found
 
     def decline(self) -> list[dict[str, Any]]:

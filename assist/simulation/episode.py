@@ -105,7 +105,7 @@ def plain_summary(summary: Any) -> dict[str, Any]:
     return {
         **record,
         "cut_off": summary.cut_off,
-        "suggestion_threshold": summary.suggestion_threshold and asdict(summary.suggestion_threshold),
+        "c_suggest_too_high": summary.c_suggest_too_high,
         **({} if summary.pruned is None else {"pruned": summary.pruned}),
         **({} if summary.questions is None else {"questions": summary.questions}),
     }

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planner.system.arrays import outline
 
 from ..people.decision import Floats
-from ..person.suggestion_threshold import SuggestionThreshold
+from ..person.policy import not_worth_its_cost
 from .episode import Episode, episode_of, to_frame
 
 
@@ -40,8 +40,8 @@ class Episodes:
         Sum over steps of gamma^t times the reward, in cost units.
     cut_off : bool array, shape (N,)
         Whether a person had neither finished nor left at the step limit.
-    suggestion_threshold : SuggestionThreshold or None
-        Set if the policy weighs costs and made no suggestion.
+    c_suggest_too_high : float or None
+        Cost of a suggestion, in cost units, if the policy weighs costs and made none.
     questions : int array, shape (N,), or None
         Number of questions about people's goals; None if the robot does not ask.
     pruned : float array, shape (N,), or None
@@ -65,7 +65,7 @@ class Episodes:
     steps: NDArray[np.int64]
     discounted_return: Floats
     cut_off: NDArray[np.bool_]
-    suggestion_threshold: SuggestionThreshold | None = None
+    c_suggest_too_high: float | None = None
     pruned: Floats | None = None
     questions: NDArray[np.int64] | None = None
 
@@ -75,7 +75,7 @@ class Episodes:
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
         """Return the union of episodes of one policy."""
         names = [field.name for field in fields(cls) if getattr(parts[0], field.name) is not None]
-        names = [name for name in names if name not in ("policy", "suggestion_threshold")]
+        names = [name for name in names if name not in ("policy", "c_suggest_too_high")]
         arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return cls(parts[0].policy, **arrays)
 
@@ -91,7 +91,7 @@ class Episodes:
             moves=_mean_and_error(self.moves),
             discounted_return=_mean_and_error(self.discounted_return),
             cut_off=int(self.cut_off.sum()),
-            suggestion_threshold=self.suggestion_threshold,
+            c_suggest_too_high=self.c_suggest_too_high,
             pruned=None if self.pruned is None else float(self.pruned.mean()),
             questions=None if self.questions is None else float(self.questions.mean()),
         )
@@ -135,8 +135,8 @@ class Summary:
         these two; changes of place; and the return of an episode.
     cut_off : int
         Number of episodes in which a person had neither finished nor left at the step limit.
-    suggestion_threshold : SuggestionThreshold or None
-        Set if the policy weighs costs and made no suggestion.
+    c_suggest_too_high : float or None
+        Cost of a suggestion, in cost units, if the policy weighs costs and made none.
     questions : float or None
         Mean number of questions per episode; None if the robot does not ask.
     pruned : float or None
@@ -152,7 +152,7 @@ class Summary:
     moves: tuple[float, float]
     discounted_return: tuple[float, float]
     cut_off: int
-    suggestion_threshold: SuggestionThreshold | None = None
+    c_suggest_too_high: float | None = None
     pruned: float | None = None
     questions: float | None = None
 
@@ -166,7 +166,7 @@ class Summary:
             if what != "executions" or mean
         ]  # fmt: skip
         cut = f", {self.cut_off} of them cut off" if self.cut_off else ""
-        why = "" if self.suggestion_threshold is None else f"; {self.suggestion_threshold}"
+        why = "" if self.c_suggest_too_high is None else f"; {not_worth_its_cost(self.c_suggest_too_high)}"
         return f"{self.policy}: {', '.join(shown)} ({self.episodes} episode{'s'[: self.episodes > 1]}{cut}){why}"
 
 

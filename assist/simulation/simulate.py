@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -31,7 +32,6 @@ from .pool import Pool
 from .requested import number_of, people_drawn, require_possible, team_of
 from .run import Run
 from .schedule import Schedule
-from .suggestion_search import with_threshold
 from .task_parts import TaskParts
 from .trace import Reasons, Trace
 from .traced_run import TracedRun
@@ -58,7 +58,6 @@ def simulate(
     reasons: Reasons | None = None,
     jobs: int = 1,
     memory_limit_mb: float = MEMORY_LIMIT_MB,
-    explain: bool = True,
     progress: Wanted = None,
 ) -> Episodes:
     """Simulate episodes of teams drawn from a pool.
@@ -94,9 +93,6 @@ def simulate(
         Number of threads. They call the policy concurrently; the results do not depend on their number.
     memory_limit_mb : float
         Memory of the records of all episodes, in MB.
-    explain : bool
-        Whether to search for the largest cost of suggestions at which the policy makes one, if it weighs costs and
-        makes none (`Episodes.suggestion_threshold`). This takes some times as long as the simulation, or some seconds.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes. The stages are the solution of people's
         problems and the simulation of episodes.
@@ -154,7 +150,7 @@ def simulate(
 
     with ThreadPoolExecutor(jobs) as workers:
         found = Episodes.joined(list(map(run, chunks) if jobs == 1 else workers.map(run, chunks)))
-    if not explain or found.interventions.any() or not found.actions.any():
+    weighs_costs = getattr(policy, "weighs_costs", False) and not pool.setting.differ  # then there is no single cost
+    if not weighs_costs or found.interventions.any() or not found.actions.any():
         return found
-    again = partial(simulate, seed=seed_number, travel=travel, presence=presence, world=world, goals=goals)
-    return with_threshold(found, pool, policy, travel, again, progress)
+    return replace(found, c_suggest_too_high=pool.setting.c_suggest)

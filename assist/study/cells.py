@@ -74,13 +74,10 @@ class Outcome:
         A line of JSON for each episode.
     seconds : dict
         Wall-clock seconds of each part of the work.
-    thresholds : dict
-        The suggestion threshold of each policy that made no suggestion to the largest teams of the first pool.
     """
 
     lines: str
     seconds: dict[str, float]
-    thresholds: dict[str, dict[str, Any]]
 
 
 def carry_out(cell: Cell, study: Study) -> Outcome:
@@ -104,7 +101,7 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
     pool = pool_of(study, cell)
     lap("people's POMDPs")
     condition = study.condition(cell.condition)
-    lines, thresholds = [], {}
+    lines: list[str] = []
     for name in condition.policies:
         chosen = policy_of(study, name, pool)
         lap(f"preparing {name}")
@@ -112,14 +109,11 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
             teams = study.teams(cell.repeat, humans)
             episodes = simulate(
                 pool, chosen, humans=teams, episodes=len(teams), seed=study.seed_of(cell.repeat), name=name,
-                explain=cell.repeat == 0 and humans == max(condition.humans),
             )  # fmt: skip
-            if episodes.suggestion_threshold is not None:
-                thresholds[name] = asdict(episodes.suggestion_threshold)
             lap(f"simulating {name}")
             lines += [json.dumps(record) + "\n" for record in _records(cell, episodes, humans, study.trials)]
             lap("records")
-    return Outcome("".join(lines), seconds, thresholds)
+    return Outcome("".join(lines), seconds)
 
 
 def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterator[dict[str, Any]]:

@@ -90,8 +90,7 @@ def run_study(
             if isinstance(outcome, Outcome):
                 kept[cell] = outcome.lines
                 append(out / EPISODES, outcome.lines)
-                more = {"suggestion_thresholds": outcome.thresholds} if outcome.thresholds else {}
-                append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds, **more})
+                append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds})
             else:
                 failed.append((cell, outcome))
             advance(study.episodes(cell))
@@ -252,16 +251,6 @@ def load_study(folder: str | Path) -> pd.DataFrame:
         for name in (*KEY[:-1], "policy"):
             frame[name] = pd.Categorical(frame[name], categories=frame[name].unique())
     return frame
-
-
-def without_suggestions(folder: str | Path) -> list[dict[str, Any]]:
-    """Return the records of cells in which a policy made no suggestion. `suggestion_thresholds` is keyed by policy.
-
-    Parameters
-    ----------
-    folder : path
-    """
-    return [record for record in read_records(Path(folder) / PROFILE) if record.get("suggestion_thresholds")]
 
 
 def profile(folder: str | Path) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +12,6 @@ from ..person.policy import Policy
 from .assignment import assigned
 from .extra_costs import scores_of_each
 from .state import BASE, NOBODY, TeamAction, TeamState
-from .travel import Travel
 
 
 @dataclass(frozen=True)
@@ -69,11 +67,7 @@ class AttentionSwitching:
     nothing *once* and following the person's policy from the next step on. `attention_never` has the other one.
     """
 
-    uses_belief = True
-
-    def with_policies(self, _policies: Sequence[Policy], _travel: Travel) -> AttentionSwitching:
-        """Return the same team policy with other policies for single people."""
-        return self
+    uses_belief, weighs_costs = True, True
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""

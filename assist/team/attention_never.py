@@ -15,7 +15,6 @@ from ..person.qmdp import evaluate
 from .attention import AttentionSwitching
 from .by_policy import ByPolicy
 from .state import TeamState
-from .travel import Travel
 
 
 @dataclass(frozen=True)
@@ -38,10 +37,6 @@ class AttentionAgainstNever(AttentionSwitching):
             return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
 
         return cls(ByPolicy(policies, never))
-
-    def with_policies(self, policies: Sequence[Policy], _travel: Travel) -> AttentionAgainstNever:
-        """Return the same team policy with other policies for single people."""
-        return self.of(policies)
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""

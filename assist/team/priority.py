@@ -124,7 +124,7 @@ class Priority:
     longest: int
     price: Floats
     known: ByPolicy[SolvedSubproblem]
-    uses_belief = True
+    uses_belief, weighs_costs = True, True
 
     @classmethod
     def of(
@@ -173,10 +173,6 @@ class Priority:
 
         prices = np.append(each, 0.0) if each.ndim else each.reshape(1)
         return cls(entry, steps, longest, prices, ByPolicy(policies, presence))
-
-    def with_policies(self, policies: Sequence[Policy], travel: Travel) -> Priority:
-        """Return the same team policy, at the same prices, with other policies for single people."""
-        return Priority.of(policies, travel, self.price[:-1] if len(self.price) > 1 else self.price[0])
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""

@@ -100,7 +100,7 @@ class Rollout:
     near: float
     options: RolloutOptions
     models: ByPolicy[tuple[Minds, ProblemArrays]]
-    uses_belief = True
+    uses_belief, weighs_costs = True, True
 
     @classmethod
     def of(cls, policies: Sequence[Policy], travel: Travel, options: RolloutOptions | None = None) -> Rollout:
@@ -124,10 +124,6 @@ class Rollout:
             policy.require_enumerated("policy 'rollout'")
         near = options.near * min(policy.cheapest for policy in policies)
         return cls(Priority.of(policies, travel), near, options, ByPolicy(policies, _model))
-
-    def with_policies(self, policies: Sequence[Policy], travel: Travel) -> Rollout:
-        """Return the same team policy, with the same options, with other policies for single people."""
-        return Rollout.of(policies, travel, self.options)
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""

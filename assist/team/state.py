@@ -214,7 +214,11 @@ class TeamState:
 
 
 class TeamPolicy(Protocol):
-    """Any callable of this form. An attribute `uses_belief = False` turns the belief filter off."""
+    """Any callable of this form.
+
+    An attribute `uses_belief = False` turns the belief filter off. `weighs_costs = True` says that its
+    suggestions are worth their cost.
+    """
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return the actions for N teams."""

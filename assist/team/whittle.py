@@ -37,7 +37,7 @@ class Whittle:
     """
 
     at_prices: tuple[Priority, ...]
-    uses_belief = True
+    uses_belief, weighs_costs = True, True
 
     @classmethod
     def of(cls, policies: Sequence[Policy], travel: Travel, prices: Sequence[float] | None = None) -> Whittle:
@@ -66,10 +66,6 @@ class Whittle:
         if not each or min(each) < 0 or (np.diff(each) <= 0).any():
             raise ValueError(f"prices {each}: expected at least one, none below 0, in ascending order")
         return cls(tuple(Priority.of(policies, travel, price) for price in each))
-
-    def with_policies(self, policies: Sequence[Policy], travel: Travel) -> Whittle:
-        """Return the same team policy, at the same prices, with other policies for single people."""
-        return Whittle.of(policies, travel, [float(one.price[0]) for one in self.at_prices])
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""

@@ -7,6 +7,7 @@ import math
 import click
 from rich.table import Table
 
+from ...person.policy import not_worth_its_cost
 from ...simulation.episode import SHOWN
 from ...simulation.episodes import Summary
 from ..terminal.console import print_table
@@ -33,7 +34,7 @@ def show_summaries(summaries: list[Summary], drawn: int, pool: int) -> None:
     what = "of one episode" if count == 1 else f"mean ± standard error over {count} episodes"
     click.echo(what if drawn == pool else f"{what}; {drawn} of {pool} people drawn")
     for summary in summaries:
-        if summary.suggestion_threshold is not None:
-            click.echo(f"{summary.policy}: {summary.suggestion_threshold} (--c-suggest)")
+        if summary.c_suggest_too_high is not None:
+            click.echo(f"{summary.policy}: {not_worth_its_cost(summary.c_suggest_too_high)} (--c-suggest)")
         if summary.questions is not None:
             click.echo(f"{summary.policy}: {summary.questions:.2f} questions per episode")
