@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 
@@ -429,9 +430,38 @@ def test_alpha_is_chosen_on_two_lucks_at_least(robot: InformationRelaxation, mon
     robot.sampled(2, 0)  # the wishes after these paths take time too
     drawn, paths = [], robot.paths
     monkeypatch.setattr(robot, "paths", lambda of: drawn.extend(of) or paths(of))
-    monkeypatch.setattr(robot, "left", lambda _: -1.0)
+    monkeypatch.setattr(robot, "left", lambda _: -0.2)
     assert robot.sampled(10, 0).paths == 2
     assert len(drawn) == 2 + 2
+    monkeypatch.setattr(robot, "left", lambda _: -0.3)  # more than a quarter too late
+    with pytest.raises(OutOfTimeError):
+        robot.sampled(10, 0)
+
+
+def test_the_paths_of_a_bound_do_not_decide_on_their_number(
+    robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Paths that take long are worse here: left out where the time ends, they would make the bound too low."""
+    rng, clock = np.random.default_rng(0), [0.0]
+    long: dict[int, bool] = {}
+
+    def bounds(paths: Sequence[int], _alpha: float) -> list[float]:
+        for path in paths:
+            clock[0] += 3.0 if long.setdefault(path, rng.random() < 0.3) else 1.0
+        return [-50.0 + 10.0 * long[path] for path in paths]
+
+    monkeypatch.setattr(robot, "paths", lambda of: [int(one.integers(2**62)) for one in of])
+    monkeypatch.setattr(robot, "_bounds", bounds)
+    monkeypatch.setattr(robot, "left", lambda _: 1 - clock[0] / 100)
+    found = []
+    for seed in range(400):
+        clock[0] = 0.0
+        with suppress(OutOfTimeError):
+            found.append(robot.sampled(30, seed))
+    assert len(found) > 380
+    assert all(2 <= one.paths <= 30 for one in found)
+    every = np.array([one.mean for one in found])
+    assert every.mean() == pytest.approx(-47.0, abs=4 * every.std() / math.sqrt(len(every)))
 
 
 @pytest.mark.parametrize("best", range(len(USUAL.alphas)))
@@ -499,7 +529,7 @@ def test_wishes_are_worked_out_bit_by_bit(robot: InformationRelaxation, paths: l
 def test_a_time_limit_holds_while_wishes_are_worked_out(
     robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No path is sampled if time ends before two were evaluated; later, the evaluated ones are used."""
+    """There is no bound if the time ends before all paths were evaluated whose number the pilot has decided."""
     asked = iter((1.0, 1.0, 1.0, 0.0))
     with pytest.raises(OutOfTimeError):
         InformationRelaxation(
@@ -524,6 +554,7 @@ def test_a_time_limit_holds_while_wishes_are_worked_out(
             patch.setattr(robot, "paths", until)
             return robot.sampled(6, 0).paths
 
-    assert [sampled(draws) for draws in (4, 5, 9)] == [2, 3, 6]
-    with pytest.raises(OutOfTimeError):
-        sampled(3)
+    assert sampled(2 + 6) == 6
+    for draws in (1, 3, 7):
+        with pytest.raises(OutOfTimeError):
+            sampled(draws)

@@ -11,6 +11,7 @@ import pytest
 from conftest import thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import sparse
 from scipy.optimize import linprog
 
 from assist import coupled
@@ -333,6 +334,23 @@ R2 = np.zeros((1, 2, 2))
 def test_what_is_no_problem_is_refused_in_one_sentence(given: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Agents(**({"P": P2, "R": R2} | given))
+
+
+def test_numbers_below_zero_by_a_rounding_error_are_zero() -> None:
+    """As 0.3 - 3 * 0.1 is -5.6e-17; rows may be off by 1e-9, and so may their entries."""
+    below = 0.3 - 3 * 0.1
+    assert below < 0
+    P, uses = P2.copy(), np.array([[below, 1.0]])
+    P[0, 0, 0] = [1.0, below]
+    for kinds in (list(P), [[sparse.csr_array(p) for p in P[0]]]):
+        agents = Agents(kinds, R2, uses=uses, initial=[[1.0, below]])
+        np.testing.assert_array_equal(matrices(agents)[0, 0, 0], [1, 0])
+        np.testing.assert_array_equal(agents.initial, [[1, 0]])
+        np.testing.assert_array_equal(agents.uses[0, 0], [0, 0])
+    assert P[0, 0, 0, 1] == below  # what was given is unchanged
+    P[0, 0, 0] = [1.0, -2e-9]
+    with pytest.raises(ValueError, match="expected probabilities from 0 to 1"):
+        Agents(P, R2)
 
 
 def test_wrong_policies_are_refused() -> None:

@@ -46,7 +46,7 @@ def without_prices(run: Computation, relaxed: Relaxation, recorder: BeliefRecord
 
 
 def sampled(run: Computation, relaxed: Relaxation, together: int) -> SampledBound | None:
-    """Return the bound from sample paths; None if there was no time for any."""
+    """Return the bound from sample paths; None if there was too little time for it."""
     begun = time.perf_counter()
 
     def left(done: int) -> float:

@@ -92,7 +92,7 @@ class TeamBound:
     on_actions : float array, shape (2, W), or None
         Additional prices of a suggestion and of an execution at these steps, if the robots differ.
     sampled : SampledBound or None
-        The mean over sample paths; None if none were requested, or if there was no time for any. With fewer than
+        The mean over sample paths; None if none were requested, or if there was too little time. With fewer than
         `confidence.FEWEST` paths it is only reported, and `upper` is `proven`.
     """
 
@@ -199,8 +199,8 @@ def upper_bound(
         solved at a time may take as much again each.
     paths : int
         Number of sample paths that tighten the bound; with 0, the bound holds with certainty. They are useful for teams
-        of up to about six people. A time limit reduces the number. If the preparation exceeds the time, or if everybody
-        has a robot, no path is sampled.
+        of up to about six people. A time limit reduces the number before the first one is drawn. If the time is not
+        enough after all, or if everybody has a robot, there is no bound from them.
     seed : int or Generator
     jobs : int, optional
         Number of subproblems and of sample paths that are processed at a time; by default the number of processors.

@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 TOLERANCE = 1e-9
-"""Largest distance from 1 of a sum of probabilities; rows are divided by their sums."""
+"""Largest rounding error of what is given: of a sum of probabilities, by which they are divided, and below 0."""
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -196,8 +196,9 @@ def _matrices(k: int, one: Any) -> list[sparse.csr_array]:
         if p.shape != (size, size) or not size:
             raise ValueError(f"P of agent {k}, action {a}: shape {p.shape}; expected {(size, size)}")
         total = np.asarray(p.sum(axis=1)).ravel()
-        if not (np.isfinite(p.data).all() and (p.data >= 0).all()):
+        if not (np.isfinite(p.data).all() and (p.data >= -TOLERANCE).all()):
             raise ValueError(f"P of agent {k}, action {a}: expected probabilities from 0 to 1")
+        p.data = np.maximum(p.data, 0)
         wrong = np.flatnonzero(abs(total - 1) > TOLERANCE)
         if len(wrong):
             raise ValueError(
@@ -242,10 +243,10 @@ def _uses(given: ArrayLike | None, shape: tuple[int, int, int]) -> Floats:
     found = np.asarray(given, dtype=float)
     if found.ndim == 2:
         found = np.repeat(found[:, :, None], shape[2], axis=2)
-    found = _shaped("uses", found, shape).copy()
-    if (found < 0).any():
+    found = _shaped("uses", found, shape)
+    if (found < -TOLERANCE).any():
         raise ValueError("uses: expected units of 0 or more")
-    return found
+    return np.where(abs(found) <= TOLERANCE, 0.0, found)
 
 
 def _initial(given: ArrayLike | None, sizes: Ints, S: int) -> Floats:
@@ -260,6 +261,8 @@ def _initial(given: ArrayLike | None, sizes: Ints, S: int) -> Floats:
         raise ValueError(f"initial: {found.dtype} array of shape {found.shape}; expected {N} states, or {(N, S)}")
     belief = _shaped("initial", found, (N, S))
     beyond = np.arange(S) >= sizes[:, None]
-    if (belief < 0).any() or (abs(belief.sum(axis=1) - 1) > TOLERANCE).any() or belief[beyond].any():
+    wrong = (belief < -TOLERANCE).any() or (abs(belief.sum(axis=1) - 1) > TOLERANCE).any()
+    if wrong or (abs(belief[beyond]) > TOLERANCE).any():
         raise ValueError("initial: expected distributions over each agent's states, which sum to one")
+    belief = np.where(beyond, 0.0, np.maximum(belief, 0))
     return belief / belief.sum(axis=1, keepdims=True)

@@ -67,7 +67,9 @@ sample path relax the constraint and separate it. The least sums are the heurist
 expansions, the smallest estimate of an open state is a lower bound on the minimum, and takes its place.
 
 The mean over sample paths has a standard error, so that the bound holds with a confidence level. People and paths are
-processed in parallel, which does not affect the result.
+processed in parallel, which does not affect the result. The number of paths follows from the time that other paths, the
+pilot, have taken. If it depended on the paths of the bound, those that take long, whose values differ from the others',
+would be left out more often. If there is too little time for all of them, there is no sampled bound.
 """
 
 from __future__ import annotations
@@ -76,7 +78,6 @@ import heapq
 import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from typing import NamedTuple, TypeVar
 
 import numba
@@ -197,7 +198,7 @@ class InformationRelaxation:
         left: Callable[[int], float] = lambda _: 1.0, workers: int = 1, options: RelaxationOptions | None = None,
         robots: int = 1,
     ) -> None:  # fmt: skip
-        self.left, self.done, self.workers = left, 0, workers
+        self.left, self.done, self.workers, self.latest = left, 0, workers, 0.0
         self.options = options = options or RelaxationOptions()
         gamma = belief_nodes[0].arrays.gamma
         tasks = [one.visits.alone.model.choices for one in belief_nodes]
@@ -219,7 +220,7 @@ class InformationRelaxation:
             return list(threads.map(do, those))
 
     def _go_on(self) -> None:
-        if self.left(self.done) <= 0:
+        if self.left(self.done) <= self.latest:
             raise OutOfTimeError
 
     def paths(self, generators: Sequence[np.random.Generator]) -> list[SamplePath]:
@@ -256,16 +257,17 @@ class InformationRelaxation:
         return self.value - alpha * self.lost - found
 
     def sampled(self, paths: int, seed: int) -> SampledBound:
-        """Return the mean bound over `paths` sample paths, or over fewer if the time is short, but at least 2.
+        """Return the mean bound over `paths` sample paths, or over fewer if the time is short.
 
-        A tenth as many additional paths, the pilot, serve the choice of alpha.
+        A tenth as many additional paths, the pilot, serve the choice of alpha and of the number of paths.
 
         Raises
         ------
         OutOfTimeError
-            The time has passed before two paths were processed.
+            The time, and a quarter of it more, has passed before all these paths were processed.
         """
         few, paths = max(2, math.ceil(0.1 * paths)), max(2, paths)
+        self.latest = 0.0
         pilot: list[SamplePath] = []
         # Share of the time per path, measured on the last batch: the first one also computes rows that all paths share.
         drawing = 0.0
@@ -274,15 +276,13 @@ class InformationRelaxation:
             pilot += self._draw(seed, 0, numbers)
             self.done = len(pilot)
             drawing = (before - self.left(self.done)) / len(numbers)
-        alpha = self._best_alpha(pilot, paths, drawing)
-        found: list[float] = []
-        with suppress(OutOfTimeError):
-            while len(found) < paths and (len(found) < 2 or self.left(self.done) > 0):
-                numbers = range(len(found), min(paths, len(found) + self.workers))
-                found += self._bounds(self._draw(seed, 1, numbers), alpha)
-                self.done = len(pilot) + len(found)
-        if len(found) < 2:
-            raise OutOfTimeError
+        alpha, paths = self._choice(pilot, paths, drawing)
+        self.latest, found = -0.25, list[float]()
+        while len(found) < paths:
+            self._go_on()
+            numbers = range(len(found), min(paths, len(found) + self.workers))
+            found += self._bounds(self._draw(seed, 1, numbers), alpha)
+            self.done = len(pilot) + len(found)
         return SampledBound.of(found, len(found), alpha)
 
     def _draw(self, seed: int, kind: int, numbers: Sequence[int]) -> list[SamplePath]:
@@ -292,33 +292,42 @@ class InformationRelaxation:
     def _bounds(self, paths: Sequence[SamplePath], alpha: float) -> list[float]:
         return self._each(lambda path: self.bound(path, alpha), paths)
 
-    def _best_alpha(self, pilot: Sequence[SamplePath], paths: int, drawing: float) -> float:
-        """Return the alpha with the lowest expected bound for the time that remains.
+    def _choice(self, pilot: Sequence[SamplePath], paths: int, drawing: float) -> tuple[float, int]:
+        """Return the alpha with the lowest expected bound for the time that remains, and the number of paths for it.
 
         The search begins at the middle candidate, since large alphas take longest, and moves to neighbours while the
         bound decreases. Without a limit of expansions, the mean over paths is convex in alpha. But a large alpha allows
         fewer paths in the remaining time: each takes the share `drawing`, and as long for its search as a pilot path.
+        A fifth of the time is kept for paths that take longer than those of the pilot.
         """
         alphas, path_share, rest = self.options.alphas, self.options.path_share, self.left(self.done)
         uppers: dict[int, float] = {}
+        shares: dict[int, float] = {}
+
+        def within(time: float, share: float) -> int:
+            """Return how many paths that each take a share of the time are processed in a part of it."""
+            return max(2, min(paths, int(time / share))) if share > 0 else paths if time > 0 else 2
 
         def upper(number: int) -> float:
             if number not in uppers:
                 before = self.left(self.done)
                 found = self._bounds(pilot, alphas[number])
-                each = drawing + (before - self.left(self.done)) / len(pilot)
-                uniforms = max(2, min(paths, int(rest / each))) if each > 0 else paths
-                uppers[number] = SampledBound.of(found, uniforms, alphas[number]).upper
+                shares[number] = drawing + (before - self.left(self.done)) / len(pilot)
+                uppers[number] = SampledBound.of(found, within(rest, shares[number]), alphas[number]).upper
             return uppers[number]
 
         first = best = len(alphas) // 2
         while best > 0 and upper(best - 1) < upper(best):
             best -= 1
-        if best < first:
-            return alphas[best]
-        while best + 1 < len(alphas) and self.left(self.done) > path_share and upper(best + 1) < upper(best):
+        while (
+            best >= first
+            and best + 1 < len(alphas)
+            and self.left(self.done) > path_share
+            and upper(best + 1) < upper(best)
+        ):
             best += 1
-        return alphas[best]
+        upper(best)  # known unless there is one alpha only
+        return alphas[best], within(0.8 * self.left(self.done), shares[best])
 
 
 def _path_prices(

@@ -51,7 +51,7 @@ def show_samples(found: TeamBound) -> None:
 
     sampled = found.sampled
     if sampled is None:
-        click.echo("no path was sampled: the time limit was reached before the penalty was computed (--time-limit)")
+        click.echo("there was too little time for a bound from sample paths (--time-limit)")
     elif not sampled.enough:
         click.echo(
             f"{sampled.paths} sample paths are too few for a bound; {FEWEST} are needed (--samples, --time-limit)"
