@@ -140,6 +140,13 @@ def test_no_episodes_begin_after_the_time_limit(pool: Pool) -> None:
     np.testing.assert_array_equal(short, whole[:1024])
 
 
+def test_a_mean_above_the_bound_by_chance_is_within_its_error() -> None:
+    returns_, options = np.array([-10.0, -12.0, -14.0]), {"humans": 2, "slack": 0.0}
+    for upper, within in ((-11.0, False), (-12.0, False), (-12.5, True), (-15.4, True), (-15.5, False)):
+        found = Certificate.of("mine", returns_, upper=upper, **options)
+        assert (found.within_error, found.gap_percent < 0) == (within, upper < -12), upper
+
+
 def test_a_certificate_by_hand() -> None:
     found = Certificate.of("mine", np.array([-10.0, -12.0, -14.0]), humans=2, upper=-10.5, slack=0.6)
     assert found == Certificate(2, "mine", -12.0, 2 / math.sqrt(3), -10.5, 12.5, 5.0, 3)
@@ -472,7 +479,7 @@ def test_policies_are_certified_by_their_names(pool: Pool) -> None:
     assert certificates[1] != found.certify(quiet, "mine", episodes=30, seed=4)
     assert certificates[1].upper == found.upper
     assert certificates[1].slack_percent == pytest.approx(100 * found.slack / abs(certificates[1].value))
-    assert told[-2:] == [("simulating policies", 0, 2), ("simulating policies", 1, 2)]
+    assert told[-3:] == [("simulating policies", done, 60) for done in (0, 30, 60)]
     assert found.certify("none", episodes=30) == found.certify("none", episodes=30, seed=0)
     assert found.certify("none", episodes=1025, time_limit=1e-9).episodes == 1024
     names = [found.certify(policy, episodes=2).policy for policy in ("none", quiet, partial(quiet))]
@@ -500,11 +507,11 @@ def test_a_bound_and_certificates_share_what_is_told_of_luck_and_progress(strang
 
 @pytest.mark.slow
 def test_time_is_shared(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 100 seconds the bound gets 80, of which prices get 32; later stages get the time that is left."""
+    """Of 100 seconds the bound gets 80, of which prices get 32. Policies get what is left, in equal parts."""
     now, asked = [1000.0], []
 
     def taking(seconds: float, name: str, limited: str) -> None:
-        module = team_bound if name == "returns" else computation
+        module = computation
         real = getattr(module, name)
 
         def run(*arguments: object, **options: object) -> object:
@@ -514,21 +521,32 @@ def test_time_is_shared(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
 
         monkeypatch.setattr(module, name, run)
 
-    for module in (team_bound, computation, comparison):
+    class Slow(NoAssistance):
+        def __init__(self, seconds: float) -> None:
+            self.seconds = seconds
+
+        def __call__(self, team: TeamState, /) -> TeamAction:
+            now[0] += self.seconds * (team.step == 0)  # of which a portion of 1,024 episodes has one
+            return super().__call__(team)
+
+    for module in (team_bound, computation, comparison, certificate):
         monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: now[0]))
-    for seconds, name, limited in (
-        (4, "search", "deadline"),
-        (26, "solve", "time_limit"),
-        (12, "returns", "time_limit"),
-    ):
+    for seconds, name, limited in ((4, "search", "deadline"), (26, "solve", "time_limit")):
         taking(seconds, name, limited)
-    policies = {"a": "none", "b": "none", "c": "none", "d": "none"}
-    found, _ = certify(pool, policies, episodes=2, window=2, gap=0.1, time_limit=100.0, jobs=1)
-    assert asked == [
-        ("search", 1032.0), ("solve", 38.0), ("solve", 50.0),
-        ("returns", 11.0), ("returns", 32 / 3), ("returns", 10.0), ("returns", 8.0),
-    ]  # fmt: skip
+    policies = {"few": Slow(0.25), "first": Slow(2.0), "slow": Slow(4.0), "last": Slow(2.0)}
+    options = {"window": 2, "gap": 0.1, "jobs": 1}
+    found, made = certify(pool, policies, episodes=20 * 1024, time_limit=100.0, **options)
+    assert asked == [("search", 1032.0), ("solve", 38.0), ("solve", 50.0)]
     assert found.seconds == 56
+    # The first portions take 8.25 s. "few" needs 4.75 s more; of the rest the others get 10.3 s each, or a turn more.
+    few, first, slow, last = (one.episodes / 1024 for one in made)
+    assert few == 20
+    assert {first, last} <= {6, 7}
+    assert slow in {3, 4}
+    assert 1100 < now[0] <= 1104
+    now[0] += 1000
+    _, made = certify(pool, policies, episodes=2048, time_limit=1e-9, **options)
+    assert [one.episodes for one in made] == [1024] * 4
     asked.clear()
     upper_bound(pool, window=2, gap=0.1, jobs=2, time_limit=20.0)
     assert asked[0] == ("search", now[0] - 56 + 8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from planner.system.arrays import outline
 from ..people.decision import Floats
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
+from ..team.policies import prepare
 from ..team.robots import extra_costs
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
@@ -34,7 +36,7 @@ class Certificate:
     upper : float
         Upper bound on the value of every policy, in cost units.
     gap_percent : float
-        100 (upper - value) / abs(value).
+        100 (upper - value) / abs(value). It is negative where the mean is above the bound by chance.
     slack_percent : float
         Largest number of these percentage points by which a complete solution of the single people's problems could
         lower the bound.
@@ -52,6 +54,11 @@ class Certificate:
     episodes: int
 
     __repr__ = outline
+
+    @property
+    def within_error(self) -> bool:
+        """Whether the mean is above the bound, but not by more than three of its standard errors."""
+        return 0 < self.value - self.upper <= 3 * self.value_stderr + 1e-9 * abs(self.value)
 
     @classmethod
     def of(cls, name: str, returns: Floats, *, humans: int, upper: float, slack: float) -> Certificate:
@@ -75,6 +82,53 @@ def horizon(gamma: float) -> int:
     The remaining discounted costs are then at most a millionth of the largest cost of a step.
     """
     return math.ceil(math.log(1e-6 * (1 - gamma)) / math.log(gamma))
+
+
+class Simulated:
+    """The returns of a policy that is simulated in the robot's model, in portions of episodes.
+
+    They are lower bounds: the largest possible costs after the end of an episode are subtracted.
+
+    Attributes
+    ----------
+    parts : list of float arrays
+        The returns of each portion, in cost units.
+    count : int
+        Number of episodes that were simulated.
+    seconds : float
+        Time that they took, without the first portion, which also computes what policies share.
+    """
+
+    def __init__(
+        self, pool: Pool, policy: TeamPolicy | str, team: tuple[int, ...], travel: Travel, *, seed: int
+    ) -> None:
+        gamma, self._end = pool.setting.gamma, horizon(pool.setting.gamma)
+        self._pool = replace(pool, setting=replace(pool.setting, max_steps=self._end))
+        self._policy = self._pool.policy(policy, travel) if isinstance(policy, str) else policy
+        self._team, self._travel, self._seed = team, travel, seed
+        most = max(one.c_move for one in travel.each) * float(travel.distance.max())
+        if (extra := extra_costs(pool.setting)) is not None:
+            most += float(max(extra.suggesting.max(), extra.executing[np.isfinite(extra.executing)].max(initial=0)))
+        dearest = max(max(1.0, p.dearest) + float(p.pomdp.robot_costs.max()) for p in pool.policies) + most
+        self._rest = dearest * gamma**self._end / (1 - gamma)
+        self.parts: list[Floats] = []
+        self.count, self.seconds = 0, 0.0
+
+    def prepare(self, progress: Callable[[int, int], None]) -> None:
+        """Compute now what the policy needs about the team's people; `progress` is called as by `policies.prepare`."""
+        models = np.unique(self._pool.model[list(self._team)]).tolist()
+        prepare(self._policy, [self._pool.policies[model] for model in models], progress=progress)
+
+    def more(self, episodes: int) -> None:
+        """Simulate so many further episodes."""
+        begun = time.perf_counter()
+        run = simulate(
+            self._pool, self._policy, humans=list(self._team), episodes=np.arange(self.count, self.count + episodes),
+            seed=self._seed, travel=self._travel, world="model",
+        )  # fmt: skip
+        self.seconds += time.perf_counter() - begun if self.parts else 0.0
+        self.parts.append(run.discounted_return - (~run.finished).sum(axis=1) * self._rest)
+        self.count += episodes
 
 
 def returns(
@@ -104,21 +158,28 @@ def returns(
     time_limit : float, optional
         Seconds after which no more episodes begin; about a thousand are simulated in any case.
     """
-    gamma, end = pool.setting.gamma, horizon(pool.setting.gamma)
-    pool = replace(pool, setting=replace(pool.setting, max_steps=end))
-    most = max(one.c_move for one in travel.each) * float(travel.distance.max())
-    if (extra := extra_costs(pool.setting)) is not None:
-        most += float(max(extra.suggesting.max(), extra.executing[np.isfinite(extra.executing)].max(initial=0)))
-    largest_cost = max(max(1.0, p.dearest) + float(p.pomdp.robot_costs.max()) for p in pool.policies) + most
-    deadline = None if time_limit is None else time.perf_counter() + time_limit
-    parts: list[Floats] = []
+    run = Simulated(pool, policy, team, travel, seed=seed)
+    simulated_until([run], episodes, None if time_limit is None else time.perf_counter() + time_limit)
+    return np.concatenate(run.parts)
+
+
+def simulated_until(
+    runs: Sequence[Simulated], episodes: int, deadline: float | None, tell: Callable[[int], None] = lambda _: None
+) -> None:
+    """Simulate policies until each has so many episodes, or until a time on the clock of `time.perf_counter()`.
+
+    They share the time equally: the next episodes are those of the policy that has had the least of it. A policy that
+    needs less leaves the rest to the others. Each gets about a thousand episodes in any case. `tell` is called with the
+    number of episodes that were added.
+    """
     # The records of 65,536 episodes take about 10 MB per person. A time limit is checked after 1,024 episodes.
     portion = 65_536 if deadline is None else 1024
-    for start in range(0, episodes, portion):
-        if parts and deadline is not None and time.perf_counter() > deadline:
-            break
-        numbers = np.arange(start, min(episodes, start + portion))
-        run = simulate(pool, policy, humans=list(team), episodes=numbers, seed=seed, travel=travel, world="model")
-        remaining = (~run.finished).sum(axis=1) * largest_cost * gamma**end / (1 - gamma)
-        parts.append(run.discounted_return - remaining)
-    return np.concatenate(parts)
+    while True:
+        late = deadline is not None and time.perf_counter() > deadline
+        open_ones = [run for run in runs if run.count < episodes and not (late and run.parts)]
+        if not open_ones:
+            return
+        run = min(open_ones, key=lambda one: (bool(one.parts), one.seconds))
+        added = min(portion, episodes - run.count)
+        run.more(added)
+        tell(added)

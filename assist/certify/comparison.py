@@ -4,15 +4,80 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from planner.system.progress import Wanted, shows_progress
+import numpy as np
+
+from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole
 from ..simulation.pool import Pool
+from ..simulation.simulate import SOLVING
 from ..team.state import TeamPolicy
-from .certificate import Certificate
+from .certificate import Certificate, Simulated, simulated_until
 from .team_bound import TeamBound, upper_bound
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A bound on the value of all policies for a team, and some policies that are simulated to be compared with it.
+
+    Attributes
+    ----------
+    bound : TeamBound
+    runs : dict
+        The simulated returns of each policy by its name, at first none.
+    episodes : int
+        Number of episodes of each policy.
+    deadline : float or None
+        When to stop, on the clock of `time.perf_counter()`.
+    """
+
+    bound: TeamBound
+    runs: dict[str, Simulated]
+    episodes: int
+    deadline: float | None
+
+    @classmethod
+    def of(
+        cls, pool: Pool, policies: Mapping[str, TeamPolicy | str], *, episodes: int, seed: Seed,
+        time_limit: float | None, progress: Progress, **options: Any,
+    ) -> Comparison:  # fmt: skip
+        """Compute the bound; the parameters are those of `certify`."""
+        start, seed_number = time.perf_counter(), entropy(seed)
+        episodes = whole("episodes", episodes, 2)
+        limit = None if time_limit is None else 0.8 * positive("time_limit", time_limit)
+        bound = upper_bound(pool, time_limit=limit, seed=seed_number, progress=progress, **options)
+        runs = {
+            name: Simulated(pool, policy, bound.team, bound.travel, seed=seed_number)
+            for name, policy in policies.items()
+        }
+        return cls(bound, runs, episodes, None if time_limit is None else start + time_limit)
+
+    def simulate(self, progress: Progress) -> None:
+        """Simulate all policies, within the time that is left."""
+        for run in self.runs.values():
+            run.prepare(partial(progress, SOLVING))
+        done, total = 0, None if self.deadline is not None else self.episodes * len(self.runs)
+
+        def tell(added: int) -> None:
+            nonlocal done
+            done += added
+            progress("simulating policies", done, total)
+
+        tell(0)
+        simulated_until(list(self.runs.values()), self.episodes, self.deadline, tell)
+
+    def certificates(self) -> list[Certificate]:
+        """Return the certificate of each policy of which two or more episodes were simulated."""
+        bound, humans = self.bound, len(self.bound.team)
+        return [
+            Certificate.of(name, np.concatenate(run.parts), humans=humans, upper=bound.upper, slack=bound.slack)
+            for name, run in self.runs.items()
+            if run.count > 1
+        ]
 
 
 @shows_progress
@@ -37,22 +102,15 @@ def certify(
         Number of episodes of each policy.
     seed : int or Generator
     time_limit : float, optional
-        Seconds in total: 80 % for the bound, and equal shares of the rest for the policies.
+        Seconds in total: 80 % for the bound. The policies share the rest equally.
     progress : callable or bool, optional
         As in `upper_bound`.
     **options
         As in `upper_bound`.
     """
     assert callable(progress)
-    start, seed_number = time.perf_counter(), entropy(seed)
-    episodes = whole("episodes", episodes, 2)
-    limit = None if time_limit is None else 0.8 * positive("time_limit", time_limit)
-    bound = upper_bound(pool, time_limit=limit, seed=seed_number, progress=progress, **options)
-    found: list[Certificate] = []
-    for name, policy in policies.items():
-        progress("simulating policies", len(found), len(policies))
-        left = None
-        if time_limit is not None:
-            left = max(0.0, start + time_limit - time.perf_counter()) / (len(policies) - len(found))
-        found.append(bound.certify(policy, name, episodes=episodes, seed=seed_number, time_limit=left))
-    return bound, found
+    found = Comparison.of(
+        pool, policies, episodes=episodes, seed=seed, time_limit=time_limit, progress=progress, **options
+    )
+    found.simulate(progress)
+    return found.bound, found.certificates()

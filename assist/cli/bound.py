@@ -17,7 +17,7 @@ from .options.goals import goal_list_options, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
-from .terminal.console import print_json, print_table
+from .terminal.console import kept_if_interrupted, print_json, print_table
 
 
 @command("bound kitting/paper --humans 4 --policy priority")
@@ -44,7 +44,7 @@ def bound(
     as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...], **team: Any,
 ) -> None:  # fmt: skip
     """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
-    from ..certify.comparison import certify
+    from ..certify.comparison import Comparison
     from ..certify.information_relaxation.confidence import CONFIDENCE
     from ..team.plain_setting import plain_setting
     from .output.person_bounds import show_samples
@@ -57,11 +57,14 @@ def bound(
         goals = several_goals(instance, problems, goal_prior, domain=team["domain"], max_states=team["max_states"])
         made = team_of(instance, size=team["humans"], goals=goals, **team)
         with stages() as show:
-            found, certificates = certify(
-                made.pool, policies, time_limit=max(1e-3, start + time_limit - time.perf_counter()), progress=show,
-                episodes=episodes, seed=team["seed"], travel=made.travel, gap=gap, paths=samples, jobs=jobs,
-                memory_limit_mb=team["memory_limit"],
+            compared = Comparison.of(
+                made.pool, {name: made.prepared(policy) for name, policy in policies.items()}, progress=show,
+                time_limit=max(1e-3, start + time_limit - time.perf_counter()), episodes=episodes, seed=team["seed"],
+                travel=made.travel, gap=gap, paths=samples, jobs=jobs, memory_limit_mb=team["memory_limit"],
             )  # fmt: skip
+            with kept_if_interrupted(compared.certificates):
+                compared.simulate(show)
+    found, certificates = compared.bound, compared.certificates()
     best = max(certificates, key=lambda certificate: certificate.value)
     if as_json:
         print_json({
@@ -77,11 +80,18 @@ def bound(
     figures = [Column(name, justify="right") for name in ("value", "upper bound", "gap at most")]
     table = Table("policy", *figures, box=None, pad_edge=False)
     for c in certificates:
-        table.add_row(c.policy, f"{c.value:.3f} ± {c.value_stderr:.3f}", f"{c.upper:.3f}", f"{c.gap_percent:.2f} %")
+        gap_at_most = "0 %, within the error" if c.within_error else f"{c.gap_percent:.2f} %"
+        table.add_row(c.policy, f"{c.value:.3f} ± {c.value_stderr:.3f}", f"{c.upper:.3f}", gap_at_most)
     print_table(table)
     click.echo(
         f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; solving each person's "
         f"problem exactly would lower the gap by at most {best.slack_percent:.2f} percentage points"
     )
+    for c in certificates:
+        if c.gap_percent < 0 and not c.within_error:
+            click.echo(
+                f"{c.policy}: the mean is more than three standard errors above the bound, which no policy's value "
+                "exceeds; more --episodes"
+            )
     if samples and len(found.team) > made.pool.setting.robot_count:
         show_samples(found)

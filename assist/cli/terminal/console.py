@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -53,7 +53,28 @@ def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
             raise  # the reader closed the pipe; click exits silently
         fail(_said(error), ExitCode.FAILED)
     except KeyboardInterrupt as error:
-        fail(interrupted, getattr(error, "exit_code", 130))  # 128 + SIGINT, as shells report it
+        fail(interrupted, _code_of(error))
+
+
+@contextmanager
+def kept_if_interrupted(finished: Callable[[], object]) -> Iterator[None]:
+    """Let an interrupted command go on, so that it shows what is finished; the interrupt ends it afterwards.
+
+    It ends at once if `finished` returns nothing.
+    """
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        if not finished():
+            raise
+        code = _code_of(error)
+        click.get_current_context().call_on_close(lambda: fail("interrupted; what was finished by then is shown", code))
+
+
+def _code_of(error: KeyboardInterrupt) -> int:
+    """Return the exit code of an interrupted command, as shells report it: 128 and the number of the signal."""
+    code: int = getattr(error, "exit_code", 130)
+    return code
 
 
 def _said(error: OSError) -> str:
