@@ -76,10 +76,10 @@ def read(domain: str, problem: str, seconds: float) -> dict[str, Any]:
         return {"status": "time out", "said": str(error)}
     sizes = {"variables": len(task.variables), "operators": len(task.operators)}
     if alone is None:
-        return {"status": "read here only", "said": task.note, **sizes}
+        return {"status": "read here only", "said": None, **sizes}
     names = ("variables", "actions", "costs", "operators", "axioms", "initial", "goal")
     other = [name for name in names if getattr(task, name) != getattr(alone, name)]
-    return {"status": "differs" if other else "read alike", "said": ", ".join(other) or task.note, **sizes}
+    return {"status": "differs" if other else "read alike", "said": ", ".join(other) or None, **sizes}
 
 
 def translated(domain: str, problem: str, seconds: float) -> Task | None:

@@ -71,7 +71,6 @@ def without_processes() -> None:
     import assist.web.server
     import planner.batch.solve_batch
     import planner.batch.solve_instance
-    import planner.grounding.load
     from planner.grounding import fast_downward
 
     translate, parsed = fast_downward.translate, cache(validation.parsed)
@@ -83,28 +82,28 @@ def without_processes() -> None:
             translated[texts] = translate(reading, *limits)
         return translated[texts]
 
-    class ValidationProcess(validation_process.ValidationProcess):
+    class SecondReader(validation_process.SecondReader):
         def __init__(self, reading: Any, limits: Any = None) -> None:  # noqa: ARG002
             self._texts = writer.domain(reading, list_object=True), writer.problem(reading)
+            self._process, self._plan = None, None
 
-        def __exit__(self, *_: object) -> None:
-            pass
+        def ask(self, plan: Sequence[str]) -> None:
+            self._plan = plan
 
-        def refusal(self, seconds: float = 0.0) -> Any:  # noqa: ARG002
+        def answer(self, seconds: float) -> Any:  # noqa: ARG002
             try:
-                self._problem = parsed(*self._texts)
+                problem = parsed(*self._texts)
+                if self._plan is not None:
+                    validation.validate(problem, self._plan)
             except validation.InstanceRefusedError as error:
                 return str(error)
             return None
-
-        def check(self, plan: Sequence[str], seconds: float = 0.0) -> None:  # noqa: ARG002
-            validation.validate(self._problem, plan)
 
     planner.batch.solve_batch.outcomes = assist.study.runner.outcomes = here
     assist.reports.study_report._draw_all = lambda *_: None
     assist.web.server.serve = broken_live.work
     fast_downward.translate = translate_once
-    planner.grounding.load.ValidationProcess = planner.batch.solve_instance.ValidationProcess = ValidationProcess
+    planner.batch.solve_instance.SecondReader = SecondReader
 
 
 def load(file: str) -> None:

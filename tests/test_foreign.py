@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from conftest import KITTING, write_instance
 
-from assist.cli import main
 from planner import PDDLError, load, sweep, verify
 from planner.batch.solve_instance import solve_instance
 from planner.grounding.semantics import replay
@@ -94,27 +92,6 @@ def test_unified_planning_reads_what_is_written_anew(domain: str, tmp_path: Path
     assert (record["status"], record["cost"], record["note"]) == ("solved", 3, None), record["error"]
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "export INSTANCE --format pomdp --out OUT.pomdp",
-        "policy INSTANCE --gap 1",
-        "simulate INSTANCE --humans 1 --pool 1 --policy none --episodes 1",
-        "bound INSTANCE --humans 1 --policy none --episodes 2 --gap 1",
-        "fit INSTANCE LOG",
-    ],
-)
-def test_every_command_says_that_a_task_was_not_checked(command: str, tmp_path: Path) -> None:
-    instance = write_instance(tmp_path, *FOREIGN["a type and an action"])
-    log = tmp_path / "log.jsonl"
-    log.write_text('{"person": "a", "episode": "1", "step": 0, "action": "(step p1 p2)", "suggestion": null}\n')
-    words = {"INSTANCE": str(instance), "OUT.pomdp": str(tmp_path / "out.pomdp"), "LOG": str(log)}
-    done = CliRunner().invoke(main, [words.get(word, word) for word in command.split()])
-    assert done.exit_code == 0, done.output
-    (said,) = [line for line in done.stderr.splitlines() if "not checked by unified-planning" in line]
-    assert said.startswith(f"{instance}: read by Fast Downward's translator, not checked")
-
-
 def test_derived_predicates(tmp_path: Path) -> None:
     instance = write_instance(tmp_path, POWER, POWER_PROBLEM)
     record = solve_instance(instance)
@@ -134,7 +111,7 @@ def test_derived_predicates(tmp_path: Path) -> None:
         replay(table.task, ["(fly a b)"])
 
 
-def test_unified_planning_still_checks_what_it_reads(tmp_path: Path) -> None:
+def test_wrong_types_are_refused(tmp_path: Path) -> None:
     """A type that the translator would pass over in silence is an error, also in a file with a byte order mark."""
     domain, problem = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
     instance = write_instance(tmp_path, "\ufeff" + domain, "\ufeff" + problem)
@@ -142,10 +119,3 @@ def test_unified_planning_still_checks_what_it_reads(tmp_path: Path) -> None:
     instance.problem.write_text(problem.replace("(contains box-a hammer)", "(contains hammer hammer)"))
     with pytest.raises(PDDLError, match="wrong type"):
         load(instance)
-
-
-def test_the_note_is_kept_with_the_task(tmp_path: Path) -> None:
-    instance = write_instance(tmp_path, *FOREIGN["a predicate and an action"])
-    first = load(instance, cache=tmp_path / "cache")
-    assert first.note is not None
-    assert load(instance, cache=tmp_path / "cache") == first

@@ -140,10 +140,10 @@ slow = pytest.mark.slow
         pytest.param(
             ["simulate", LARGE, "--humans", "1", "--max-states", "1"], "bin/downward", id="simulate", marks=slow
         ),
-        pytest.param(["bound", LARGE, "--humans", "2"], "planner.pddl.validation_process", id="bound", marks=slow),
-        pytest.param(["policy", LARGE], "planner.pddl.validation_process", id="policy", marks=slow),
+        pytest.param(["bound", LARGE, "--humans", "2"], "fast_downward.translate", id="bound", marks=slow),
+        pytest.param(["policy", LARGE], "fast_downward.translate", id="policy", marks=slow),
         pytest.param(
-            ["serve", LARGE, "--humans", "1", "--port", "0"], "planner.pddl.validation_process", id="serve", marks=slow
+            ["serve", LARGE, "--humans", "1", "--port", "0"], "fast_downward.translate", id="serve", marks=slow
         ),
         pytest.param(
             ["study", "--protocol", "PROTOCOL", "--jobs", "2", "--out", "OUT"], "spawn_main", id="study", marks=slow

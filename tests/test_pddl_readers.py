@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from conftest import write_instance
 from planner import PDDLError, instance, load, sweep
 from planner.pddl.reader import read
 from planner.pddl.validation import InvalidPlanError
-from planner.pddl.validation_process import ValidationProcess
+from planner.pddl.validation_process import LATE, SecondReader
 
 DOMAIN = """(define (domain sorting)
   (:requirements :strips :typing :action-costs)
@@ -142,14 +143,29 @@ def test_faults_of_a_problem_that_would_change_the_answer(
     assert (error.value.file.name, error.value.line) == ("problem.pddl", line)
 
 
-def test_a_validation_that_dies_or_hangs_gives_a_reason() -> None:
+def test_a_second_reader_that_dies_or_hangs_gives_a_reason() -> None:
     reading = read(instance("kitting/tiny"))
-    for number, reason in ((signal.SIGKILL, "its process died"), (signal.SIGSTOP, "it takes more than 0 s")):
-        with ValidationProcess(reading) as checker:
-            assert checker.refusal() is None
-            os.kill(checker._process._popen.pid, number)
-            assert checker.check(["(fetch box-a)"], seconds=0.2) == reason
-    with ValidationProcess(reading) as checker:
-        assert checker.refusal() is None
+    for number, reason in ((signal.SIGKILL, "its process died"), (signal.SIGSTOP, LATE)):
+        with SecondReader(reading) as second:
+            assert second.answer(60.0) is None
+            assert second._process is not None
+            os.kill(second._process._popen.pid, number)
+            second.ask(["(fetch box-a)"])
+            assert second.answer(0.2) == reason
+    with SecondReader(reading) as second:
+        second.ask([])
         with pytest.raises(InvalidPlanError):
-            checker.check([])
+            second.answer(60.0)
+
+
+def test_asking_the_second_reader_takes_no_time() -> None:
+    """Neither a long text nor a long plan waits for a process that reads nothing."""
+    reading = read(instance("kitting/tiny"))
+    long = replace(reading, problem=replace(reading.problem, name="p" * 10_000_000))
+    with SecondReader(reading) as first:
+        assert first.answer(60.0) is None
+    with SecondReader(long) as second:
+        assert second._process is not None
+        os.kill(second._process._popen.pid, signal.SIGSTOP)
+        second.ask(["(fetch box-a)"] * 100_000)
+        assert second.answer(0.0) == LATE

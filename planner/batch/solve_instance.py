@@ -25,7 +25,7 @@ from ..pddl.compilation import Compilation, compiled
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.reader import read
 from ..pddl.validation import InvalidPlanError
-from ..pddl.validation_process import PATIENCE, ValidationProcess
+from ..pddl.validation_process import SecondReader
 from ..system.errors import MismatchError
 from ..system.files import atomic
 from ..system.limits import LimitError, Limits
@@ -48,6 +48,12 @@ from .solve_record import (
 if TYPE_CHECKING:
     from ..costtogo.on_demand import OnDemand
     from ..costtogo.table import Table
+
+
+SECOND_READER = 5.0
+"""Seconds that the second reader gets once all else is done. It is started with the work, which takes about one."""
+
+UNCHECKED = "read by Fast Downward's translator, not checked by unified-planning"
 
 
 class _Phases:
@@ -138,9 +144,9 @@ def solve_instance(
     try:
         with phases.phase("read"):
             compilation = compiled(read(instance))
-        with ValidationProcess(compilation.reading, phases.limits()) as checker, ExitStack() as until_solved:
-            task = _grounded(compilation, checker, phases, until_solved)
-            record = _solve(task, checker, options, place, phases, use)
+        with SecondReader(compilation.reading, phases.limits()) as second, ExitStack() as until_solved:
+            task = _grounded(compilation, phases, until_solved)
+            record = _solve(task, second, options, place, phases, use)
     except Exception as error:
         found = _record_of(error, instance, options)
         if found is None:
@@ -174,13 +180,13 @@ def _record_of(error: Exception, instance: Instance, options: SolveOptions) -> S
     return None
 
 
-def _grounded(compilation: Compilation, checker: ValidationProcess, phases: _Phases, until_solved: ExitStack) -> Task:
+def _grounded(compilation: Compilation, phases: _Phases, until_solved: ExitStack) -> Task:
     """Ground an instance. Meanwhile, a thread loads the compiled code that the search needs."""
     instance = compilation.reading.instance
     with phases.phase("translate", "reading"):
         loading = threading.Thread(target=_load_search, args=(instance, phases, until_solved), daemon=True)
         loading.start()
-        task = ground(compilation, checker, phases.limits())
+        task = ground(compilation, phases.limits())
         loading.join()
         return task
 
@@ -210,7 +216,7 @@ class _Swept(NamedTuple):
 
 def _solve(
     task: Task,
-    checker: ValidationProcess,
+    second: SecondReader,
     options: SolveOptions,
     place: Path | None,
     phases: _Phases,
@@ -235,14 +241,14 @@ def _solve(
             if place is not None:
                 _save(place, task, whole, record["plan"], phases)
             phases.tell({**record, "note": _joined(record["note"], COMPARING)}, saved=True)
-        if task.note is None and record["plan"] is not None:
-            with phases.phase("validate", "checking the plan"):
-                unchecked = checker.check(record["plan"], min(PATIENCE, max(0.01, phases.left())))
-            if unchecked:
-                words = f"the plan was replayed, but not checked by unified-planning: {unchecked}"
-                record["note"] = _joined(record["note"], words)
+        if record["plan"] is not None:
+            second.ask(record["plan"])
         if swept.table is not None:
             _compare(swept.table, options, phases, record, early.answer)
+        with phases.phase("validate", "checking the plan"):
+            unchecked = second.answer(min(SECOND_READER, max(0.0, phases.left())))
+        if unchecked:
+            record["note"] = _joined(record["note"], f"{UNCHECKED}: {unchecked}")
         if whole is not None and use is not None:
             use(whole)
     return record

@@ -55,7 +55,7 @@ def digest(instance: Instance) -> str:
     """Return a hash of what the translation depends on: the contents of both files and the versions of the readers."""
     import importlib.metadata
 
-    found = hashlib.sha256(f"5 {version()} {importlib.metadata.version('unified-planning')}".encode())
+    found = hashlib.sha256(f"6 {version()} {importlib.metadata.version('unified-planning')}".encode())
     for file in (instance.domain, instance.problem):
         found.update(hashlib.sha256(file.read_bytes()).digest())
     return found.hexdigest()

@@ -1,4 +1,4 @@
-"""Loading an instance: it is read, validated, and grounded by Fast Downward."""
+"""Loading an instance: it is read, checked, and grounded by Fast Downward."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from ..pddl import built_problems, bundled, instance_finder, instances
 from ..pddl.compilation import Compilation, compiled
 from ..pddl.reader import read
-from ..pddl.validation_process import PATIENCE, ValidationProcess
 from ..system.files import atomic
 from ..system.limits import NO_LIMITS, Limits
 from . import cross_check, fast_downward
@@ -31,7 +30,7 @@ def load(
     limits: Limits = NO_LIMITS,
     cache: str | Path | None = None,
 ) -> Task:
-    """Read, validate and ground a PDDL instance.
+    """Read, check and ground a PDDL instance.
 
     Parameters
     ----------
@@ -44,7 +43,7 @@ def load(
         Time and memory of the grounding.
     cache : path, optional
         Folder in which results are cached by the contents of the files. Files that were grounded before are neither
-        validated nor grounded again.
+        checked nor grounded again.
 
     Raises
     ------
@@ -65,9 +64,7 @@ def load(
         if (kept := _kept(stored)) is not None:
             note, unit, sas = kept
             return replace(from_sas(sas, instance, note), unit=unit)
-    compilation = compiled(read(instance))
-    with ValidationProcess(compilation.reading, limits) as checker:
-        task = ground(compilation, checker, limits)
+    task = ground(compiled(read(instance)), limits)
     # The files may have been changed since their digest was made.
     if stored is not None and stored.stem == fast_downward.digest(instance):
         content = f"{task.note or ''}\n{task.unit}\n{task.sas}"
@@ -92,21 +89,11 @@ def _digest(content: str) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def ground(compilation: Compilation, checker: ValidationProcess, limits: Limits = NO_LIMITS) -> Task:
-    """Ground a compiled instance while unified-planning reads it.
-
-    If unified-planning refuses an instance that Fast Downward's translator accepts, the task's note says so. The files
-    have passed this project's own checks before.
-    """
+def ground(compilation: Compilation, limits: Limits = NO_LIMITS) -> Task:
+    """Ground a compiled instance, and compare the result with what was read."""
     reading = compilation.reading
     sas = fast_downward.translate(reading, limits)
-    refusal = checker.refusal(PATIENCE if limits.seconds is None else limits.seconds)
-    note = None
-    if refusal is not None:
-        if rules := reading.domain.rules:  # without the file's path, since a cached task may be that of a copy
-            refusal = f"it knows no derived predicates (line {rules[0].head.place.line} of the domain)"
-        note = f"read by Fast Downward's translator, not checked by unified-planning: {refusal}"
-    task = from_sas(sas, reading.instance, "; ".join(filter(None, [note, *compilation.notes])) or None)
+    task = from_sas(sas, reading.instance, "; ".join(compilation.notes) or None)
     cross_check.check(reading, task)
     return in_the_files_terms(task, compilation)
 
@@ -116,11 +103,7 @@ def _load_built(problem: Problem, limits: Limits) -> Task:
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         instance, names = built_problems.write(problem, Path(folder))
         try:
-            compilation = compiled(read(instance))
-            sas = fast_downward.translate(compilation.reading, limits)
-            task = from_sas(sas, instance, "; ".join(compilation.notes) or None)
-            cross_check.check(compilation.reading, task)
+            task = ground(compiled(read(instance)), limits)
         except instances.PDDLError as error:  # the user does not know the temporary files
             raise instances.PDDLError(named.problem, None, error.message) from None
-    task = in_the_files_terms(task, compilation)
     return replace(from_sas(built_problems.restore_names(task.sas, names), named, task.note), unit=task.unit)

@@ -1,8 +1,8 @@
-"""unified-planning in a separate process.
+"""The second reader: unified-planning reads an instance and validates its plan, in a separate process.
 
-A `ValidationProcess` reads an instance while Fast Downward's translator grounds it, and validates plans later.
-Importing the library takes longer than solving most tasks. Its internal errors, memory and time are confined to the
-process. The process is reused for the next instance, and ends with the process that started it.
+A `SecondReader` works beside everything else. Nothing waits for it before all else is done, since the library may need
+longer to read a file than all other work together. Its internal errors, memory and time are confined to the process.
+The process is reused for the next instance, and ends with the process that started it.
 """
 
 from __future__ import annotations
@@ -11,12 +11,15 @@ import atexit
 import os
 import subprocess
 import sys
+import threading
+import time
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from queue import SimpleQueue
 from typing import Any
 
 from ..system.limits import NO_LIMITS, Limits, limit_process
@@ -25,8 +28,7 @@ from . import writer
 from .reader import Reading
 from .validation import InstanceRefusedError, InvalidPlanError, parsed, validate
 
-PATIENCE = 300.0
-"""Seconds to wait for an answer, once the translator has finished, and for a plan. It stops a process that hangs."""
+LATE = "it had not answered when all else was done"
 
 ANNOTATIONS = {"ConfigSpace": "ConfigurationSpace", "networkx": "DiGraph"}
 """Packages that unified-planning's reader and validator use for annotations only, and the names used. Importing them
@@ -34,34 +36,48 @@ takes 1.4 s of 1.7 s.
 """
 
 
-class ValidationProcess:
+class SecondReader:
     """unified-planning reading one instance, from the constructor on. Use it as a context manager."""
 
     def __init__(self, reading: Reading, limits: Limits = NO_LIMITS) -> None:
-        self._process = _Process.idle(limits)
-        self._process.ask({"domain": writer.domain(reading, list_object=True), "problem": writer.problem(reading)})
+        self._process: _Process | None = None
+        self._unread: str | None = None
+        if rules := reading.domain.rules:  # without the file's path, since records of copies are compared
+            self._unread = f"it knows no derived predicates (line {rules[0].head.place.line} of the domain)"
+            return
+        try:
+            self._process = _Process.idle(limits)
+        except OSError as error:
+            self._unread = f"it cannot be started ({error.strerror})"
+        else:
+            self._process.ask(
+                lambda: {"domain": writer.domain(reading, list_object=True), "problem": writer.problem(reading)}
+            )
 
-    def __enter__(self) -> ValidationProcess:
+    def __enter__(self) -> SecondReader:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.release()
+        if self._process is not None:
+            self._process.release()
 
-    def refusal(self, seconds: float = PATIENCE) -> str | None:
-        """Wait, once, for the reason why unified-planning does not accept the files; None if it does."""
-        answer = self._process.answer(seconds)
-        return None if answer is None else str(answer)
+    def ask(self, plan: Sequence[str]) -> None:
+        """Ask whether a plan solves the instance. This does not wait for the answer."""
+        if self._process is not None:
+            self._process.ask(lambda: {"plan": list(plan)})
 
-    def check(self, plan: Sequence[str], seconds: float = PATIENCE) -> str | None:
-        """Validate a plan of an instance that unified-planning has accepted; return why it could not do so, or None.
+    def answer(self, seconds: float) -> str | None:
+        """Return why the instance or its plan is not checked; None if both are valid.
 
-        A plan that it rejects raises an `InvalidPlanError`.
+        This waits at most so many seconds. A plan that unified-planning rejects raises an `InvalidPlanError`.
         """
-        self._process.ask({"plan": list(plan)})
-        answer = self._process.answer(seconds)
-        if isinstance(answer, InvalidPlanError):
-            raise answer
-        return answer
+        end, said = time.monotonic() + seconds, self._unread
+        while self._process is not None and self._process.asked:
+            answer = self._process.answer(max(0.0, end - time.monotonic()))
+            if isinstance(answer, InvalidPlanError):
+                raise answer
+            said = said or answer
+        return said
 
 
 class _Process:
@@ -83,8 +99,11 @@ class _Process:
             )
         self._limited = limits.memory_mb is not None
         limit_process(self._popen.pid, None if limits.memory_mb is None else limits.memory_mb + mapped_mb)
-        self._open = 0  # questions without an answer
+        self.asked = 0  # questions without an answer
         self._instances = 0
+        self._questions: SimpleQueue[Callable[[], Mapping[str, Any]] | None] = SimpleQueue()
+        self._sender = threading.Thread(target=self._send, daemon=True)
+        self._sender.start()
 
     @classmethod
     def idle(cls, limits: Limits) -> _Process:
@@ -110,7 +129,7 @@ class _Process:
         instances = 100
         waiting = self.waiting[1]
         alive = self._popen.poll() is None
-        if alive and not self._open and not self._limited and not waiting and self._instances < instances:
+        if alive and not self.asked and not self._limited and not waiting and self._instances < instances:
             waiting.append(self)
         else:
             self._close()
@@ -118,26 +137,40 @@ class _Process:
     def _close(self) -> None:
         self._popen.kill()
         self._popen.wait()
+        self._questions.put(None)
+        self._sender.join()
         self._connection.close()
 
-    def ask(self, question: Mapping[str, Any]) -> None:
-        """Send a question. Each question has one answer."""
-        self._open += 1
-        with suppress(BrokenPipeError):  # the process has died, which `answer` reports
-            self._connection.send(question)
+    def ask(self, question: Callable[[], Mapping[str, Any]]) -> None:
+        """Send a question, which is written in a thread. Each question has one answer."""
+        self.asked += 1
+        self._questions.put(question)
+
+    def _send(self) -> None:
+        """Send questions one after another. The process reads the next one only after it has answered the last."""
+        with suppress(OSError):  # the process has died, which `answer` reports
+            while (question := self._questions.get()) is not None:
+                self._connection.send(question())
 
     def answer(self, seconds: float) -> str | InvalidPlanError | None:
         """Wait for the next answer: None if all is well, the error of a plan, or the reason why there is no result."""
         # One system call waits at most 2^31 - 1 milliseconds, 25 days.
-        if not self._connection.poll(min(seconds, 2_000_000.0)):
-            self._popen.kill()
-            return f"it takes more than {seconds:.0f} s"
         try:
+            if not self._connection.poll(min(seconds, 2_000_000.0)):
+                self._end()
+                return LATE
             found: str | InvalidPlanError | None = self._connection.recv()
         except (EOFError, ConnectionResetError):
+            self._end()
             return "its process died"
-        self._open -= 1
+        self.asked -= 1
         return found
+
+    def _end(self) -> None:
+        """End the process. No further answer is waited for."""
+        self._popen.kill()
+        self._popen.wait()
+        self.asked = 0
 
 
 def _serve(connection: Connection) -> None:
