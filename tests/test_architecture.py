@@ -17,7 +17,7 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": """lazy_imports errors arrays files machine processes threads progress_reports progress jit
+    "planner.system": """lazy_imports errors arrays files machine processes threads signs progress_reports progress jit
         limits workers""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment formulas reader
         compilation writer validation validation_process built_problems""",
@@ -39,8 +39,8 @@ ROOMS = {
     "assist.person": """leaf_bounds observation_model pomdp known_goals visiting_robot policy lazy_policy archive
         problem_arrays belief_filter reached_goals dynamics joint_belief qmdp solution_cache alpha_vectors upper_hull
         convex_bound hsvi search memory_needed further_beliefs solver""",
-    "assist.learning": """log_files log advice_log trust_scores advice_rules advice_model advice_fit replay
-        observations likelihood choosing profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
+    "assist.learning": """log_steps log_json log_files log advice_log trust_scores advice_rules advice_model advice_fit
+        replay observations likelihood choosing profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
         diagnostics population person_estimate fit joint_states goals goal_fit comparison rule_families trust_log
         posterior_sample influence_population rule_search trust_fit trust_comparison""",
     "assist.team": """by_policy robots travel travel_of_each state extra_costs hidden_states action_check settings

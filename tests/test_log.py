@@ -167,10 +167,10 @@ MALFORMED = [
         "person 'ann', episode '1', which is left out: 'step' is \"one\"; expected a whole number",
     ),
     (
-        [{"person": "ann", "episode": "1", "step": 0}],
+        [{"person": "ann", "episode": "1", "step": 0, "action": 3}],
         7,
-        "person 'ann', episode '1', which is left out: there is no 'action'; expected an action as text, "
-        '"(name argument ...)"',
+        "person 'ann', episode '1', which is left out: 'action' is 3; expected an action as text, "
+        '"(name argument ...)", or null',
     ),
 ]
 
@@ -232,6 +232,51 @@ def test_an_episode_without_its_first_lines_is_left_out(tmp_path: Path, tiny: Ta
         "others, as if a line were missing; --gaps if the log counts otherwise",
     )
     assert read_log(file, gaps=True).faults == ()
+
+
+@pytest.mark.parametrize("begin", [0, 1, 2, 5])
+def test_a_log_that_does_not_count_from_0_is_told_so(tmp_path: Path, tiny: Table, begin: int) -> None:
+    """Every episode may have lost its first line. Nothing else in the log can tell."""
+    rows = [dict(row, step=begin + row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
+    file = write_log(tmp_path / "log.jsonl", rows)
+    said = f"read steps that count from {begin}: a first line that is missing in every episode is not noticed"
+    assert read_log(file).note == (said if begin else "")
+    assert used(file, tiny) == {"ann": len(PLAN), "bob": len(PLAN)}
+    assert read_log(file, gaps=True).note == ""
+
+
+@pytest.mark.parametrize("text", [None, "", "-", "NA", "keyless"])
+def test_a_step_at_which_nothing_was_done(tmp_path: Path, tiny: Table, text: str | None) -> None:
+    """It is no choice, and no missing line."""
+    rows = [dict(row, step=2 * row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
+    pauses = [dict(row, step=row["step"] + 1, action=text, suggestion=text or None) for row in rows]
+    if text == "keyless":
+        pauses = [{key: row[key] for key in ("person", "episode", "step")} for row in pauses]
+    file = write_log(tmp_path / "log.jsonl", [*rows, *pauses])
+    assert used(file, tiny) == {"ann": len(PLAN), "bob": len(PLAN)}
+    log = read_log(file)
+    assert (log.faults, replay(log, tiny)[1]) == ((), [])
+    assert "line 13 and 11 more, without an action, as nothing done" in log.note
+
+
+def test_a_live_log_with_missed_actions_is_read(tiny: Table) -> None:
+    """In it, a missed action has the step of the next one that was seen."""
+    rows = [dict(row, step=k) for k in range(len(PLAN)) for row in lines(None, PLAN[k])]  # type: ignore[arg-type]
+    recording, faults = replay(Log.of(rows), tiny)
+    assert (len(recording), faults) == (len(PLAN), [])
+
+
+def test_what_is_dropped_is_dropped_as_a_suggestion_too(tiny: Table) -> None:
+    rows = lines(FETCH, "wait", RIGHT, BACK, told={0: "(wait)", 1: RIGHT, 2: WRONG, 3: "wait"})
+    recording, faults = replay(Log.of(rows), tiny, drop=["wait"])
+    assert faults == []
+    assert [int(n) for n in recording.suggested >= 0] == [0, 1, 0]
+    none = lines(FETCH, RIGHT, BACK, told={0: "none", 2: "none"})
+    assert len(replay(Log.of(none), tiny)[0]) == 0
+    recording, faults = replay(Log.of(none), tiny, drop=["none"])
+    assert (len(recording), faults) == (3, [])
+    robot = [{**row, "executed": "(wait)"} for row in lines(FETCH, RIGHT)]
+    assert len(replay(Log.of(robot), tiny, drop=["wait"])[0]) == 2
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])

@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of
 
 from assist.learning.log import Log, read_log, told
-from assist.learning.log_files import MISSING
+from assist.learning.log_files import DASHES, MISSING
 from assist.learning.replay import replay
 from assist.people.action_names import UnmatchedError, words_of
 from planner import Table, load, sweep
+from planner.system.signs import plain
 
 PLAN = kit("tiny").optimal_plan() or []
 
@@ -38,7 +39,7 @@ DIALECTS = {
     "quoted decimal commas": (HEAD + re.sub(r"1,(\d),", r'1,"\1,0",', ROWS), WHOLE_STEPS),
     "large steps of R": (HEAD + re.sub(r"1,(\d),", r"1,1e+05,", ROWS.splitlines()[0]) + "\n", "'1e+05'"),
     **{f"missing as {word}": (HEAD + ROWS.replace(",\n", f",{word}\n"), f"'{word}' as a missing value")
-       for word in ("NA", "NaN", "None", "null", "NULL", "<NA>", "nan", "#N/A", "N/A")},
+       for word in ("NA", "NaN", "None", "null", "NULL", "<NA>", "nan", "#N/A", "N/A", "-", "--", "\u2013", "\u2014")},
     "missing in quotes": (HEAD + ROWS.replace(",\n", ',"NA"\n'), "'NA' as a missing value"),
     "empty in quotes": (HEAD + ROWS.replace(",\n", ',""\n'), ""),
     "missing as blanks": (HEAD + ROWS.replace(",\n", ",  \n"), ""),
@@ -51,6 +52,27 @@ DIALECTS = {
     "a declared separator with such": (("sep=;\n" + HEAD + ROWS).replace(",", ";").replace("\n", "\r\n"), ""),
     "upper case": (HEAD.upper() + ROWS, ""),
     "blanks after separators": ((HEAD + ROWS).replace(",", ", "), ""),
+    **{f"blanks around {name}": ((HEAD + ROWS).replace(",", f" {sign} "), "")
+       for name, sign in {"commas": ",", "semicolons": ";", "bars": "|", "tabs": "\t"}.items()},
+    "several blanks around separators": ((HEAD + ROWS).replace(",", "   ;  "), ""),
+    "blanks around quoted cells": (re.sub(r"[^,\n]+", r' "\g<0>" ', HEAD + ROWS), ""),
+    "a separator in quotes beside blanks": (
+        HEAD + re.sub(r"\((\S+) (\S+) (\S+) (\S+)\)", r' "\1(\2, \3, \4)" ', ROWS), "",
+    ),
+    "as a database prints it": (
+        (HEAD + "-----+---+---+------+----\n" + ROWS).replace(",", " | ").replace("-+-", "-+-") + "(3 rows)\n", "",
+    ),
+    "in a frame": (
+        re.sub("(?m)^(.*)$", r"| \1 |", (HEAD + "-+-+-+-+-\n" + ROWS).strip().replace(",", " | "))
+        .replace("| -+-", "|--+--").replace("-+- |", "--+--|"), "",
+    ),
+    "in a frame of lines": (
+        "+---+---+---+---+---+\n" + re.sub("(?m)^(.*)$", r"| \1 |", (HEAD + ROWS).strip().replace(",", " | "))
+        + "\n+---+---+---+---+---+\n", "",
+    ),
+    "two tables, one after the other": (HEAD + ROWS.splitlines()[0] + "\n" + HEAD
+                                        + "\n".join(ROWS.splitlines()[1:]) + "\n",
+                                        "line 3, with the names of the columns, as the beginning of a further table"),
     "quoted names": ('"person","episode","step","action","suggestion"\n' + ROWS, ""),
     "empty columns at the end": ((HEAD + ROWS).replace("\n", ",,\n"), ""),
     "empty cells at the end": (HEAD + ROWS.replace("\n", ",,\n"), ""),
@@ -129,12 +151,12 @@ def test_objects_are_read_as_programs_write_them(tmp_path: Path, form: str) -> N
         (HEAD + ROWS.replace(",1,1,", ",1,NA,"), "'step' is null; expected a whole number"),
         (HEAD + ROWS.replace("ann,1,1", "None,1,1"), "'person' is null; expected a name"),
         (HEAD + ROWS.replace(f"{RIGHT},{RIGHT}", f"{RIGHT},TRUE"), "'suggestion' is true; expected an action as text"),
-        (HEAD + ROWS.replace(RIGHT, "NA"), "'action' is null; expected an action as text"),
+        (HEAD + ROWS.replace(f",{RIGHT},", ",TRUE,"), "'action' is true; expected an action as text"),
         (HEAD + re.sub(r"1,(\d),", r"1,\1,0,", ROWS), "6 cells; expected 5, as in the first line"),
         (HEAD.replace("step", "person") + ROWS, "2 columns are called person; expected one"),
         (HEAD.replace("person", "worker") + ROWS, "--columns person=NAME with one of worker, episode, step"),
         (json.dumps(BASE)[:-9], "not JSON; expected a list of objects; what comes after it is not read"),
-        (json.dumps(BASE) + "\n[]", "there is more after the list; what comes after it is not read"),
+        (json.dumps(BASE) + "\nBASE", "there is more after the list; what comes after it is not read"),
         (json.dumps({**BASE[0], "Person": "bob"}) + "\n", "two fields are called person"),
         ('{"person": "bob", ' + json.dumps(BASE[0])[1:] + "\n", "two fields are called person"),
         ("[" + json.dumps(BASE[0])[:-1] + ', "step": 3}]', "two fields are called step"),
@@ -173,7 +195,7 @@ def test_brackets_that_do_not_match_are_said_once() -> None:
 @settings(max_examples=150, deadline=None)
 def test_tables_of_any_dialect_are_read_back(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     names = st.text(st.characters(blacklist_categories=("Cc", "Cs", "Z")), min_size=1, max_size=5).filter(
-        lambda name: name not in MISSING and not name.startswith(("#", "{", "["))
+        lambda name: plain(name) == name and name not in MISSING | DASHES and not name.startswith(("#", "{", "["))
     )
     people = data.draw(st.lists(names, min_size=1, max_size=3, unique=True))
     rows = [row for person in people for row in lines(FETCH, RIGHT, BACK, person=person, told={1: WRONG})]
@@ -209,6 +231,205 @@ def test_tables_of_any_dialect_are_read_back(tmp_path_factory: pytest.TempPathFa
     assert log.faults == ()
     found = [(e.person, e.episode, e.step, *(words_of(t) for t in e.texts)) for e in log.entries]
     assert found == [(e.person, e.episode, e.step, *(words_of(t) for t in e.texts)) for e in Log.of(rows).entries]
+
+
+def by_columns(rows: list[dict]) -> dict:
+    """As pandas writes a frame unless told otherwise."""
+    return {key: {str(n): row[key] for n, row in enumerate(rows)} for key in rows[0]}
+
+
+NAMES = list(BASE[0])
+CELLS = [list(row.values()) for row in BASE]
+SHAPES = {
+    "by columns": by_columns(BASE),
+    "by columns, as lists": {key: [row[key] for row in BASE] for key in NAMES},
+    "by rows": {str(n): row for n, row in enumerate(BASE)},
+    "split": {"columns": NAMES, "index": [0, 1, 2], "data": CELLS},
+    "as a table with a schema": {"schema": {"fields": [{"name": key} for key in NAMES]}, "data": BASE},
+    "within an object": {"data": BASE, "version": 3},
+    "within an object of another name": {"trials": BASE},
+    "lists": [NAMES, *CELLS],
+    "a list of lists of records": [BASE[:2], BASE[2:]],
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("indent", [None, 2], ids=["one line", "pretty"])
+def test_json_is_read_in_the_shapes_of_pandas_and_others(tmp_path: Path, shape: str, indent: int | None) -> None:
+    file = tmp_path / "log.json"
+    file.write_text(json.dumps(SHAPES[shape], indent=indent))
+    log = read_log(file)
+    assert (log.faults, log.note) == ((), "")
+    assert [{**vars(e), "line": 0} for e in log.entries] == [{**vars(e), "line": 0} for e in Log.of(BASE).entries]
+    renamed = json.dumps(SHAPES[shape], indent=indent).replace('"person"', '"Worker"')
+    file.write_text(renamed)
+    assert len(read_log(file, columns={"person": "worker"}).entries) == 3
+
+
+LINES = {
+    "a list of records a line": [BASE[:2], BASE[2:]],
+    "a list a line, the first with names": [NAMES, *CELLS],
+    "an object of several a line": [{"data": BASE[:2]}, {"data": BASE[2:]}],
+}
+
+
+@pytest.mark.parametrize("shape", LINES)
+def test_a_line_may_have_a_list(tmp_path: Path, shape: str) -> None:
+    file = tmp_path / "log.jsonl"
+    file.write_text("".join(json.dumps(one) + "\n" for one in LINES[shape]))
+    log = read_log(file)
+    assert (log.faults, [entry.action for entry in log.entries]) == ((), [FETCH, RIGHT, BACK])
+    file.write_text("".join(json.dumps(one, indent=1) + "\n" for one in BASE))  # as jq writes it
+    assert [entry.line for entry in read_log(file).entries] == [1, 8, 15]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"person": ["ann"], "episode": ["1"], "step": [0, 1], "action": [FETCH]},
+         "log.json:1: columns of different lengths: person 1, episode 1, step 2, action 1"),
+        (CELLS, "log.json:1: expected an object, "),
+        ([NAMES, CELLS[0][:3]], "log.json:1: a list of 3; expected 5, as in the first"),
+        ({"ann": [1], "bob": [2]}, "log.json:1: there is no 'person'; expected a name"),
+        ({"name": "kit", **{key: [row[key] for row in BASE * 9] for key in NAMES}}, "; expected a name"),
+    ],
+)  # fmt: skip
+def test_other_shapes_of_json_are_refused_in_one_short_line(tmp_path: Path, content: object, message: str) -> None:
+    file = tmp_path / "log.json"
+    file.write_text(json.dumps(content))
+    (line,) = told(read_log(file).faults, file.name)
+    assert message in line
+    assert len(line) < 200
+
+
+TIMES = {
+    "seconds since 1970": ["1709287200", "1709287203", "1709287210"],
+    "seconds since 1970 with decimals": [1709287200.25, 1709287200.75, 1709287201],
+    "seconds": ["0.5", "3.25", "12.125"],
+    "seconds with decimal commas": ["0,5", "3,25", "12,75"],
+    "dates": ["2024-03-01T10:00:03", "2024-03-01T10:00:12", "2024-03-01T10:01:00"],
+    "dates of spreadsheets": ["2024-03-01 10:00:03.5", "2024-03-01 10:00:03.75", "2024-03-02 00:00:00"],
+    "dates with their zone": ["2024-03-01T10:59:03+01:00", "2024-03-01T10:00:12Z", "2024-03-01T10:00:13Z"],
+    "dates with slashes": ["2024/03/01 10:00:03", "2024/03/01 10:00:12", "2024/03/01 10:01:00"],
+    "times of the clock": ["9:59:58", "10:00:03", "10:00:12"],
+    "hours and minutes": ["09:58", "09:59", "10:00"],
+    "minutes and seconds with decimals": ["00:58.5", "00:59.25", "01:00.0"],
+}
+
+
+@pytest.mark.parametrize("form", TIMES)
+def test_steps_may_be_times_if_there_may_be_gaps(tmp_path: Path, tiny: Table, form: str) -> None:
+    """The actions of an episode are in the order of their times, whatever that of the lines is."""
+    rows = [dict(row, step=step) for row, step in zip(BASE, TIMES[form], strict=True)]
+    file = tmp_path / "log.jsonl"
+    for order in ([0, 1, 2], [2, 0, 1]):
+        file.write_text("".join(f"{text_of(rows)[n]}\n" for n in order))
+        log = read_log(file, gaps=True)
+        recording, faults = replay(log, tiny)
+        assert (log.faults, faults, len(recording)) == ((), [], 3)
+        assert ("in whose order actions are numbered" in log.note) == (form != "seconds since 1970")
+    assert len(replay(Log.of(rows, gaps=True), tiny)[0]) == 3
+    faults_without = read_log(file).faults
+    assert faults_without
+    assert all("--gaps" in fault.message or "expected a whole number" in fault.message for fault in faults_without)
+
+
+def test_times_that_cannot_be_ordered_are_faults(tiny: Table) -> None:
+    def faults(*steps: object) -> str:
+        log = Log.of([dict(row, step=step) for row, step in zip(BASE, steps, strict=True)], gaps=True)
+        return "\n".join(told([*log.faults, *replay(log, tiny)[1]], "log"))
+
+    assert "log:1: person 'ann', episode '1', which is left out: times of the clock" in faults("23:59", "0:03", "0:04")
+    assert "go on after midnight; expected dates, too" in faults("23:59:01", "0:00:03", "0:00:04")
+    assert "is on line 2 already" in faults("10:00:03", "10:00:04", "10:00:04")
+    assert "'step' is \"10:00\"; expected a whole number" in faults("2024-03-01 10:00", "2024-03-01 10:01", "10:00")
+    assert "'step' is \"1,250\"; expected a whole number" in faults("3", "7", "1,250")
+    assert "'step' is \"3/1/2024 10:00\"; expected a whole" in faults("3/1/2024 10:00", "10:00", "10:01")
+
+
+SIGNS = {
+    "a space of no width": ("ann\u200b", "ann", "U+200B (zero width space) as nothing (first on line 4)"),
+    "a mark of direction": ("\u200fann", "ann", "U+200F (right-to-left mark) as nothing (first on line 4)"),
+    "a mark of byte order": ("\ufeffann", "ann", "U+FEFF (zero width no-break space) as nothing (first on line 4)"),
+    "a soft hyphen": ("an\u00adn", "ann", "U+00AD (soft hyphen) as nothing (first on line 4)"),
+    "a joiner": ("ann\u200d", "ann", "U+200D (zero width joiner) as nothing (first on line 4)"),
+    "a space that does not break": ("ann\u00a0lee", "ann lee", "U+00A0 (no-break space) as a space (first on line 4)"),
+    "a letter in two parts": ("Zoe\u0308", "Zo\u00eb", "decomposed letters as composed ones (first on line 4)"),
+    "spaces around": (" ann  lee ", "ann lee", ""),
+}
+
+
+@pytest.mark.parametrize("sign", SIGNS)
+def test_names_that_look_the_same_are_one_person(tmp_path: Path, sign: str) -> None:
+    strange, usual, note = SIGNS[sign]
+    rows = [*lines(FETCH, RIGHT, BACK, person=usual), *lines(FETCH, RIGHT, BACK, person=strange, episode="2")]
+    file = tmp_path / "log.jsonl"
+    file.write_text("\n".join(json.dumps(row, ensure_ascii=False) for row in rows) + "\n")
+    log = read_log(file)
+    assert (log.people, log.faults, log.note) == ({usual}, (), f"read {note}" if note else "")
+    assert Log.of(rows).people == {usual}
+
+
+def test_joiners_within_words_of_other_scripts_and_pictures_stay() -> None:
+    persian, engineer = "\u0645\u06cc\u200c\u062e\u0648", "\U0001f469\u200d\U0001f527"
+    assert [plain(persian), plain(engineer)] == [persian, engineer]
+
+
+def test_unseen_signs_in_actions_and_heads(tmp_path: Path, tiny: Table) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("\ufeff" + (HEAD + ROWS).replace("step", "\u200bstep").replace(")", ")\u200b"))
+    assert actions_of(file, tiny) == {"ann": 3}
+    assert "U+200B (zero width space) as nothing (first on line 2)" in read_log(file).note
+
+
+FOREIGN = {
+    "PsychoPy": ("action,hint,trials.thisN,keys,participant,session\n,,,space,ann,001\n"
+                 f"{FETCH},,0,1,ann,001\n{RIGHT},{RIGHT},1,1,ann,001\n{BACK},,2,1,ann,001\n,,,,ann,001\n",
+                 "person=participant,episode=session,step=trials.thisN,suggestion=hint"),
+    "jsPsych": ("trial_type,trial_index,subject,block,move,hint\ninstructions,0,ann,,,\n"
+                f"html,0,ann,1,{FETCH},\nhtml,1,ann,1,{RIGHT},{RIGHT}\nhtml,2,ann,1,{BACK},\nend,3,ann,,,\n",
+                "person=subject,episode=block,step=trial_index,action=move,suggestion=hint"),
+    "jsPsych's JSON": (json.dumps([{"trial_type": "instructions", "trial_index": 0}, *(
+        {"trial_index": row["step"], "subject": "ann", "block": 1, "move": row["action"], "hint": row["suggestion"]}
+        for row in BASE), {"trial_type": "end", "trial_index": 9}]),
+        "person=subject,episode=block,step=trial_index,action=move,suggestion=hint"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("program", FOREIGN)
+def test_rows_outside_of_episodes_are_no_part_of_them(tmp_path: Path, tiny: Table, program: str) -> None:
+    """Programs for experiments write a row for instructions and for the end, without an action."""
+    text, columns = FOREIGN[program]
+    file = tmp_path / ("log.json" if text[0] == "[" else "log.csv")
+    file.write_text(text)
+    log = read_log(file, columns=dict(pair.split("=") for pair in columns.split(",")))
+    recording, faults = replay(log, tiny)
+    assert (log.faults, faults, len(recording)) == ((), [], 3)
+    assert [int(n) for n in recording.suggested >= 0] == [0, 1, 0]
+    assert "without an action in a step of an episode, as no part of one" in log.note
+
+
+@pytest.mark.parametrize("column", ["Hint", "advice", "Suggested", "robot said"])
+def test_a_column_that_may_have_suggestions_is_asked_about(tmp_path: Path, column: str) -> None:
+    """By its name, or since it has actions."""
+    asked = f"column '{column}' is not read; --columns suggestion={column} if it has suggestions"
+    csv_file, json_file = tmp_path / "log.csv", tmp_path / "log.json"
+    csv_file.write_text(HEAD.replace("suggestion", column) + ROWS)
+    json_file.write_text(json.dumps([{k.replace("suggestion", column): v for k, v in row.items()} for row in BASE]))
+    for file in (csv_file, json_file):
+        log = read_log(file)
+        assert (log.faults, log.note) == ((), asked)
+        assert read_log(file, columns={"suggestion": column}).note == ""
+
+
+def test_other_columns_are_not_asked_about(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text(f"time,{HEAD}" + "".join(f"12:0{k},{row}\n" for k, row in enumerate(ROWS.splitlines())))
+    assert read_log(file).note == ""
+    file.write_text(f"last,{HEAD}" + "".join(f"{FETCH},{row}\n" for row in ROWS.splitlines()))
+    assert read_log(file).note == ""
+    file.write_text(HEAD.replace("suggestion", "hint") + re.sub(r",[^,]*$", ",", ROWS, flags=re.M))  # empty
+    assert read_log(file).note == ""
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])

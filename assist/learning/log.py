@@ -18,12 +18,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from planner.system.arrays import outline
 
 from ..people.action_names import words_of, wrong_form
-from .log_files import NEEDED, Broken, Names, Row, Taken, is_hidden, own_names, read_records, tidy
+from .log_files import NEEDED, Taken, is_hidden, named_rows, own_names, read_records, tidy
+from .log_json import Broken, Names, Row
+from .log_steps import moment
 
 EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
 
@@ -66,7 +68,7 @@ class Entry:
     person, episode : str
     step : int
     action : str or None
-        None if nothing was left to do after the robot's own action.
+        None if the person did nothing.
     suggestion, executed : str or None
         The robot's suggestion, and its own action, before the person acted.
     """
@@ -120,11 +122,24 @@ class Log:
     __repr__ = outline
 
     @classmethod
-    def of(cls, records: Iterable[Mapping[str, Any]], *, gaps: bool = False, name: str = "log") -> Log:
-        """Return a log of records, such as a simulation's trace; each record counts as a line."""
+    def of(
+        cls, records: Iterable[Mapping[str, Any]], *, gaps: bool = False, columns: Mapping[str, str] | None = None,
+        name: str = "log",
+    ) -> Log:  # fmt: skip
+        """Return a log of records, such as a simulation's trace, or of a data frame.
+
+        Parameters
+        ----------
+        records : iterable of mappings, or data frame
+            Each record, or each row of a data frame of pandas or polars, counts as a line.
+        gaps, columns
+            As in `read_log`.
+        name : str
+            Name of the log in messages.
+        """
         taken = Taken()
-        rows = tidy(enumerate(records, start=1), taken)
-        return _log(rows, gaps, name, str(taken))
+        rows = named_rows(list(enumerate(_records(records), start=1)), own_names(columns), name, taken)
+        return _log(tidy(rows, taken, gaps=gaps), gaps, name, str(taken))
 
 
 def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[str, str] | None = None) -> Log:
@@ -137,6 +152,7 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[
         bars or blanks. Columns that `Entry` does not have are ignored. Person and episode may be numbers.
     gaps : bool
         Whether `step` may skip numbers although no line is missing, for instance if it counts several people's actions.
+        Steps may then be times, too: seconds, dates with times (ISO 8601), or times of the clock.
     columns : mapping of str to str, optional
         The file's name for a column of a log, such as {"person": "worker"}.
 
@@ -148,8 +164,17 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[
         `columns` has a name that a log does not have, or the file does not.
     """
     path = Path(file)
-    rows, note = read_records(path, own_names(columns))
+    rows, note = read_records(path, own_names(columns), gaps=gaps)
     return _log(rows, gaps, str(path), note)
+
+
+def _records(records: Any) -> Iterable[Mapping[str, Any]]:
+    """Return records, also those of a data frame."""
+    if hasattr(records, "to_dicts"):  # polars
+        return cast(Iterable[Mapping[str, Any]], records.to_dicts())
+    if hasattr(records, "to_dict"):  # pandas
+        return cast(Iterable[Mapping[str, Any]], records.to_dict("records"))
+    return cast(Iterable[Mapping[str, Any]], records)
 
 
 def told(faults: Iterable[Fault], name: object) -> list[str]:
@@ -210,6 +235,9 @@ def _log(records: Iterable[Row], gaps: bool, name: str, note: str) -> Log:
     people = {entry.person for entry in entries} | {fault.person for fault in faults if fault.person is not None}
     spoilt = {(fault.person, fault.episode) for fault in faults if fault.spoils}
     lowest = min((entry.step for entry in entries), default=0)
+    if lowest and not gaps:
+        counted = f"steps that count from {lowest}: a first line that is missing in every episode is not noticed"
+        note = f"{note}; {counted}" if note else f"read {counted}"
     entries = [entry for entry in entries if entry.names not in spoilt]
     incomplete = _incomplete(entries, sorted(lost), gaps, lowest)
     faults += incomplete.values()
@@ -259,16 +287,21 @@ def _name(value: object) -> str | None:
     return str(value) if isinstance(value, str | int) and not is_hidden(str(value)) else None
 
 
+def _short(value: object) -> str:
+    """Return a value as JSON has it; a long one is cut."""
+    text, most = json.dumps(value, default=str), 60  # characters, so that a message stays on a line or two
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
 def _fault(record: Any) -> str | None:
     """Return what is wrong with a record; None if nothing is."""
     if not isinstance(record, Mapping):
         return EXPECTED
-    executed = record.get("executed")
     for key, types, wanted in (
         ("person", (str, int), "a name"),
         ("episode", (str, int), "a name"),
         ("step", (int,), "a whole number"),
-        ("action", (str, type(None)) if executed is not None else (str,), 'an action as text, "(name argument ...)"'),
+        ("action", (str, type(None)), 'an action as text, "(name argument ...)", or null'),
         ("suggestion", (str, type(None)), "an action as text, or null"),
         ("executed", (str, type(None)), "an action as text, or null"),
     ):
@@ -276,7 +309,8 @@ def _fault(record: Any) -> str | None:
             return f"there is no '{key}'; expected {wanted}"
         value = record.get(key)
         if not isinstance(value, types) or isinstance(value, bool):
-            return f"'{key}' is {json.dumps(value, default=str)}; expected {wanted}"
+            time = ", or --gaps if steps are times" if key == "step" and moment(value) is not None else ""
+            return f"'{key}' is {_short(value)}; expected {wanted}{time}"
         if isinstance(value, str) and is_hidden(value):
             return f"'{key}' is {json.dumps(value)}, which cannot be shown; expected {wanted}"
     if not -(2**63) <= record["step"] < 2**63:

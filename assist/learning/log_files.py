@@ -19,10 +19,21 @@ from pathlib import Path
 from typing import Any
 from unicodedata import category
 
+import numpy as np
+
+from planner.system.signs import changed, plain
+
+from ..people.action_names import words_of, wrong_form
+from .log_json import Broken, Names, Row, read_json
+from .log_steps import is_plain, number_times, whole
+
 COLUMNS = ("person", "episode", "step", "action", "suggestion", "executed")
 NEEDED = COLUMNS[:4]
 NAMES = COLUMNS[:2]
 ACTIONS = COLUMNS[3:]
+
+DASHES = frozenset(("-", "--", "---", "\N{EN DASH}", "\N{EM DASH}", "\N{MINUS SIGN}"))
+"""Notations of no suggestion; no action has such a name."""
 
 MISSING = frozenset(
     (
@@ -42,29 +53,8 @@ BINARY = {
 
 SEPARATORS = ",;\t| "
 
-Names = tuple[str, str]
-"""A person and one of their episodes."""
-
-Row = tuple[int, Any]
-"""Number of a line, from 1, and its content: a record, a `Broken`, or another value that is no record."""
-
-
-@dataclass(frozen=True)
-class Broken:
-    """A line that is no record.
-
-    Attributes
-    ----------
-    message : str
-    owners : set of Names
-        People and episodes that the rest of the line names; empty if unknown.
-    ends : bool
-        Whether the file ends within this line.
-    """
-
-    message: str
-    owners: frozenset[Names] = frozenset()
-    ends: bool = False
+RULE = re.compile(r"[\s|+:=-]*-{2}[\s|+:=-]*|\(\d+ rows?\)")
+"""Lines that only frame a table, or count its rows, as databases print them."""
 
 
 @dataclass
@@ -74,6 +64,12 @@ class Taken:
     said: list[str] = field(default_factory=list)
     missing: dict[str, None] = field(default_factory=dict)
     steps: list[str] = field(default_factory=list)
+    times: str | None = None
+    signs: dict[str, int] = field(default_factory=dict)
+    idle: list[int] = field(default_factory=list)
+    outside: list[int] = field(default_factory=list)
+    heads: list[int] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
         said = list(self.said)
@@ -81,10 +77,27 @@ class Taken:
             said.append(f"{' and '.join(map(repr, self.missing))} as a missing value")
         if self.steps:
             said.append(f"steps such as {self.steps[0]!r} as whole numbers")
-        return f"read {', '.join(said)}" if said else ""
+        if self.times is not None:
+            said.append(f"steps such as {self.times!r} as times, in whose order actions are numbered")
+        said += [f"{sign} (first on line {line})" for sign, line in self.signs.items()]
+        said += _lines_as(self.idle, "without an action", "as nothing done")
+        said += _lines_as(self.outside, "without an action in a step of an episode", "as no part of one")
+        said += _lines_as(self.heads, "with the names of the columns", "as the beginning of a further table")
+        return "; ".join([*[f"read {', '.join(said)}"] * bool(said), *self.asked])
+
+    def plain(self, text: str, line: int) -> str:
+        """Return a text as `plain` does, and note what a reader would not have seen in it."""
+        for sign in changed(text):
+            self.signs.setdefault(sign, line)
+        return plain(text)
 
 
-def read_records(file: Path, columns: Mapping[str, str]) -> tuple[list[Row], str]:
+def _lines_as(lines: Sequence[int], which: str, what: str) -> list[str]:
+    others = f" and {len(lines) - 1:,} more" if len(lines) > 1 else ""
+    return [f"line {lines[0]}{others}, {which}, {what}"] if lines else []
+
+
+def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) -> tuple[list[Row], str]:
     """Return a file's records, and a description of how it was interpreted, which is empty for a plain file.
 
     Parameters
@@ -92,6 +105,8 @@ def read_records(file: Path, columns: Mapping[str, str]) -> tuple[list[Row], str
     file : Path
     columns : mapping of str to str
         The file's name of each column of a log; checked by `own_names`.
+    gaps : bool
+        Whether steps may have gaps, so that they may be times.
 
     Raises
     ------
@@ -107,13 +122,14 @@ def read_records(file: Path, columns: Mapping[str, str]) -> tuple[list[Row], str
     lines = _lines(data, taken)
     texts = [line for line in lines if isinstance(line, str) and line.strip()]
     head = texts[0].strip() if texts else ""
-    if re.match(r"\[\s*(\{|$)", head):
-        rows = list(_listed([line if isinstance(line, str) else "" for line in lines]))
-    elif head.startswith(("{", "[")) or not _is_table(file, texts, columns):
-        rows = list(_objects(lines))
+    if head.startswith(("{", "[")) or not _is_table(file, texts, columns):
+        own = {columns.get(name, name) for name in COLUMNS}
+        rows = read_json(lines, lambda key: isinstance(key, str) and plain(key).lower() in own, _owners)
+        rows = named_rows(rows, columns, file, taken)
     else:
-        return tidy(list(_table(lines, columns, file, taken)), taken), str(taken)
-    return tidy(_named(rows, columns, file), taken), str(taken)
+        rows = list(_table(lines, columns, file, taken))
+    rows = tidy(rows, taken, gaps=gaps)
+    return rows, str(taken)
 
 
 def own_names(columns: Mapping[str, str] | None) -> dict[str, str]:
@@ -137,27 +153,56 @@ def own_names(columns: Mapping[str, str] | None) -> dict[str, str]:
     return found
 
 
-def tidy(rows: Iterable[Row], taken: Taken) -> list[Row]:
-    """Return records with None for missing values, and integers for steps in any notation."""
+def tidy(rows: Iterable[Row], taken: Taken, *, gaps: bool = False) -> list[Row]:
+    """Return records with None for missing values, plain names, and integers for steps in any notation.
+
+    Records that have neither an action nor a step, or name no episode, are left out, since they are no part of one:
+    programs for experiments write a row for instructions, too.
+    """
     rows = [(number, dict(record) if isinstance(record, Mapping) else record) for number, record in rows]
-    records = [record for _, record in rows if isinstance(record, dict)]
-    for record in records:
-        for key in ("step", *ACTIONS):
-            if key in record and _is_missing(record[key], taken):
-                record[key] = None
-        for key in NAMES:
-            if isinstance(record.get(key), str) and not record[key].strip():
-                record[key] = None
-            elif isinstance(record.get(key), float) and record[key] == record[key]:
-                record[key] = str(record[key])
-    plain = any(_digits(record.get("step")) for record in records)
-    for record in records:
+    for number, record in rows:
+        if isinstance(record, dict):
+            _tidy(record, number, taken)
+    acting = any(record.get("action") is not None for _, record in rows if isinstance(record, dict))
+    kept: list[Row] = []
+    for number, record in rows:
+        if acting and isinstance(record, dict) and record.setdefault("action", None) is None:
+            nothing = all(record.get(key) is None for key in ACTIONS)
+            if nothing and any(record.get(key) is None for key in NEEDED[:3]):
+                taken.outside.append(number)
+                continue
+            taken.idle += [number] * (record.get("executed") is None)
+        kept.append((number, record))
+    found = [record for _, record in kept if isinstance(record, dict)]
+    digits = any(is_plain(record.get("step")) for record in found)
+    for record in found:
         step = record.get("step")
-        whole = _whole(step, thousands=plain)
-        if whole is not None:
-            record["step"] = whole
-            taken.steps += [str(step)] * (not _digits(step))
-    return rows
+        integer = whole(step, thousands=digits)
+        if integer is not None:
+            record["step"] = integer
+            taken.steps += [str(step)] * (not is_plain(step))
+    if gaps:
+        taken.times, unclear = number_times(found)
+        midnight = "times of the clock that seem to go on after midnight; expected dates, too"
+        which = set(map(id, unclear))
+        kept = [(n, Broken(midnight, _owner(record)) if id(record) in which else record) for n, record in kept]
+    return kept
+
+
+def _tidy(record: dict[str, Any], number: int, taken: Taken) -> None:
+    """Replace the values of one record."""
+    for key in record.keys() & set(COLUMNS):
+        value = record[key] = record[key].item() if isinstance(record[key], np.generic) else record[key]
+        if isinstance(value, str) and not is_hidden(value):
+            record[key] = taken.plain(value, number)
+    for key in ("step", *ACTIONS):
+        if key in record and _is_missing(record[key], taken):
+            record[key] = None
+    for key in NAMES:
+        if record.get(key) == "":
+            record[key] = None
+        elif isinstance(record.get(key), float) and record[key] == record[key]:
+            record[key] = str(record[key])
 
 
 def is_hidden(text: str) -> bool:
@@ -165,41 +210,20 @@ def is_hidden(text: str) -> bool:
     return any(category(sign) in ("Cc", "Cs") for sign in " ".join(text.split()))
 
 
+def _owner(record: Mapping[str, Any]) -> frozenset[Names]:
+    """Return whose line a record is; nobody if it does not say so."""
+    person, episode = (record.get(key) for key in NAMES)
+    return frozenset({(str(person), str(episode))}) if person is not None and episode is not None else frozenset()
+
+
 def _is_missing(value: object, taken: Taken) -> bool:
     if value is None or (isinstance(value, str) and not value.strip()):
         return True
     word = str(value).strip() if not isinstance(value, int) else ""
-    if word in MISSING:
+    if word in MISSING | DASHES:
         taken.missing.setdefault(word)
-    return word in MISSING
-
-
-def _digits(value: object) -> bool:
-    return type(value) is int or (isinstance(value, str) and re.fullmatch(r"[+-]?\d+", value.strip()) is not None)
-
-
-def _whole(value: object, *, thousands: bool) -> int | None:
-    """Return a step as an integer; None if it is none, or ambiguous, such as 1,000.
-
-    Parameters
-    ----------
-    value : object
-    thousands : bool
-        Whether other steps have no decimals, so that in 1,000 the comma may separate thousands.
-    """
-    if isinstance(value, float):
-        return int(value) if value.is_integer() else None
-    if not isinstance(value, str):
-        return None
-    text = value.strip()
-    if re.fullmatch(r"[+-]?\d{1,20}", text):
-        return int(text)
-    if found := re.fullmatch(r"([+-]?\d{1,20})[.,](0*)", text):
-        return None if thousands and len(found[2]) == 3 and len(found[1].lstrip("+-")) <= 3 else int(found[1])
-    if re.fullmatch(r"\d([.,]\d{1,14})?[eE]\+?\d\d?", text):  # as R writes 100000
-        number = float(text.replace(",", "."))
-        return int(number) if number.is_integer() else None
-    return None
+        return True
+    return False
 
 
 def _lines(data: bytes, taken: Taken) -> list[str | Broken]:
@@ -240,54 +264,6 @@ def _owners_but_damaged(text: str) -> frozenset[Names]:
     return frozenset(names for names in _owners(text) if "\ufffd" not in "".join(names))
 
 
-# JSON
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any] | Broken:
-    """Return a JSON object; raise an error if two of its fields have the same name."""
-    record = dict(pairs)
-    if len(record) == len(pairs):
-        return record
-    twice = next(name for name, count in Counter(name for name, _ in pairs).items() if count > 1)
-    return Broken(f"two fields are called {twice}")
-
-
-def _objects(lines: Sequence[str | Broken]) -> Iterator[Row]:
-    """Yield the records of JSON Lines."""
-    for number, line in enumerate(lines, start=1):
-        if isinstance(line, Broken):
-            yield number, line
-        elif line.strip():
-            try:
-                yield number, json.loads(line, object_pairs_hook=_once)
-            except (ValueError, RecursionError):
-                if number == len(lines):  # a whole last line ends with a line feed
-                    cut = "the last line is cut off; the lines before it are used"
-                    yield number, Broken(cut, _owners(line), ends=True)
-                else:
-                    yield number, Broken("not JSON; expected one object in every line", _owners(line))
-
-
-def _listed(lines: Sequence[str]) -> Iterator[Row]:
-    """Yield the records of a JSON list, as pandas and R write tables."""
-    text, decoder = "\n".join(lines), json.JSONDecoder(object_pairs_hook=_once)
-    at, number, counted = text.index("[") + 1, 1, 0
-    blanks = re.compile(r"[\s,]*")
-    while True:
-        at = blanks.match(text, at).end()  # type: ignore[union-attr]  # it matches everywhere
-        number, counted = number + text.count("\n", counted, at), at
-        if text[at : at + 1] == "]":
-            if text[at + 1 :].strip():
-                yield number, Broken("there is more after the list; what comes after it is not read")
-            return
-        try:
-            record, at = decoder.raw_decode(text, at)
-        except (ValueError, RecursionError):
-            yield number, Broken("not JSON; expected a list of objects; what comes after it is not read")
-            return
-        yield number, record
-
-
 NAMED = re.compile(r'"(person|episode)"\s*:\s*(?:("(?:[^"\\]|\\.)*")|(-?\d+)(?=\s*[,}]))')
 
 
@@ -302,24 +278,62 @@ def _owners(text: str) -> frozenset[Names]:
     known = len(found["person"]) == len(found["episode"]) and not any(
         map(is_hidden, found["person"] + found["episode"])
     )
-    return frozenset(zip(found["person"], found["episode"], strict=True)) if known else frozenset()
+    pairs = (map(plain, found[key]) for key in NAMES)
+    return frozenset(zip(*pairs, strict=True)) if known else frozenset()
 
 
-def _named(rows: Sequence[Row], columns: Mapping[str, str], file: Path) -> list[Row]:
-    """Yield records with the column names of a log, from the user's names in any case."""
-    keys = Counter(key for _, record in rows if isinstance(record, dict) for key in record)
-    _check(columns, [key.lower() for key in keys], file)
+def named_rows(rows: Sequence[Row], columns: Mapping[str, str], name: object, taken: Taken) -> list[Row]:
+    """Return records with the column names of a log, from the user's names in any case."""
+    keys = {key: plain(key).lower() for _, record in rows if isinstance(record, Mapping) for key in map(str, record)}
+    _check(columns, list(keys.values()), name)
     source = {name: columns.get(name, name) for name in COLUMNS}
-    renamed = {key: name for name, own in source.items() for key in keys if key.lower() == own}
+    renamed = {key: name for name, own in source.items() for key, plain_key in keys.items() if plain_key == own}
     found: list[Row] = []
     for number, record in rows:
-        if not isinstance(record, dict):
+        if not isinstance(record, Mapping):
             found.append((number, record))
             continue
         mine = {renamed[key]: value for key, value in record.items() if key in renamed}
         twice = next((name for name, n in Counter(renamed[k] for k in record if k in renamed).items() if n > 1), None)
         found.append((number, mine if twice is None else Broken(f"two fields are called {source[twice]}")))
+    if "suggestion" not in renamed.values():
+        others = [key for key in keys if key not in renamed]
+        actions = [record.get("action") for _, record in found if isinstance(record, dict)]
+        cells = {key: [record.get(key) for _, record in rows if isinstance(record, Mapping)] for key in others}
+        taken.asked += _asked(cells, actions)
     return found
+
+
+HINTS = frozenset(
+    ("advice", "advised", "hint", "hints", "proposal", "recommendation", "recommended", "suggested", "suggestions")
+)
+"""Names of columns that may have suggestions."""
+
+
+def _asked(cells: Mapping[str, Sequence[Any]], actions: Sequence[Any]) -> list[str]:
+    """Return a question for each column that is not read, and seems to have suggestions by its name or its content.
+
+    Parameters
+    ----------
+    cells : mapping of str to sequence
+        The values of each column that is not read.
+    actions : sequence
+        The actions that people did.
+    """
+    called = _first_words(actions)
+    asked = []
+    for key, column in cells.items():
+        there = [value for value in column if value is not None and not _is_missing(value, Taken())]
+        words = _first_words(there)
+        if there and (plain(key).lower() in HINTS or (words and words <= called)):
+            asked.append(f"column '{key}' is not read; --columns suggestion={key} if it has suggestions")
+    return asked
+
+
+def _first_words(actions: Sequence[Any]) -> set[str]:
+    """Return the names of actions; a value that is no action has the name ''."""
+    texts = [text if isinstance(text, str) and wrong_form(text) is None else "" for text in actions if text is not None]
+    return {(*words_of(text), "")[0] for text in texts}
 
 
 # Tables
@@ -351,8 +365,11 @@ def _separator(texts: Sequence[str], columns: Mapping[str, str]) -> str:
     declared = _declared(texts[0])
     if declared is not None:
         return declared
-    cells = {separator: _cells(texts[0], separator) for separator in SEPARATORS}
-    return max(cells, key=lambda separator: (len(_known(cells[separator], columns)), len(cells[separator])))
+    head = next((text for text in texts if not RULE.fullmatch(text.strip())), "")
+    cells = {separator: _cells(head, separator) for separator in SEPARATORS}
+    known = {separator: len(_known(found, columns)) for separator, found in cells.items()}
+    # Blanks stand around other separators, too.
+    return max(cells, key=lambda separator: (known[separator], separator != " ", len(cells[separator])))
 
 
 def _known(cells: Sequence[str], columns: Mapping[str, str]) -> set[str]:
@@ -361,12 +378,12 @@ def _known(cells: Sequence[str], columns: Mapping[str, str]) -> set[str]:
 
 def _cells(head: str, separator: str) -> list[str]:
     try:
-        return [cell.strip().lower() for cell in next(csv.reader([head], delimiter=separator, skipinitialspace=True))]
+        return [plain(cell).lower() for cell in next(csv.reader([head], delimiter=separator, skipinitialspace=True))]
     except csv.Error:
         return []
 
 
-def _check(columns: Mapping[str, str], there: Sequence[str], file: Path) -> None:
+def _check(columns: Mapping[str, str], there: Sequence[str], file: object) -> None:
     for name, own in columns.items():
         if there and own not in there:
             near = difflib.get_close_matches(own, there, n=1)
@@ -382,10 +399,26 @@ def _table(lines: Sequence[str | Broken], columns: Mapping[str, str], file: Path
     separator = _separator([text for text in texts if text.strip()], columns)
     if texts and _declared(texts[first]) is not None:
         texts[first] = ""
-    rows, broken = _split(texts, separator)
+    rows, broken = _split(_without_rules(texts) if separator == "|" else _without_blanks(texts, separator), separator)
     if rows:
         yield from _matched(rows[0], rows[1:], columns, file, len(lines), taken)
     yield from broken
+
+
+def _without_rules(texts: Sequence[str]) -> list[str]:
+    """Return lines of a table with bars without its rules, its frame and the count of its rows."""
+    lines = ["" if RULE.fullmatch(text.strip()) else text.strip() for text in texts]
+    framed = all(line[0] == line[-1] == "|" for line in lines if line)
+    return [line[1:-1] for line in lines] if framed else lines
+
+
+def _without_blanks(texts: Sequence[str], separator: str) -> list[str]:
+    """Return lines without blanks between a cell's closing quotation mark and a separator."""
+    if separator == " ":
+        return list(texts)
+    blanks, end = " *" if separator == "\t" else "[ \\t]*", re.escape(separator)
+    quoted = re.compile(rf'((?:^|{end}){blanks}"(?:[^"]|"")*"){blanks}(?={end}|$)', re.MULTILINE)
+    return quoted.sub(r"\1", "\n".join(texts)).split("\n")
 
 
 def _split(texts: Sequence[str], separator: str) -> tuple[list[tuple[int, list[str]]], list[Row]]:
@@ -409,7 +442,7 @@ def _matched(
     last: int, taken: Taken,
 ) -> Iterator[Row]:  # fmt: skip
     """Return rows as records, by the names in the first of them."""
-    number, names = head[0], [cell.strip("\ufeff ").lower() for cell in head[1]]
+    number, names = head[0], [plain(cell).lower() for cell in head[1]]
     _check(columns, names, file)
     for name in COLUMNS:
         own = columns.get(name, name)
@@ -430,17 +463,25 @@ def _matched(
     if _have_an_index(len(names), rows):
         names = ["", *names]
         taken.said.append("the first column, which has no name, as numbers of rows")
+    repeated = [row for row in rows if [plain(cell).lower() for cell in row[1]] == names]
+    taken.heads += [number for number, _ in repeated]
+    rows = [row for row in rows if row not in repeated]
     least = max(k for k, name in enumerate(names) if name) + 1  # spreadsheets add empty columns at the end
     place = {name: names.index(columns.get(name, name)) for name in COLUMNS if columns.get(name, name) in names}
+    if "suggestion" not in place:
+        unread = {head[1][k - len(names)]: k for k, name in enumerate(names) if name and k not in place.values()}
+        others = {own: [cells[k] for _, cells in rows if k < len(cells)] for own, k in unread.items()}
+        done = place["action"]
+        taken.asked += _asked(others, [cells[done] for _, cells in rows if done < len(cells)])
     for number, cells in rows:
         while len(cells) > len(names) and not cells[-1]:
             cells = cells[:-1]
         if least <= len(cells) <= len(names):
             yield number, {name: _cell(name, cells[k], taken) for name, k in place.items()}
             continue
-        whole = dict(zip(names, cells[:-1], strict=False))  # the last cell may be cut off
-        owner = tuple(whole.get(columns.get(name, name), "") for name in NAMES)
-        owners = frozenset({(owner[0], owner[1])}) if all(owner) and len(cells) < least else frozenset()
+        unhurt = dict(zip(names, cells[:-1], strict=False))  # the last cell may be cut off
+        owner = tuple(unhurt.get(columns.get(name, name), "") for name in NAMES)
+        owners = frozenset({(plain(owner[0]), plain(owner[1]))}) if all(owner) and len(cells) < least else frozenset()
         ends = number == last
         message = f"{len(cells)} cells; expected {len(names)}, as in the first line"
         yield (

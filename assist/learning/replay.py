@@ -21,7 +21,7 @@ from ..people.choices import STAND_STILL, WAIT
 from ..people.decision import NOTHING
 from ..people.terms import NOTHING_YET, Situation, Vocabulary, goals_met
 from .log import Entry, Fault, Log, in_order
-from .log_files import Names
+from .log_json import Names
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,8 @@ def replay(
     answers : TransitionSystem
         States of the task, such as a `CostToGo`.
     drop : sequence of str
-        Actions that are no choices, each by its name and possibly its first arguments; they are ignored. Examples are
-        waiting, and ground actions without effect, which the grounded task does not contain.
+        Actions that are no choices, each by its name and possibly its first arguments; they, and suggestions of them,
+        are ignored. Examples are waiting, and ground actions without effect, which the grounded task does not contain.
     rename : mapping of str to str, optional
         The task's names for action names in the log.
 
@@ -175,7 +175,8 @@ def replay(
         episodes.setdefault(entry.names, []).append(entry)
     walks, faults = [], []
     for names in sorted(episodes, key=lambda names: [in_order(name) for name in names]):
-        rows = sorted(episodes[names], key=lambda entry: (entry.step, entry.line))
+        acted = [entry for entry in episodes[names] if entry.action is not None or entry.executed is not None]
+        rows = sorted(acted, key=lambda entry: (entry.step, entry.line))
         twice = next(((a, b) for a, b in pairwise(rows) if a.step == b.step), None)
         if twice is None:
             walks.append(_Walk([event for entry in rows for event in _Event.of(entry, dropped, renamed)]))
@@ -240,14 +241,15 @@ class _Event:
     @classmethod
     def of(cls, entry: Entry, dropped: set[Words], renamed: Mapping[str, str]) -> list[_Event]:
         """Return the events of a line of the log, in order."""
-        events = []
-        if entry.executed is not None:
-            events.append(cls(entry, words_of(entry.executed, renamed), None, robot=True))
-        action = () if entry.action is None else words_of(entry.action, renamed)
-        if entry.action is not None and not any(action[: len(words)] == words for words in dropped):
-            suggestion = None if entry.suggestion is None else words_of(entry.suggestion, renamed)
-            events.append(cls(entry, action, suggestion, robot=False))
-        return events
+
+        def kept(text: str | None) -> Words | None:
+            """Return an action, unless there is none, or it is to be dropped."""
+            action = None if text is None else words_of(text, renamed)
+            return None if action is None or any(action[: len(words)] == words for words in dropped) else action
+
+        executed, action = kept(entry.executed), kept(entry.action)
+        by_robot = [] if executed is None else [cls(entry, executed, None, robot=True)]
+        return by_robot + ([] if action is None else [cls(entry, action, kept(entry.suggestion), robot=False)])
 
 
 @dataclass(frozen=True)

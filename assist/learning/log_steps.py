@@ -1,0 +1,127 @@
+"""Steps of a log: whole numbers in any notation and, where steps may have gaps, times in whose order people acted."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from datetime import UTC, date, datetime, time, timedelta
+from decimal import Decimal
+from typing import Any
+
+DAY = 24  # units of the larger part of a clock time, hours, in a day
+
+CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}(?:[.,]\d+)?)")
+DECIMAL = re.compile(r"[+-]?(\d{1,20})[.,](\d{1,20})")
+
+
+def is_plain(value: object) -> bool:
+    """Return whether a step is an integer, or its digits."""
+    return type(value) is int or (isinstance(value, str) and re.fullmatch(r"[+-]?\d+", value.strip()) is not None)
+
+
+def whole(value: object, *, thousands: bool) -> int | None:
+    """Return a step as an integer; None if it is none, or ambiguous, such as 1,000.
+
+    Parameters
+    ----------
+    value : object
+    thousands : bool
+        Whether other steps have no decimals, so that in 1,000 the comma may separate thousands.
+    """
+    if isinstance(value, float):
+        return int(value) if value.is_integer() else None
+    if not isinstance(value, str):
+        return None
+    text = value.strip()
+    if re.fullmatch(r"[+-]?\d{1,20}", text):
+        return int(text)
+    if found := re.fullmatch(r"([+-]?\d{1,20})[.,](0*)", text):
+        return None if thousands and len(found[2]) == 3 and len(found[1].lstrip("+-")) <= 3 else int(found[1])
+    if re.fullmatch(r"\d([.,]\d{1,14})?[eE]\+?\d\d?", text):  # as R writes 100000
+        number = float(text.replace(",", "."))
+        return int(number) if number.is_integer() else None
+    return None
+
+
+def moment(value: object, *, thousands: bool = False) -> tuple[str, Any] | None:
+    """Return the kind of a time and a value that orders times of this kind; None if it is no time.
+
+    Times are numbers, such as seconds; dates with times, as ISO 8601 has them; or times of the clock.
+
+    Parameters
+    ----------
+    value : object
+    thousands : bool
+        Whether in 1,250 the comma may separate thousands, so that it is ambiguous.
+    """
+    if isinstance(value, bool):
+        return None
+    if isinstance(value, int | float):
+        return ("number", Decimal(repr(value))) if value == value and abs(value) != float("inf") else None
+    if isinstance(value, timedelta):
+        return "number", Decimal(repr(value.total_seconds()))
+    if isinstance(value, datetime | date):
+        return _dated(value)
+    if isinstance(value, time):
+        value = value.isoformat()
+    if not isinstance(value, str):
+        return None
+    text = value.strip()
+    if found := DECIMAL.fullmatch(text):
+        ambiguous = thousands and len(found[1]) <= 3 and len(found[2]) == 3
+        return None if ambiguous else ("number", Decimal(text.replace(",", ".")))
+    if found := CLOCK.fullmatch(text):
+        hours, minutes, seconds = found[1], int(found[2]), Decimal(found[3].replace(",", "."))
+        if hours is None:
+            return "time of two parts", Decimal(minutes) + seconds / 60
+        return "time of three parts", Decimal(hours) + Decimal(minutes) / 60 + seconds / 3600
+    if re.match(r"\d{4}[-/]?\d\d[-/]?\d\d", text):
+        try:
+            return _dated(datetime.fromisoformat(text.replace("/", "-")))
+        except ValueError:
+            return None
+    return None
+
+
+def _dated(value: date) -> tuple[str, Any] | None:
+    if not isinstance(value, datetime):
+        value = datetime(value.year, value.month, value.day)
+    if value != value:  # a missing time of pandas
+        return None
+    return ("date", value) if value.tzinfo is None else ("date with its zone", value.astimezone(UTC))
+
+
+def number_times(records: Sequence[dict[str, Any]]) -> tuple[str | None, list[dict[str, Any]]]:
+    """Number the actions of each episode in the order of their times, if steps are times of one kind.
+
+    Records whose step is no time of the usual kind stay as they are.
+
+    Returns
+    -------
+    example : str or None
+        One of the times; None if all steps are whole numbers.
+    unclear : list of dict
+        Records of episodes that seem to go on after midnight by clock times without dates.
+    """
+    plain = any(is_plain(record.get("step")) for record in records)
+    times = [(record, moment(record.get("step"), thousands=plain)) for record in records]
+    if all(found is None or type(record["step"]) is int for record, found in times):
+        return None, []
+    kinds = Counter(found[0] for _, found in times if found is not None)
+    usual = kinds.most_common(1)[0][0] if kinds else ""
+    example, unclear = None, []
+    episodes: dict[tuple[str, str], list[tuple[dict[str, Any], Any]]] = {}
+    for record, found in times:
+        if found is not None and found[0] == usual:
+            names = str(record.get("person")), str(record.get("episode"))
+            episodes.setdefault(names, []).append((record, found[1]))
+            example = example or (None if is_plain(record["step"]) else str(record["step"]))
+    for rows in episodes.values():
+        values = [value for _, value in rows]
+        if usual.startswith("time") and values != sorted(values) and max(values) - min(values) >= DAY / 2:
+            unclear += [record for record, _ in rows]
+        place = {value: number for number, value in enumerate(sorted(set(values)))}
+        for record, value in rows:
+            record["step"] = place[value]
+    return example, unclear
