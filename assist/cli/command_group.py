@@ -54,10 +54,10 @@ class Commands(click.Group):
         from .terminal.interrupts import interruptible
 
         with interruptible():
-            from .terminal.console import print_in_any_encoding  # imported late because the import is slow
+            from .terminal.console import printable_output  # imported late because the import is slow
 
-            print_in_any_encoding()
-            return super().main(*args, **extra)
+            with printable_output():
+                return super().main(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run one command; report expected errors in one line."""

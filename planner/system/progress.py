@@ -21,6 +21,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 from .progress_reports import Progress as Progress
+from .signs import VisibleText, visible
 
 Wanted = Progress | bool | None
 """Values of the argument `progress`, as this module describes them."""
@@ -49,7 +50,7 @@ class Stage(NamedTuple):
 
     def __str__(self) -> str:
         seconds = time.monotonic() - self.begun
-        line = f"{self.what}, {seconds:.0f} s"
+        line = f"{visible(self.what)}, {seconds:.0f} s"
         if self.total is None:
             return f"{line}: {self.done:,}, {self.done / max(seconds, 1e-9):,.0f}/s" if self.done else line
         left = f", about {seconds / self.done * (self.total - self.done):.0f} s left" if self.done else ""
@@ -232,9 +233,15 @@ class _Bar:
         from rich.progress import Progress as Bars
 
         text = TextColumn("{task.fields[stage]}", markup=False)
-        self._bars = Bars(SpinnerColumn(), BarColumn(), text, console=Console(stderr=True), transient=True)
+        console = Console(file=getattr(sys.stderr, "rich_proxied_file", sys.stderr))
+        self._bars = Bars(SpinnerColumn(), BarColumn(), text, console=console, transient=True)
         self._task = self._bars.add_task("", total=None, stage="")
-        self._bars.start()
+        with_controls_written_out = [
+            name for name in ("stdout", "stderr") if isinstance(getattr(sys, name), VisibleText)
+        ]
+        self._bars.start()  # replaces both streams, until it stops
+        for name in with_controls_written_out:
+            setattr(sys, name, VisibleText(getattr(sys, name)))
 
     def show(self, stage: Stage) -> None:
         if self._bars.tasks[0].total != stage.total:

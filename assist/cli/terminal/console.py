@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import json
 import sys
+from codecs import lookup
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO, cast
 
 import click
 
 from planner import InstanceError, LimitError, PDDLError
 from planner.grounding.fast_downward import FastDownwardError
 from planner.system.errors import DamagedFileError, MissingExtraError, ResultsExistError
+from planner.system.signs import VisibleText, visible
 from planner.system.threads import NO_MORE_THREADS
 
 if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions
+    from rich.segment import Segment
     from rich.table import Table
 
 
@@ -83,10 +87,27 @@ def _said(error: OSError) -> str:
     return what if error.filename is None else f"{error.filename}: {what}"
 
 
-def print_in_any_encoding() -> None:
-    """Make stdout replace characters that its encoding lacks. Where the encoding is ASCII, click writes UTF-8."""
-    if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="replace")
+@contextmanager
+def printable_output() -> Iterator[None]:
+    """Make both outputs safe for any terminal.
+
+    Control characters of messages are written out, so that no file's content or name moves the cursor or changes
+    colours. Characters that the encoding of stdout lacks are replaced; where it is ASCII, UTF-8 is written.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None and hasattr(stream, "reconfigure"):
+            if lookup(stream.encoding).name == "ascii":
+                stream.reconfigure(encoding="utf-8")
+            stream.reconfigure(errors="replace" if stream is sys.stdout else "backslashreplace")
+    before = sys.stdout, sys.stderr
+    if sys.stdout is not None:
+        sys.stdout = cast(TextIO, VisibleText(sys.stdout))
+    if sys.stderr is not None:
+        sys.stderr = cast(TextIO, VisibleText(sys.stderr))
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
 
 
 def print_json(document: Any) -> None:
@@ -98,7 +119,20 @@ def print_table(table: Table, width: int = 140) -> None:
     """Print a table with the terminal's width, or with `width` characters if stdout is a file or a pipe."""
     from rich.console import Console
 
-    console = Console(width=None if sys.stdout.isatty() else width)
+    terminal = sys.stdout.isatty()
+    console = Console(width=None if terminal else width, markup=False, emoji=False)
     with console.capture() as printed:
-        console.print(table)
-    click.echo(printed.get(), nl=False)
+        console.print(_Cells(table))
+    click.echo(printed.get(), nl=False, file=getattr(sys.stdout, "rich_proxied_file", sys.stdout))
+
+
+class _Cells:
+    """A table whose texts are printed with their control characters written out."""
+
+    def __init__(self, table: Table) -> None:
+        self._table = table
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        """Yield the table's parts."""
+        for part in console.render(self._table, options):
+            yield part if part.control else part._replace(text=visible(part.text))
