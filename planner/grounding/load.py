@@ -93,7 +93,7 @@ def ground(compilation: Compilation, limits: Limits = NO_LIMITS) -> Task:
     """Ground a compiled instance, and compare the result with what was read."""
     reading = compilation.reading
     sas = fast_downward.translate(reading, limits)
-    task = from_sas(sas, reading.instance, "; ".join(compilation.notes) or None)
+    task = from_sas(sas, reading.instance, "; ".join((*reading.notes, *compilation.notes)) or None)
     cross_check.check(reading, task)
     return in_the_files_terms(task, compilation)
 

@@ -16,6 +16,9 @@ from .formulas import Cost, Formulas, listed, whole_number, word
 from .instances import Instance
 from .s_expressions import Expression, Place
 
+TOTAL_COST = ("total-cost",)
+"""The function that sums up the costs of actions, without arguments."""
+
 
 @dataclass(frozen=True)
 class Action:
@@ -85,6 +88,29 @@ class Reading:
     domain: Domain
     problem: Problem
     unions: Mapping[tuple[str, ...], str] = field(default_factory=dict)
+
+    @property
+    def has_costs(self) -> bool:
+        """Whether the files mention the sum of costs."""
+        costs = any(each.cost is not None for each in self.domain.actions.values())
+        declared = TOTAL_COST[0] in self.domain.functions or TOTAL_COST in self.problem.values
+        return costs or declared or self.problem.metric is not None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know about the costs. It names no file, since the task may be cached for a copy."""
+        costs = [each.cost for each in self.domain.actions.values() if each.cost is not None]
+        if self.problem.metric is None:
+            line = costs[0].place.line if costs else 0
+            unused = (
+                f"line {line} of the domain has an action cost, but the problem has no :metric, so that each action "
+            )
+            return (f"{unused}costs 1; to use costs, write (:metric minimize (total-cost))",) if costs else ()
+        if not costs:
+            return ("the problem minimizes (total-cost), but no action increases it, so that each action costs 0",)
+        if TOTAL_COST not in self.problem.values:
+            return ("the initial state has no (= (total-cost) 0), which is assumed",)
+        return ()
 
 
 def read(instance: Instance) -> Reading:

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from itertools import groupby
 
 from .declarations import OBJECT, Symbol, Typed
-from .reader import Action, Reading, Rule
+from .reader import TOTAL_COST, Action, Reading, Rule
 
 
 def domain(reading: Reading, *, list_object: bool = False) -> str:
@@ -28,8 +28,12 @@ def domain(reading: Reading, *, list_object: bool = False) -> str:
 
 
 def problem(reading: Reading) -> str:
-    """Return the problem of a reading. Facts that do not hold initially are left out."""
+    """Return the problem of a reading. Facts that do not hold initially are left out.
+
+    The sum of costs begins with 0, also where the file does not say so.
+    """
     read = reading.problem
+    begin = {TOTAL_COST: 0} if reading.has_costs else {}
     return _defined(
         _list("problem", read.name),
         _list(":domain", reading.domain.name),
@@ -38,7 +42,7 @@ def problem(reading: Reading) -> str:
         _list(
             ":init",
             *(_list(*atom) for atom in read.facts),
-            *(_list("=", _list(*of), str(value)) for of, value in read.values.items()),
+            *(_list("=", _list(*of), str(value)) for of, value in (begin | dict(read.values)).items()),
         ),
         _list(":goal", str(read.goal)),
         *_section(":metric", [] if read.metric is None else ["minimize", "(total-cost)"]),
@@ -90,10 +94,7 @@ def _symbol(symbol: Symbol, reading: Reading) -> str:
 
 def _functions(reading: Reading) -> list[str]:
     functions = list(reading.domain.functions.values())
-    costs = any(each.cost is not None for each in reading.domain.actions.values())
-    if "total-cost" not in reading.domain.functions and (
-        costs or reading.problem.metric is not None or ("total-cost",) in reading.problem.values
-    ):
+    if reading.has_costs and "total-cost" not in reading.domain.functions:
         functions.append(Symbol("total-cost", (), reading.problem.init))
     return [f"{_symbol(each, reading)} - number" for each in functions]
 
