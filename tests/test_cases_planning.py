@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
+import time
 from pathlib import Path
 
 import pytest
 from conftest import KITTING, invoke, write_instance
 
-from planner import instance, load
+import planner.costtogo.portfolio
+from planner import LimitError, Limits, Table, instance, load
 from planner.batch import solve_instance as solving
 from planner.batch.solve_instance import solve_instance
 from planner.batch.solve_record import SolveOptions
+from planner.costtogo.verification import check_plan
+from planner.grounding import fast_downward
 from planner.pddl import validation_process
 from planner.pddl.validation import InvalidPlanError
 from planner.pddl.validation_process import LATE
+from planner.system.errors import MismatchError
 
 TINY = KITTING / "tiny.pddl"
 
@@ -115,3 +121,78 @@ def test_every_command_says_what_was_assumed_of_costs(tmp_path: Path) -> None:
     problem = write_instance(tmp_path, DOMAIN.replace("GO", "2"), PROBLEM.replace(*NO_METRIC))
     done = invoke("simulate", problem, "--humans", 1, "--pool", 1, "--policy", "none", "--episodes", 1)
     assert done.stderr.splitlines().count(f"{problem}: {UNIT}") == 1
+
+
+def plans(words: list[str]) -> list[str]:
+    return [line for line in words if line.startswith("(")]
+
+
+def test_a_task_has_one_plan_whichever_is_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A table has another plan here. The plan is told, printed, and saved."""
+    paper = KITTING / "paper.pddl"
+    expected = fast_downward.optimal_plan(load(paper).sas, search=fast_downward.ASTAR)
+    other = [*reversed(expected or [])]
+    monkeypatch.setattr("planner.costtogo.table.optimal_plan", lambda *_: other)
+    sweep, told = planner.costtogo.portfolio.cost_to_go, threading.Event()
+    for waits in (False, True):  # for the plan, before the sweep ends
+
+        def swept(*arguments: object, **ways: object) -> object:
+            assert told.wait(60)
+            return sweep(*arguments, **ways)  # type: ignore[arg-type]
+
+        if waits:
+            monkeypatch.setattr(planner.costtogo.portfolio, "cost_to_go", swept)
+        seen: list[list[str]] = []
+
+        def tell(record: dict, _: bool, seen: list[list[str]] = seen) -> None:
+            seen.append(record["plan"])
+            told.set()
+
+        place = tmp_path / f"paper-{waits}"
+        record = solve_instance(instance(paper), SolveOptions(verify=1), place, tell=tell)
+        assert (record["plan"], record["plan_by"]) == (expected, fast_downward.ASTAR)
+        assert plans(place.with_name(f"{place.name}.plan").read_text().splitlines()) == expected
+        assert all(plan == expected for plan in seen)
+    done = invoke("solve", paper)
+    assert plans(done.stdout.splitlines()) == expected
+
+
+def test_where_a_star_does_not_answer_soon_the_table_is_checked_at_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def never(*_: object, limits: Limits, **__: object) -> None:
+        while limits.stop is not None and not limits.stop.is_set():
+            time.sleep(0.001)
+        raise LimitError("Fast Downward was stopped")
+
+    monkeypatch.setattr("planner.costtogo.first_answer.astar", never)
+    monkeypatch.setattr("planner.costtogo.verification.astar", None)  # nothing more may be asked of it
+    options = SolveOptions(soon=0.2, small=0, first_answer_after=0.0)
+    told: list[dict] = []
+    record = solve_instance(instance(TINY), options, tmp_path / "tiny", tell=lambda record, _: told.append(record))
+    assert (record["status"], record["cost"], record["plan_by"], record["verified"]) == ("solved", 6, "table", 0)
+    assert record["note"] == (
+        "the plan is that of the table: A* did not answer within 0 s; A* does not answer soon: h* was checked along "
+        "the plan (7 states), and against the successors of 20 states"
+    )
+    assert (told[0]["cost"], told[0]["plan"], told[0]["note"]) == (6, None, "A* had not found its plan")
+    assert load(TINY).plan_cost(record["plan"]) == 6
+
+
+def test_a_table_that_is_wrong_along_the_plan_is_found_out(tiny: Table) -> None:
+    plan = tiny.optimal_plan() or []
+    assert check_plan(tiny, plan) == 7
+    state = tiny.initial
+    for action in plan[:3]:
+        rows = tiny.choices([state])
+        state = int(rows.targets[[tiny.task.actions[number] for number in rows.actions].index(action)])
+    distance = tiny.distance.copy()
+    distance[state] += 1
+    with pytest.raises(MismatchError, match="after step 3 of the plan is 4, but its other steps cost 3"):
+        check_plan(Table(tiny.space, distance), plan)
+
+
+def test_what_is_compared_of_a_small_task_does_not_depend_on_time() -> None:
+    options = SolveOptions(comparison_share=0.0, comparison_seconds=0.0)
+    records = [solve_instance(instance(TINY), options) for _ in range(2)]
+    assert [(one["verified"], one["consistent"], one["note"]) for one in records] == [(20, 20, None)] * 2

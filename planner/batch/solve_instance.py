@@ -13,9 +13,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from ..costtogo.astar import search_of
 from ..costtogo.first_answer import Answer, Early
 from ..grounding.fast_downward import FastDownwardError
 from ..grounding.load import ground
@@ -35,6 +37,7 @@ from ..system.threads import NO_MORE_THREADS
 from .solve_record import (
     COMPARING,
     COMPILING,
+    PLANNING,
     SWEEPING,
     SolveOptions,
     SolveRecord,
@@ -51,7 +54,9 @@ if TYPE_CHECKING:
 
 
 SECOND_READER = 5.0
-"""Seconds that the second reader gets once all else is done. It is started with the work, which takes about one."""
+"""Seconds of processor time that the second reader gets once all else is done. Its start takes about one, and that of
+all else overlaps with it. On a busy machine this is the same amount of work.
+"""
 
 UNCHECKED = "read by Fast Downward's translator, not checked by unified-planning"
 
@@ -88,7 +93,11 @@ class _Phases:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - start
+            self.add(name, start)
+
+    def add(self, name: str, start: float) -> None:
+        """Add the time since `start` to a phase."""
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - start
 
     def part(self, share: float) -> float | None:
         """Return the time, on the clock of `time.monotonic()`, at which a share of the total time is used up."""
@@ -98,8 +107,9 @@ class _Phases:
         """Return the number of seconds left."""
         return math.inf if self.deadline is None else self.deadline - time.monotonic()
 
-    def limits(self) -> Limits:
-        return Limits(None if self.deadline is None else max(0.01, self.left()), self.memory_mb)
+    def limits(self, share: float = 1.0) -> Limits:
+        """Return the limits of one call that may use a share of the time left."""
+        return Limits(None if self.deadline is None else max(0.01, share * self.left()), self.memory_mb)
 
     def tell(self, record: SolveRecord, *, saved: bool) -> None:
         """Report an intermediate record. It is ignored if its files are not saved and those of an earlier one are."""
@@ -227,10 +237,10 @@ def _solve(
             if place is not None and answer[1] is not None and not phases.saved:
                 save_plan(saved_files(place)[1], task, answer[1])
             found = {"method": "on-demand", "verified": 1, "note": _joined(task.note, SWEEPING)}
-            phases.tell(empty_record(task.instance, "solved", None) | _outcome(*answer) | found, saved=False)
+            phases.tell(_empty(task) | _outcome(task, *answer) | found, saved=False)
 
     # Memory is limited only now, since imported libraries map far more memory than they use.
-    search = Early(task, phases.limits(), answered, delay=options.search_delay)
+    search = Early(task, phases.limits(), answered, delay=options.first_answer_after)
     with search as early, memory_limit(options.memory_limit):
         swept = _Swept(None, None, None)
         if not task.decided_by_translator:
@@ -245,10 +255,11 @@ def _solve(
             second.ask(record["plan"])
         if swept.table is not None:
             _compare(swept.table, options, phases, record, early.answer)
-        with phases.phase("validate", "checking the plan"):
-            unchecked = second.answer(min(SECOND_READER, max(0.0, phases.left())))
-        if unchecked:
+        start = time.monotonic()
+        phases.progress("checking the plan", 0, None)
+        if unchecked := second.answer(SECOND_READER, phases.left()):
             record["note"] = _joined(record["note"], f"{UNCHECKED}: {unchecked}")
+        phases.add("validate", start)
         if whole is not None and use is not None:
             use(whole)
     return record
@@ -286,54 +297,94 @@ def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phase
 
     If the table, A* and the plan contradict each other, this raises a `MismatchError`.
     """
-    record = empty_record(task.instance, "solved", None)
+    record = _empty(task)
     known, table, why = swept
     notes = [task.note, f"solved on demand: {why}" if why else None]
     if known is not None and table is not None:
-        early.end()
-        record |= _checked(table, early.answer, options, phases) | {"method": known.method}
+        record["method"] = known.method
         if known is table:
             notes.append(table.note)
             counts = len(table), table.space.transition_count, int(table.dead_end.sum())
             record.update(zip(("states", "transitions", "dead_ends"), counts, strict=True))
-        cost = table[table.initial]
-        with phases.phase("plan"):
-            plan = known.optimal_plan()
+        cost, plan, late = _planned(known, table, early, options, phases, record | {"note": _joined(*notes, PLANNING)})
+        record |= {"verified": int(early.answer is not None)} | _outcome(task, cost, plan)
+        record |= _counted(table, options, phases)
+        if late is not None:
+            record["plan_by"] = "table"
+            notes.append(f"the plan is that of the table: {late}")
     else:
         with phases.phase("search", "A* from the initial state"):
             try:
                 cost, plan = early.wait(phases.limits())
             except LimitError as error:
                 raise type(error)(f"{error}; not swept: {why}" if why else str(error)) from None
-        record.update(method="on-demand", verified=1)
+        record |= {"method": "on-demand", "verified": 1} | _outcome(task, cost, plan)
     if plan is not None:
         with phases.phase("validate"):
             if task.plan_cost(plan) != cost:
                 raise MismatchError(f"{task.instance}: the plan costs {task.plan_cost(plan)}, not {cost:g}")
             if not task.decided_by_translator and replay(task, plan) != cost:
                 raise MismatchError(f"{task.instance}: the plan does not cost {cost:g} when it is replayed")
-    return record | _outcome(cost, plan) | {"note": _joined(*notes)}
+    return record | {"note": _joined(*notes)}
 
 
-def _checked(table: Table, answer: Answer | None, options: SolveOptions, phases: _Phases) -> SolveRecord:
-    """Compare a table with the result of A* and with its own successors, and return the fields about it."""
+def _planned(
+    known: Table | OnDemand,
+    table: Table,
+    early: Early,
+    options: SolveOptions,
+    phases: _Phases,
+    unplanned: SolveRecord,
+) -> tuple[float, list[str] | None, str | None]:
+    """Return cost and plan of a swept task, and why the plan is that of the table; None if it is that of A*.
+
+    A task without a plan is not waited for. `unplanned` is the record that is reported if the plan does not come at
+    once.
+    """
+    from ..costtogo.verification import check_plan, mismatch
+
+    cost = float(table[table.initial])
+    small = len(table) <= options.small
+    with phases.phase("plan", "A* from the initial state"):
+        if isfinite(cost) and not early.ended_within(options.first_answer_after):
+            phases.tell(unplanned | _outcome(known.task, cost, None), saved=False)
+        wait = math.inf if small else options.soon * isfinite(cost)
+        late = early.within(wait, phases.limits(0.5))  # the rest of the time is for what follows
+        if early.answer is not None and early.answer[0] != cost:
+            raise mismatch(table, table.initial, early.answer[0])
+        if not isfinite(cost):
+            return cost, None, None
+        plan = known.optimal_plan() if early.answer is None else early.answer[1]
+        assert plan is not None
+        check_plan(known, plan)
+    return cost, plan, late
+
+
+def _counted(table: Table, options: SolveOptions, phases: _Phases) -> SolveRecord:
+    """Compare a table with its own successors, and return the fields about it."""
     import numpy as np
 
-    from ..costtogo.verification import check_successors, mismatch
+    from ..costtogo.verification import check_successors
 
-    if answer is not None and answer[0] != table[table.initial]:
-        raise mismatch(table, table.initial, answer[0])
     (count, seconds), consistent = _allowed(table, options, phases), 0
     if count:
         with phases.phase("verify", "comparing states with their successors"):
             consistent = check_successors(table, count, np.random.default_rng(0), seconds=seconds / 2)
     finite = table.distance[~table.dead_end]
     farthest = int(finite.max()) if len(finite) else None
-    return {"consistent": consistent, "max_cost_to_go": farthest, "verified": int(answer is not None)}
+    return {"consistent": consistent, "max_cost_to_go": farthest}
 
 
-def _outcome(cost: float, plan: list[str] | None) -> SolveRecord:
-    return {"status": "unsolvable"} if plan is None else {"cost": int(cost), "plan": plan}
+def _empty(task: Task) -> SolveRecord:
+    """Return the record of a solved task without results."""
+    return empty_record(task.instance, "solved", None)
+
+
+def _outcome(task: Task, cost: float, plan: list[str] | None) -> SolveRecord:
+    """Return the fields about cost and plan; a plan is that of Fast Downward."""
+    if not isfinite(cost):
+        return {"status": "unsolvable"}
+    return {"cost": int(cost), "plan": plan, "plan_by": None if plan is None else search_of(task)}
 
 
 def _joined(*notes: str | None) -> str | None:
@@ -354,14 +405,18 @@ def _save(place: Path, task: Task, table: Table | None, plan: list[str] | None, 
 
 def _allowed(table: Table, options: SolveOptions, phases: _Phases) -> tuple[int, float]:
     """Return how many states of a table to compare, and the seconds for it."""
-    if options.verify is not None:
-        return min(options.verify, len(table)), phases.left()
+    count = 20 if options.verify is None else options.verify
+    if options.verify is not None or len(table) <= options.small:
+        return min(count, len(table)), phases.left()
     seconds = max(options.comparison_seconds, options.comparison_share * phases.seconds["search"])
-    return min(20, len(table)), min(phases.left(), seconds - phases.seconds.get("verify", 0.0))
+    return min(count, len(table)), min(phases.left(), seconds - phases.seconds.get("verify", 0.0))
 
 
 def _compare(table: Table, options: SolveOptions, phases: _Phases, record: SolveRecord, answer: Answer | None) -> None:
-    """Compare states of a table with A*, and store their number in the record."""
+    """Compare states of a table with A*, and store their number in the record.
+
+    Where A* does not answer soon, nothing more is asked of it, unless `verify` wants it.
+    """
     # Largest number of seconds for the comparison of one state, so that one hard state does not use up all the time.
     comparison = 300.0
     import numpy as np
@@ -370,7 +425,10 @@ def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Solve
 
     what, each = "comparing states with A*", phases.limits().seconds
     count, seconds = _allowed(table, options, phases)
-    if count == 0 or seconds <= 0:
+    if options.verify is None and answer is None and len(table) > options.small:
+        along = "" if record["plan"] is None else f"along the plan ({len(record['plan']) + 1} states), and "
+        kept = f"{along}against the successors of {record['consistent']} states"
+        record["note"] = _joined(record["note"], f"A* does not answer soon: h* was checked {kept}")
         return
 
     def compared(done: int) -> None:
@@ -378,7 +436,9 @@ def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Solve
         phases.tell({**record, "note": _joined(record["note"], COMPARING)}, saved=True)
         phases.progress(what, done, count)
 
-    with phases.phase("verify", what):
+    start = time.monotonic()
+    if count and seconds > 0:
+        phases.progress(what, 0, None)
         record["verified"] = verify(
             table, count, np.random.default_rng(0), seconds=seconds,
             limits=Limits(comparison if each is None else min(comparison, each), options.memory_limit),
@@ -387,6 +447,10 @@ def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Solve
             known={} if answer is None else {table.initial: answer[0]},
             progress=compared,
         )  # fmt: skip
+    phases.add("verify", start)
+    if record["verified"] < count:
+        done = f"A* was asked for {count} states, and answered for {record['verified']} in time"
+        record["note"] = _joined(record["note"], done)
 
 
 def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:

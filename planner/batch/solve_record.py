@@ -17,6 +17,7 @@ from ..system.limits import MAX_STATES
 SolveRecord = dict[str, Any]
 
 SWEEPING = "solved on demand: the sweep had not ended"
+PLANNING = "A* had not found its plan"
 COMPARING = "the comparison with A* had not ended"
 """Notes in the records of unfinished instances."""
 
@@ -33,19 +34,29 @@ class SolveOptions:
     """Largest number of states that are swept. A larger task is solved from its initial state only."""
     verify: int | None = None
     """Number of states compared with Fast Downward's A*, the initial state first, within the limits. By default, up to
-    20 states are compared, in the time that `comparison_share` and `comparison_seconds` allow.
+    20 states are compared: of a small task all of them, of others as many as `comparison_share` and
+    `comparison_seconds` allow, and none if A* does not answer soon for the initial state.
     """
     threads: int | None = None
     """Threads of the sweep; by default one per processor."""
-    search_delay: float = 0.5
-    """Seconds before the search for the initial state alone starts, since most tasks are swept in less. A longer delay
-    means a later first result of large tasks.
+    first_answer_after: float = 0.5
+    """Seconds after which cost and plan are reported before all states are known, since most tasks are swept in less.
+    """
+    soon: float = 10.0
+    """Seconds in which A* answers soon. Its plan is waited for so long, also after the sweep; else the table's is
+    taken.
+    """
+    small: int = 10_000
+    """Tasks of at most so many states are searched and compared whatever it takes, so that their records do not depend
+    on the load of the machine. Blind search takes about a second for so many states.
     """
     sweep_share: float = 0.75
     """Share of `time_limit` after which the sweep ends. The rest is reserved for the initial state alone."""
     comparison_share: float = 0.25
     comparison_seconds: float = 1.0
-    """The default comparison takes at most this share of the search's time, or these seconds if that is longer."""
+    """The default comparison of a larger task takes at most this share of the search's time, or these seconds if that
+    is longer.
+    """
 
 
 COMPILING = "compiling"
@@ -69,6 +80,7 @@ def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) 
         "status": status,
         "cost": None,
         "plan": None,
+        "plan_by": None,
         "states": None,
         "transitions": None,
         "dead_ends": None,

@@ -21,6 +21,12 @@ LARGE = OVERFLOW // 1000
 """
 
 
+def search_of(task: Task) -> str:
+    """Return the configuration of Fast Downward that finds the plans of a task: the first that supports it."""
+    large = max(task.reduced.costs, default=1) >= LARGE
+    return fast_downward.ASTAR_WITH_AXIOMS if task.axioms or large else fast_downward.ASTAR
+
+
 def astar(
     task: Task, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
 ) -> tuple[float, list[str] | None]:
@@ -32,7 +38,7 @@ def astar(
     state : sequence of int, shape (variables,), optional
         A reachable state; the initial state by default.
     search : str, optional
-        An optimal search configuration of Fast Downward; by default one that supports the task.
+        An optimal search configuration of Fast Downward; by default that of `search_of`.
     limits : Limits
         Limits of the search.
 
@@ -64,11 +70,9 @@ def astar(
     if not can_hold(task.goal):
         return float("inf"), None
     dearest = max(task.reduced.costs, default=1)
-    if search is None:
-        search = fast_downward.ASTAR_WITH_AXIOMS if task.axioms else fast_downward.ASTAR
     own_limit = dearest >= LARGE and limits.seconds is None
-    if dearest >= LARGE:
-        search = fast_downward.ASTAR_WITH_AXIOMS
+    if search is None or dearest >= LARGE:
+        search = search_of(task)
     if own_limit:  # some searches with costs above 2^29 were observed not to terminate
         limits = replace(limits, seconds=60.0)
     if dearest >= OVERFLOW:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -15,6 +15,7 @@ from ..grounding.fast_downward import FastDownwardError
 from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, LimitError, Limits
 from .astar import astar
+from .cost_to_go import CostToGo
 from .table import Table
 
 
@@ -127,6 +128,26 @@ def check_successors(table: Table, count: int, rng: np.random.Generator, *, seco
         if table[state] != expected:
             raise mismatch(table, state, expected, "its successors say")
     return len(states)
+
+
+def check_plan(known: CostToGo, plan: Sequence[str]) -> int:
+    """Check h* along a plan from the initial state: it must be the cost of the rest of the plan. Return the states.
+
+    The states follow from the operators of the grounded task, independently of the sweep. This raises a
+    `MismatchError`.
+    """
+    task = known.task
+    values = semantics.states_along(task, plan)
+    costs = [task.costs[task.action_index[action]] for action in plan]
+    rest = np.append(np.cumsum(costs[::-1], dtype=np.int64)[::-1], 0)
+    try:
+        found = known.lookup(known.numbers(np.array(values, dtype=np.int64)))
+    except KeyError as error:
+        raise MismatchError(f"the plan leads to {error}, which is no state of the table") from error
+    for step, (h, cost) in enumerate(zip(found.tolist(), rest.tolist(), strict=True)):
+        if h != cost:
+            raise MismatchError(f"cost-to-go after step {step} of the plan is {h:g}, but its other steps cost {cost}")
+    return len(values)
 
 
 def sample(states: int, initial: int, count: int, rng: np.random.Generator) -> list[int]:

@@ -17,7 +17,14 @@ def replay(task: Task, plan: Sequence[str]) -> int:
 
     An unknown or inapplicable action, or a goal that does not hold at the end, raises an `InvalidPlanError`.
     """
-    state, cost = derived(task, task.initial), 0
+    states_along(task, plan)
+    return task.plan_cost(plan)
+
+
+def states_along(task: Task, plan: Sequence[str]) -> list[list[int]]:
+    """Return the states of a plan, from the initial state to a goal state; errors are as in `replay`."""
+    state = derived(task, task.initial)
+    states = [state]
     for step, name in enumerate(plan):
         if name not in task.action_index:
             raise InvalidPlanError(f"step {step}: {name} is no action of the task")
@@ -26,11 +33,11 @@ def replay(task: Task, plan: Sequence[str]) -> int:
         if operator is None:
             raise InvalidPlanError(f"step {step}: {name} is not applicable")
         state = derived(task, _applied(operator, state))
-        cost += task.costs[action]
+        states.append(state)
     missing = [task.variables[variable].facts[value] for variable, value in task.goal if state[variable] != value]
     if missing:
         raise InvalidPlanError(f"the goal does not hold after the plan: {', '.join(missing)}")
-    return cost
+    return states
 
 
 def successors(task: Task, state: Sequence[int]) -> dict[int, list[int]]:

@@ -17,12 +17,14 @@ import types
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
+from math import inf
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Any
 
 from ..system.limits import NO_LIMITS, Limits, limit_process
+from ..system.machine import processor_seconds
 from ..system.processes import guarded_group, python
 from . import writer
 from .reader import Reading
@@ -66,14 +68,17 @@ class SecondReader:
         if self._process is not None:
             self._process.ask(lambda: {"plan": list(plan)})
 
-    def answer(self, seconds: float) -> str | None:
+    def answer(self, processor: float, seconds: float = inf) -> str | None:
         """Return why the instance or its plan is not checked; None if both are valid.
 
-        This waits at most so many seconds. A plan that unified-planning rejects raises an `InvalidPlanError`.
+        This waits at most for so many seconds of the process's processor time, and so many seconds on the clock; a
+        process that hardly gets a processor is waited for twelve times the former. A plan that unified-planning rejects
+        raises an `InvalidPlanError`.
         """
-        end, said = time.monotonic() + seconds, self._unread
+        end, said = time.monotonic() + min(seconds, 12 * processor), self._unread
+        most = processor if self._process is None else processor + self._process.used()
         while self._process is not None and self._process.asked:
-            answer = self._process.answer(max(0.0, end - time.monotonic()))
+            answer = self._process.answer(end, most)
             if isinstance(answer, InvalidPlanError):
                 raise answer
             said = said or answer
@@ -152,13 +157,22 @@ class _Process:
             while (question := self._questions.get()) is not None:
                 self._connection.send(question())
 
-    def answer(self, seconds: float) -> str | InvalidPlanError | None:
-        """Wait for the next answer: None if all is well, the error of a plan, or the reason why there is no result."""
-        # One system call waits at most 2^31 - 1 milliseconds, 25 days.
+    def used(self) -> float:
+        """Return the seconds of processor time that the process has used, or of the clock where that is unknown."""
+        used = processor_seconds(self._popen.pid)
+        return time.monotonic() if used is None else used
+
+    def answer(self, end: float, most: float) -> str | InvalidPlanError | None:
+        """Wait for the next answer: None if all is well, the error of a plan, or the reason why there is no result.
+
+        The wait ends at a time on the clock of `time.monotonic()`, or when the process has used `most` seconds.
+        """
+        between = 0.1  # seconds between two looks at the processor time
         try:
-            if not self._connection.poll(min(seconds, 2_000_000.0)):
-                self._end()
-                return LATE
+            while not self._connection.poll(max(0.0, min(between, end - time.monotonic()))):
+                if time.monotonic() >= end or self.used() >= most:
+                    self._end()
+                    return LATE
             found: str | InvalidPlanError | None = self._connection.recv()
         except (EOFError, ConnectionResetError):
             self._end()

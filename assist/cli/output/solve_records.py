@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from planner.batch.solve_record import SWEEPING, SolveRecord
+from planner.batch.solve_record import PLANNING, SWEEPING, SolveRecord
 
 from ..terminal.console import print_json, print_table
 
@@ -32,9 +32,12 @@ class Answers:
         self.records[record["instance"], record["domain"]] = record
 
     def first(self, record: SolveRecord) -> None:
-        """Show cost and plan of an instance whose table is still being computed."""
+        """Show what is known of an instance that is not finished: its plan, and what is still being computed."""
         self.add(record)
         if self._json or not self._alone or self._shown:
+            return
+        if record["note"].endswith(PLANNING):
+            click.echo(f"{record['instance']}: cost {record['cost']:,}; A* searches for the plan", err=True)
             return
         self._shown = True
         if record["plan"]:
