@@ -367,7 +367,8 @@ def test_an_episode_shows_the_robot_and_what_it_said() -> None:
     assert rows[1][1].done == "has finished"
     strip = draw_strip(artist("kitting/tiny"), rows).svg
     assert strip.count("ka-here") == 2 + 1
-    assert strip.count("ka-said") == 2 + 1  # and the rule
+    said = re.findall('class="ka-said">([^<]+)<', strip)
+    assert " ".join(said) == f"{first.advice} {second.advice}"  # lines of a frame's width
 
 
 def test_an_episode_in_which_the_robot_acts_itself_is_drawn(tmp_path: Path) -> None:
@@ -429,7 +430,7 @@ def test_draw_writes_every_format(tmp_path: Path) -> None:
     ("options", "code", "words"),
     [
         (["--out", "a.bmp"], 2, "expected a name that ends in .svg, .png, .gif, .html"),
-        (["--out", "a.svg", "--episode", "1"], 2, "expected --trace as well"),
+        (["--out", "a.svg", "--episode", "1"], 2, "--episode 1 has no effect without --trace FILE, the trace"),
         (
             ["--out", "a.svg", "--plan", "bad.plan"],
             1,

@@ -55,7 +55,10 @@ def draw(
         raise click.UsageError(f"--out {out}: expected a name that ends in {', '.join(FORMATS)}")
     apart({"--state": state, "--plan": plan, "--trace": trace})
     if episode is not None and not trace:
-        raise click.UsageError("--episode: expected --trace as well")
+        raise click.UsageError(
+            f"--episode {episode} has no effect without --trace FILE, the trace that has the episode "
+            "(`simulate --trace FILE` writes one)"
+        )
     if (problems or goal_prior) and not trace:
         raise click.UsageError("--goals: expected --trace as well, the actions from which goals are inferred")
     separate_files({"--out": out}, {"--state": state, "--plan": plan, "--trace": trace})

@@ -15,11 +15,11 @@ import numpy as np
 
 from ..people.action_names import words_of
 from . import svg
-from .layout import TAG, Layout, text_width
+from .layout import TAG, Layout, text_width, wrapped
 from .picture import MARGIN, WIDTH, Artist, Picture
 
-CAPTION = 3 * TAG
-"""Height of the caption of a frame, in pixels: title, action and advice; goals are a further line."""
+ICON = 24.0
+"""Width of the robot's icon in a title."""
 
 
 class FramesError(ValueError):
@@ -214,34 +214,28 @@ def _objects(action: str) -> frozenset[str]:
 
 
 def draw_strip(artist: Artist, rows: Sequence[Row], *, width: float = WIDTH, theme: svg.Theme = "auto") -> Picture:
-    """Draw all frames in one picture: a plan wraps into several lines, an episode has one line for each person.
+    """Draw all frames in one picture, in lines of its width; in an episode, one for each person below each other.
 
     Parameters
     ----------
     artist : Artist
     rows : list of tuple of Frame
     width : float
-        In pixels. A frame takes about half of it, and a line of a plan about twice of it.
+        In pixels. A frame takes about half of it.
     theme : "auto", "light" or "dark"
     """
-    cell, size = _cells(artist, rows, width / 2)
-    columns = len(rows[0]) if len(rows) > 1 else max(1, int(width * 2 // size[0]))
-    parts, texts = [], []
+    cells = _Cells.of(artist, rows, width / 2 - MARGIN)
+    columns = min(len(rows[0]), max(1, int((width - 2 * MARGIN) // cells.width)))
+    parts = []
     for number, row in enumerate(rows):
-        for place, frame in enumerate(row):
+        for place in range(len(row)):
             line, column = divmod(place, columns)
-            x, y = MARGIN + column * size[0], MARGIN + (number + line) * size[1]
-            parts.append(f'<g class="ka-step" data-step="{place}">')
-            parts += [
-                *_caption(frame, x, y),
-                *svg.draw_layout(cell[frame], x, y + _caption_height(frame), frame.acted, frame.hint),
-            ]
-            parts.append("</g>")
-            texts.append(frame.text())
-    lines = len(rows) if len(rows) > 1 else -(-len(rows[0]) // columns)
-    across, high = 2 * MARGIN + min(columns, len(rows[0])) * size[0], 2 * MARGIN + lines * size[1]
+            x, y = MARGIN + column * cells.width, MARGIN + (line * len(rows) + number) * cells.height
+            parts += [f'<g class="ka-step" data-step="{place}">', *cells.draw(number, place, x, y), "</g>"]
+    lines = len(rows) * -(-len(rows[0]) // columns)
+    across, high = 2 * MARGIN + columns * cells.width, 2 * MARGIN + lines * cells.height
     name = f"{artist.subject.task.name}: {'a plan' if len(rows) == 1 else 'an episode'}"
-    text = " ".join(texts)
+    text = " ".join(frame.text() for row in rows for frame in row)
     return Picture(svg.document(parts, across, high, name, text, theme), text, across, high)
 
 
@@ -260,48 +254,72 @@ def draw_frames(
         The colours; None omits the style sheet, for pages that include it.
     """
     across = 1 if len(rows) == 1 else 2
-    cell, size = _cells(artist, rows, width / across)
+    cells = _Cells.of(artist, rows, width / across - MARGIN)
+    across = max(1, min(across, int((width - 2 * MARGIN) // cells.width)))
     pictures = []
     for step in range(len(rows[0])):
         parts, texts = [], []
         for number, row in enumerate(rows):
             line, column = divmod(number, across)
-            x, y = MARGIN + column * size[0], MARGIN + line * size[1]
-            frame = row[step]
-            parts += [
-                *_caption(frame, x, y),
-                *svg.draw_layout(cell[frame], x, y + _caption_height(frame), frame.acted, frame.hint),
-            ]
-            texts.append(frame.text())
+            parts += cells.draw(number, step, MARGIN + column * cells.width, MARGIN + line * cells.height)
+            texts.append(row[step].text())
         text = " ".join(texts)
-        whole = 2 * MARGIN + across * size[0], 2 * MARGIN + -(-len(rows) // across) * size[1]
+        whole = 2 * MARGIN + across * cells.width, 2 * MARGIN + -(-len(rows) // across) * cells.height
         title = f"{artist.subject.task.name}: step {step + 1} of {len(rows[0])}"
         pictures.append(Picture(svg.document(parts, *whole, title, text, theme), text, *whole))
     return pictures
 
 
-def _cells(artist: Artist, rows: Sequence[Row], width: float) -> tuple[dict[Frame, Layout], tuple[float, float]]:
-    """Return the layouts of all frames, and the size of a cell in which each fits."""
-    found = {frame: artist.layout(frame.values, width) for row in rows for frame in row}
-    words = max(text_width(line) for frame in found for line in (frame.title, frame.done, frame.advice, frame.goals))
-    wide = max(words + 10, *(layout.width for layout in found.values()))
-    high = max(layout.height for layout in found.values())
-    return found, (wide + 2 * MARGIN, high + max(map(_caption_height, found)) + MARGIN)
+@dataclass(frozen=True)
+class _Cells:
+    """Frames of one size, each with a caption.
+
+    Attributes
+    ----------
+    rows : sequence of Row
+    layouts : list of list of Layout
+        For each frame.
+    captions : list of list of list of (str, str)
+        For each frame, lines with their classes.
+    top : float
+        Height of the captions.
+    width, height : float
+        Size of a cell.
+    """
+
+    rows: Sequence[Row]
+    layouts: list[list[Layout]]
+    captions: list[list[list[tuple[str, str]]]]
+    top: float
+    width: float
+    height: float
+
+    @classmethod
+    def of(cls, artist: Artist, rows: Sequence[Row], width: float) -> _Cells:
+        """Lay out frames in cells of about a width, margin included."""
+        inner = width - MARGIN
+        found = artist.layouts([frame.values for row in rows for frame in row], inner)
+        layouts = [found[number * len(row) : (number + 1) * len(row)] for number, row in enumerate(rows)]
+        captions = [[_caption(frame, inner) for frame in row] for row in rows]
+        lines = [line for row in captions for caption in row for line, _ in caption]
+        top = TAG * max(len(caption) for row in captions for caption in row) + TAG / 2
+        wide = max(*(layout.width for layout in found), *(text_width(line) for line in lines))
+        return cls(rows, layouts, captions, top, wide + MARGIN, top + max(one.height for one in found) + MARGIN)
+
+    def draw(self, row: int, step: int, x: float, y: float) -> list[str]:
+        """Return the elements of a frame: its caption, with an icon if the robot is there, and the state."""
+        frame, parts = self.rows[row][step], []
+        if frame.robot:
+            parts.append(svg.icon("robot", x, y, "ka-here"))
+        for number, (line, css) in enumerate(self.captions[row][step]):
+            indent = ICON if frame.robot and not number else 0
+            parts.append(svg.text(x + indent, y + 14 + TAG * number, line, *filter(None, [css])))
+        return [*parts, *svg.draw_layout(self.layouts[row][step], x, y + self.top, frame.acted, frame.hint)]
 
 
-def _caption_height(frame: Frame) -> float:
-    return CAPTION + (TAG if frame.goals else 0)
-
-
-def _caption(frame: Frame, x: float, y: float) -> list[str]:
-    """Return the caption of a frame: title, action, advice and goals, with an icon if the robot is there."""
-    parts = []
-    if frame.robot:
-        parts.append(svg.icon("robot", x, y, "ka-here"))
-    parts.append(svg.text(x + (24 if frame.robot else 0), y + 14, frame.title, "ka-title"))
-    parts.append(svg.text(x, y + 14 + TAG, frame.done))
-    if frame.advice:
-        parts.append(svg.text(x, y + 14 + 2 * TAG, frame.advice, "ka-said"))
-    if frame.goals:
-        parts.append(svg.text(x, y + 14 + 3 * TAG, frame.goals, "ka-small"))
-    return parts
+def _caption(frame: Frame, width: float) -> list[tuple[str, str]]:
+    """Return the lines of the caption of a frame, each with its class: title, action, advice and goals."""
+    found = [(frame.title, "ka-title")]
+    for text, css in ((frame.done, ""), (frame.advice, "ka-said"), (frame.goals, "ka-small")):
+        found += [(line, css) for line in wrapped(text, width)] if text else []
+    return found

@@ -14,7 +14,7 @@ from planner.system.files import atomic
 from ..people.action_names import words_of
 from ..texts.catalogue import FIRST, catalogue
 from . import svg
-from .layout import GAP, TAG, Arranger, Layout, tag_rows, tag_width
+from .layout import GAP, Arranger, Layout, label, label_rows
 from .profile import Profile
 from .raster import png
 from .scene import Node, Scene, arrange
@@ -100,7 +100,9 @@ class Artist:
         subject = Subject.of(task)
         self.subject = subject if goal else replace(subject, goal=())
         self.profile = Profile.of(self.subject, catalogue(language)) if profile is None else profile
-        self._arranger = Arranger({} if self.profile.guessed else self._room())
+        room = self._room()
+        self._containers = frozenset(room)
+        self._arranger = Arranger({} if self.profile.guessed else room)
         self._placed = lru_cache(maxsize=256)(self._lay_out)
 
     def draw(
@@ -128,7 +130,7 @@ class Artist:
         theme : "auto", "light", "dark" or None
             The colours; None omits the style sheet, for pages that include it.
         """
-        scene, layout = self._placed(tuple(self.subject.initial if values is None else values), width)
+        scene, layout = self._placed(tuple(self.subject.initial if values is None else values), width - 2 * MARGIN)
         across = max(layout.width, min(width, 320.0))
         parts = svg.draw_layout(layout, MARGIN, MARGIN, acted, hint)
         below, high = self._below(scene, across, MARGIN + layout.height + 2 * GAP, goal)
@@ -142,11 +144,11 @@ class Artist:
 
     def scene(self, values: Sequence[int] | None = None) -> Scene:
         """Return the scene of a state."""
-        return arrange(self.subject, self.profile, self.subject.initial if values is None else values)
+        return arrange(self.subject, self.profile, self.subject.initial if values is None else values, self._containers)
 
-    def layout(self, values: Sequence[int], width: float = WIDTH) -> Layout:
-        """Return the layout of a state in a picture of approximately the given width."""
-        return self._placed(tuple(values), width)[1]
+    def layouts(self, states: Sequence[Sequence[int]], width: float = WIDTH) -> list[Layout]:
+        """Return layouts of states that follow each other; an object is where it was, unless it moved."""
+        return self._arranger.layouts([self.scene(values) for values in states], width)
 
     def text(self, scene: Scene) -> str:
         """Return the description of a scene: what is where, and which parts of the goal hold."""
@@ -175,30 +177,18 @@ class Artist:
 
     def _lay_out(self, values: tuple[int, ...], width: float) -> tuple[Scene, Layout]:
         scene = self.scene(values)
-        return scene, self._arranger.layout(scene, width)
+        return scene, self._arranger.layouts([scene], width)[0]
 
     def _below(self, scene: Scene, width: float, top: float, goal: bool) -> tuple[list[str], float]:
-        """Return the elements of the lists below the boxes, and the y coordinate of their end."""
-        parts, y, say = [], top, self.profile.texts
+        """Return the elements of the list of the goal's parts below the boxes, and the y coordinate of their end."""
+        if not (goal and scene.goal):
+            return [], top - 2 * GAP
         done = sum(so for _, so in scene.goal)
-        lists: list[tuple[str, list[tuple[str, bool | None]]]] = [
-            (say("drawing.also"), [(text, None) for text in scene.also])
-        ]
-        if goal:
-            lists.append((say("drawing.goal", done=str(done), all=str(len(scene.goal))), list(scene.goal)))
-        for title, tags in lists:
-            if not tags:
-                continue
-            parts.append(svg.text(MARGIN, y + 12, title, "ka-title"))
-            placed, (_, high) = tag_rows([(text, bool(so)) for text, so in tags], width, MARGIN, y + 20)
-            for (text, so, x, tag_y), (_, known) in zip(placed, tags, strict=True):
-                if known is None:
-                    parts.append(svg.rectangle(x, tag_y, tag_width(text) - 8, TAG, "ka-mark", 5))
-                    parts.append(svg.text(x + 8, tag_y + 15, text, "ka-small"))
-                else:
-                    parts += svg.tag(text, so, x, tag_y, tag_width(text))
-            y += 20 + high + GAP
-        return parts, y - GAP if parts else top - 2 * GAP
+        title = self.profile.texts("drawing.goal", done=str(done), all=str(len(scene.goal)))
+        labels = [label(text, so, width) for text, so in scene.goal]
+        _, high = label_rows(labels, width, MARGIN, top + 20)
+        parts = [svg.text(MARGIN, top + 12, title, "ka-title")]
+        return [*parts, *(part for one in labels for part in svg.draw_label(one, 0, 0))], top + 20 + high
 
     def _room(self) -> dict[str, list[Node]]:
         """Return, for each place, the objects that may be there."""

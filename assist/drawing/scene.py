@@ -1,12 +1,17 @@
-"""Tree of a state: which object is in or on which other, the goal, and the facts that only words can show."""
+"""Tree of a state: which object is in or on which other, marks for all other facts, and the goal.
+
+Every fact that can change is shown: by the rule of its predicate, else as a mark on the first of its objects that is
+drawn, else as a mark of the task. The same holds for the parts of the goal. Predicates that a profile hides are left
+out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from .profile import Look, Profile, Rule
-from .subject import Atom, Subject, Wanted
+from .subject import Atom, Subject, Wanted, words_for
 
 
 @dataclass
@@ -16,7 +21,7 @@ class Node:
     Attributes
     ----------
     key : str
-        An object's name, `#thing`, `object#part`, or `##heading`.
+        An object's name, `#thing`, `object#part`, `##heading`, or `TASK`.
     title : str
     look : Look
     marks : list of str
@@ -58,7 +63,7 @@ class Scene:
     roots : list of Node
         The nodes that are in or on no other.
     also : list of str
-        Facts that hold and are not drawn.
+        Facts that hold and are about no object that is drawn.
     goal : list of pair of str and bool
         The parts of the goal in words, and whether each holds.
     said : list of str
@@ -72,9 +77,11 @@ class Scene:
 
 
 HEADING = Look(shape="panel")
+TASK = "##"
+"""Key of the node with all that is about no object that is drawn."""
 
 
-def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
+def arrange(subject: Subject, profile: Profile, values: Sequence[int], containers: Container[str] = ()) -> Scene:
     """Return the scene of a state.
 
     Parameters
@@ -83,11 +90,13 @@ def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
     profile : Profile
     values : sequence of int, shape (variables,)
         The state.
+    containers : container of str
+        The keys of all nodes in which others may be.
     """
     facts = subject.facts(values)
     nodes = _nodes(subject, profile)
     order = {name: number for number, name in enumerate(nodes)}
-    placed = _places(subject, profile, facts, nodes)
+    placed, shown = _places(subject, profile, facts, nodes)
     for key in sorted(placed, key=order.__getitem__):
         how, where = placed[key]
         (nodes[where].on if how == "on" else nodes[where].inside).append(nodes[key])
@@ -95,20 +104,28 @@ def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
         key, word = rule.of(fact)
         if key in nodes:
             nodes[key].marks.append(word)
-    _colour(profile, facts, nodes)
+            shown.add(fact)
+    shown |= _colour(profile, facts, nodes) | _connect(subject, profile, facts, nodes)
+    task = Node(TASK, profile.texts.texts["drawing.also"], HEADING)
+    for fact in sorted(facts & subject.changing - shown):
+        if fact[0] not in profile.hidden:
+            owner = next((name for name in fact[1:] if name in nodes), None)
+            (task if owner is None else nodes[owner]).marks.append(words_for(fact, owner))
+    also = list(task.marks)
     goal = [(say_wanted(profile, wanted), subject.holds(wanted, facts, values)) for wanted in subject.goal]
-    for wanted, (_, done) in zip(subject.goal, goal, strict=True):
-        _want(profile, wanted, done, nodes)
+    of_task: dict[str, bool] = {}
+    for wanted, (text, done) in zip(subject.goal, goal, strict=True):
+        if not _want(profile, wanted, done, nodes):
+            of_task[text] = done and of_task.get(text, True)
+    task.wants = list(of_task.items())
     for node in nodes.values():
         if node.done:
             node.done = all(so for wanted, (_, so) in zip(subject.goal, goal, strict=True) if wanted.names(node.key))
-    _connect(subject, profile, facts, nodes)
-    shown = {*profile.places, *profile.marks, *profile.links, *profile.colours, *profile.hidden}
-    also = sorted(" ".join(fact) for fact in facts & subject.changing if fact[0] not in shown)
     said = [_say(profile, placed, nodes[key]) for key in nodes if key in placed or nodes[key].marks]
     if profile.guessed:
-        said = sorted(" ".join(fact) for fact in facts & subject.changing if " ".join(fact) not in also)
-    return Scene(_roots(subject, profile, nodes, placed), also, goal, said)
+        said = sorted(words_for(fact) for fact in facts & subject.changing if words_for(fact) not in also)
+    roots = _roots(subject, profile, nodes, placed, containers)
+    return Scene([*roots, task] if task.marks or task.wants else roots, also, goal, said)
 
 
 def say_wanted(profile: Profile, wanted: Wanted) -> str:
@@ -118,7 +135,7 @@ def say_wanted(profile: Profile, wanted: Wanted) -> str:
     predicate = wanted.atom[0]
     rule = None if profile.guessed else profile.places.get(predicate) or profile.marks.get(predicate)
     if rule is None:
-        return " ".join([*_unless(profile, wanted), *wanted.atom])
+        return " ".join([*_unless(profile, wanted), words_for(wanted.atom)])
     what, where = map(profile.name, rule.of(wanted.atom))
     return " ".join([what, *_unless(profile, wanted), *_how(profile, rule.how), where])
 
@@ -159,73 +176,94 @@ def _nodes(subject: Subject, profile: Profile) -> dict[str, Node]:
 
 def _places(
     subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]
-) -> dict[str, tuple[str, str]]:
-    """Return, for each node in or on another, the relation and the other node; cycles are excluded."""
-    placed: dict[str, tuple[str, str]] = {}
+) -> tuple[dict[str, tuple[str, str]], set[Atom]]:
+    """Return, for each node in or on another, the relation and the other node, and the facts that these show.
 
-    def put(what: str, how: str, where: str) -> None:
+    Cycles are excluded, and an object is in one place.
+    """
+    placed: dict[str, tuple[str, str]] = {}
+    shown = set[Atom]()
+
+    def put(what: str, how: str, where: str) -> bool:
         at: str | None = where
         while at is not None and at != what:
             at = placed[at][1] if at in placed else at.split("#")[0] or None if at.find("#") > 0 else None
-        if what in nodes and where in nodes and what not in placed and at is None:
-            placed[what] = how, where
+        if what not in nodes or where not in nodes or what in placed or at is not None:
+            return False
+        placed[what] = how, where
+        return True
 
     for rule, fact in _said_by(profile.places, facts):
         what, where = rule.of(fact)
-        put(what, rule.how, where)
+        if put(what, rule.how, where):
+            shown.add(fact)
     for name in subject.objects:
         inside = profile.look(subject, name).inside
         if inside is not None:
             put(name, "in", f"#{inside}")
-    return placed
+    return placed, shown
 
 
-def _colour(profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> None:
-    pairs = sorted(rule.of(fact) for rule, fact in _said_by(profile.colours, facts))
-    leaders = {leader for _, leader in pairs}
+def _colour(profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> set[Atom]:
+    """Give nodes the colours of others, and return the facts that these show."""
+    pairs = sorted((*rule.of(fact), fact) for rule, fact in _said_by(profile.colours, facts))
+    leaders = {leader for _, leader, _ in pairs}
     number = {key: count for count, key in enumerate(key for key in nodes if key in leaders)}
-    for what, leader in pairs:
+    shown = set()
+    for what, leader, fact in pairs:
         if what in nodes and leader in nodes:
             nodes[what].colour = nodes[leader].colour = number[leader]
+            shown.add(fact)
+    return shown
 
 
-def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) -> None:
-    """Add a part of the goal to the place that it is about, or to the object that has to change."""
+def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) -> bool:
+    """Add a part of the goal to the place that it is about, or to an object; return whether one is drawn."""
     if wanted.atom is None:
-        return
+        return False
     rule = profile.places.get(wanted.atom[0]) or profile.marks.get(wanted.atom[0])
-    if rule is None:
-        return
-    what, where = rule.of(wanted.atom)
+    what, where = ("", "") if rule is None else rule.of(wanted.atom)
     if what in nodes:
         nodes[what].done = done and nodes[what].done is not False  # a part of the goal places or marks it
-    text = nodes[what].title if what in nodes else what
-    if rule.how in ("in", "at") and where in nodes:
+    if rule is not None and rule.how in ("in", "at") and where in nodes:
+        text = nodes[what].title if what in nodes else what
         nodes[where].wants.append((" ".join([*_unless(profile, wanted, "no"), text]), done))
-    elif what in nodes:
+        return True
+    if rule is not None and what in nodes:
         name = nodes[where].title if where in nodes else where
         nodes[what].wants.append((" ".join([*_unless(profile, wanted), *_how(profile, rule.how), name]), done))
+        return True
+    owner = next((name for name in wanted.atom[1:] if name in nodes), None)
+    if owner is not None:
+        text = " ".join([*_unless(profile, wanted), words_for(wanted.atom, owner)])
+        nodes[owner].wants.append((text, done))
+        nodes[owner].done = done and nodes[owner].done is not False
+    return owner is not None
 
 
-def _connect(subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> None:
-    """Add to each node its connections and their lengths."""
+def _connect(subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> set[Atom]:
+    """Add to each node its connections and their lengths, and return the facts that these show."""
+    shown = set()
     for rule, fact in _said_by(profile.links, facts):
         what, where = Rule(rule.what, rule.how, rule.where).of(fact)
         if what in nodes and where in nodes:
             length = "" if rule.part is None else subject.numbers.get((rule.part, *fact[1:]), "")
             nodes[what].notes.append(f"{where} {length}".strip())
+            shown.add(fact)
+    return shown
 
 
 def _roots(
-    subject: Subject, profile: Profile, nodes: dict[str, Node], placed: dict[str, tuple[str, str]]
-) -> list[Node]:
+    subject: Subject, profile: Profile, nodes: dict[str, Node], placed: dict[str, tuple[str, str]],
+    containers: Container[str],
+) -> list[Node]:  # fmt: skip
     """Return the nodes that are in or on no other; small objects of one type share one heading."""
     roots: list[Node] = []
     headings: dict[str, Node] = {}
     for key, node in nodes.items():
         if key in placed or key.find("#") > 0:
             continue
-        small = node.is_object and node.look.shape not in ("panel", "person", "robot")
+        small = node.is_object and node.look.shape not in ("panel", "person", "robot") and key not in containers
         if small and not node.inside and not node.notes:
             kind = subject.objects[key]
             title = profile.texts("drawing.elsewhere", type=profile.names.get(kind, kind))

@@ -178,6 +178,14 @@ def atom(fact: str) -> Atom | None:
     return (found[1], *(found[2].split(", ") if found[2] else ())) if found else None
 
 
+def words_for(fact: Atom, without: str | None = None) -> str:
+    """Return a fact in words, as a mark on one of its objects (`without`) leaves out this object."""
+    words = list(fact[1:])
+    if without is not None:
+        words.remove(without)
+    return " ".join([fact[0], *words])
+
+
 def _kind(name: str, constant: frozenset[Atom]) -> str:
     """Return the type of an object in a domain without types: the first unary predicate that is constant for it."""
     return min((fact[0] for fact in constant if fact[1:] == (name,)), default="object")

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Literal
 
-from .layout import HEAD, ICONS, PAD, SMALL, TAG, Box, Layout, tag_width, text_width
+from .layout import HEAD, ICONS, LINE, PAD, TAG, Box, Label, Layout
 
 Theme = Literal["auto", "light", "dark"]
 LIGHT = {
@@ -83,18 +83,17 @@ def rectangle(x: float, y: float, width: float, height: float, css: str, radius:
     )
 
 
-def tag(content: str, done: bool, x: float, y: float, width: float) -> list[str]:
-    """Return the elements of a part of the goal, with a tick if it holds."""
-    sign = (
-        f'<path class="ka-tick" d="M{number(x + 7)} {number(y + 11)}l3 3.5 5.5-7"/>'
-        if done
-        else f'<circle class="ka-ring" cx="{number(x + 11)}" cy="{number(y + TAG / 2)}" r="4"/>'
-    )
-    return [
-        rectangle(x, y, width, TAG, "ka-tag-done" if done else "ka-tag", 5),
-        sign,
-        text(x + 20, y + 15, content, "ka-small"),
-    ]
+def draw_label(label: Label, x: float, y: float) -> list[str]:
+    """Return the elements of a mark, or of a part of the goal with a tick if it holds and else a ring."""
+    x, y = x + label.x, y + label.y
+    css = {None: "ka-mark", True: "ka-tag-done", False: "ka-tag"}[label.done]
+    parts = [rectangle(x, y, label.width, label.height, css, 5)]
+    if label.done:
+        parts.append(f'<path class="ka-tick" d="M{number(x + 7)} {number(y + 11)}l3 3.5 5.5-7"/>')
+    elif label.done is not None:
+        parts.append(f'<circle class="ka-ring" cx="{number(x + 11)}" cy="{number(y + TAG / 2)}" r="4"/>')
+    at = x + (6 if label.done is None else 20)
+    return [*parts, *(text(at, y + 15 + LINE * n, line, "ka-small") for n, line in enumerate(label.lines))]
 
 
 def icon(name: str, x: float, y: float, *classes: str) -> str:
@@ -108,7 +107,7 @@ def draw_box(box: Box, x: float, y: float, acted: Collection[str], hint: Collect
     x, y = x + box.x, y + box.y
     node, shape = box.node, box.node.look.shape
     inner = [part for one in box.boxes for part in draw_box(one, x, y, acted, hint)]
-    if shape == "tower":
+    if box.is_tower:
         return inner
     named = f' data-object="{escape(node.key)}"' if node.is_object else ""
     classes = ["ka-node", f"ka-{shape}"]
@@ -131,13 +130,8 @@ def draw_box(box: Box, x: float, y: float, acted: Collection[str], hint: Collect
             at, y + 20, node.title, *(("ka-title",) if box.boxes or shape in ("panel", "part", "slot", "crate") else ())
         )
     )
-    at += text_width(node.title) + 8
-    for mark in node.marks:
-        wide = SMALL * text_width(mark) + 12
-        parts += [rectangle(at, y + 7, wide, 17, "ka-mark", 4), text(at + 6, y + 19.5, mark, "ka-small")]
-        at += wide + 6
-    for content, done, tag_x, tag_y in box.tags:
-        parts += tag(content, done, x + tag_x, y + tag_y, tag_width(content))
+    for label in box.labels:
+        parts += draw_label(label, x, y)
     parts += [text(x + line_x, y + line_y, line, "ka-small", "ka-quiet") for line, line_x, line_y in box.lines]
     return [*parts, *inner, "</g>"]
 
