@@ -1,11 +1,12 @@
 """Which trust rule predicts best whether people take advice, held out by person, on public data.
 
-    KITASSIST_ADVICE=FOLDER python bench/trust.py [--fixed | --fitted [--keep FILE]] [--rule NAME ...] [--record FILE]
+    KITASSIST_ADVICE=FOLDER python bench/trust.py [--fixed | --fitted [--keep FILE]] [--record FILE]
 
 The folder holds `cards.csv` and `dates.csv` (docs/results/trust.md names their sources). Each rule is fitted to the
-people of seven folds and predicts the answers of the eighth. With `--fixed` nothing is fitted: the parameters are those
-of `reference/fixed_parameters.csv` in the folder, and the command says by how much its figures differ. With `--fitted`
-all rows of `reference/cv_dev.csv` are fitted, in about 5 minutes of a processor; `--keep` continues an earlier run.
+people of seven folds and predicts the answers of the eighth, as `kitassist fit --advice --compare-trust` does.
+With `--fixed` nothing is fitted: the parameters are those of `reference/fixed_parameters.csv` in the folder, and the
+command says by how much its figures differ. With `--fitted` all rows of `reference/cv_dev.csv` are fitted;
+`--keep` continues an earlier run.
 Rows that are too far off are fitted again in each fold, by one search from the reference's fit to all people
 (`reference/parameters_dev.csv`). That tells two reasons apart: another definition, or another local maximum.
 """
@@ -25,25 +26,35 @@ import click
 import numpy as np
 from tables import cell, record_option, write_record
 
-from assist.learning.advice_fit import POSITIVE, UNIT, fit_model, fold_of, held_out, local_maximum, mean_and_error
+from assist.learning.advice_fit import (
+    BASE_RATES,
+    COMPARED,
+    POSITIVE,
+    UNIT,
+    base_of,
+    base_rates,
+    compare_advice,
+    fit_model,
+    fold_of,
+    held_out,
+    local_maximum,
+)
 from assist.learning.advice_log import AdviceLog, read_advice
 from assist.learning.advice_model import BASES, AdviceModel
 from assist.learning.advice_rules import RULES
+from assist.learning.trust_scores import ratio
 from planner.system.files import atomic
 
 VARIABLE = "KITASSIST_ADVICE"
 DATA: dict[str, dict[str, Any]] = {
-    "cards": {"file": "cards.csv", "confidence": "one", "leave_out": "attention_fail"},
-    "dates_fb": {"file": "dates.csv", "only": "condition=feedback"},
-    "dates_none": {"file": "dates.csv", "only": "condition=none"},
+    "cards": {"file": "cards.csv", "confidence": "one", "rows": {"attention_fail": "0"}},
+    "dates_fb": {"file": "dates.csv", "rows": {"condition": "feedback"}},
+    "dates_none": {"file": "dates.csv", "rows": {"condition": "none"}},
 }
-TABLE = (
-    "none", "eq7 eta=.2, confidence units", "eq7 fitted", "beta counts, good/bad weights, forgetting", "L outcome",
-    "L agreement + outcome at disagreement", "perceived reliability",
-)  # fmt: skip
 SHOWN = {
-    "data": cell("data"), "base": cell("base"), "rule": cell("rule"), "nats": cell("nats", ".4f"),
-    "se": cell("se", ".4f"), "minus constant": cell("difference", "+.4f"), "its se": cell("difference_se", ".4f"),
+    "data": cell("data"), "people": cell("people"), "rule": cell("rule"), "nats": cell("nats", ".4f"),
+    "se": cell("se", ".4f"), "minus constant": cell("difference", "+.4f"), "its 95 % interval": cell("interval"),
+    "p": cell("p"), "p, corrected": cell("corrected"),
 }  # fmt: skip
 
 
@@ -53,18 +64,6 @@ def logs(folder: Path) -> dict[str, AdviceLog]:
         name: read_advice(folder / about["file"], **{key: value for key, value in about.items() if key != "file"})
         for name, about in DATA.items()
     }
-
-
-def base_rates(log: AdviceLog, *, by_agreement: bool = True) -> np.ndarray:
-    """Return held-out log probabilities by the rate of following, or by those at agreement and at disagreement."""
-    fold, found = fold_of(log.person), np.empty(len(log))
-    for each in range(8):
-        for agrees in (False, True):
-            of_kind = log.agrees == agrees
-            inside, outside = of_kind & (fold == each), (of_kind | (not by_agreement)) & (fold != each)
-            rate = log.follows[outside].mean()
-            found[inside] = np.log(np.where(log.follows[inside], rate, 1 - rate))
-    return found
 
 
 def fixed(folder: Path, known: dict[str, AdviceLog]) -> float:
@@ -123,8 +122,8 @@ def fitted(folder: Path, known: dict[str, AdviceLog], allowed: float, keep: Path
         for row in csv.DictReader(stream):
             log, cell_of = known[row["data"]], "|".join(row[name] for name in ("data", "base", "rule"))
             if cell_of not in done:
-                if row["rule"].startswith("base rate"):
-                    found = base_rates(log, by_agreement="disagree" in row["rule"])
+                if row["rule"] == "base rate (agree, disagree)":
+                    found = base_rates(log)
                 elif row["rule"] in RULES:
                     found = held_out(log, row["base"], row["rule"])
                 else:
@@ -146,30 +145,30 @@ def fitted(folder: Path, known: dict[str, AdviceLog], allowed: float, keep: Path
     return largest
 
 
-def compared(known: dict[str, AdviceLog], rules: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Yield a row for each data set, base and rule."""
+def compared(known: dict[str, AdviceLog]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each data set and rule."""
     for name, log in known.items():
-        base = "EA" if name == "cards" else "E"
-        rates = -base_rates(log)
-        constant = -held_out(log, base, "none")
-        for rule in ("base rates", *rules):
-            found = rates if rule == "base rates" else constant if rule == "none" else -held_out(log, base, rule)
-            nats, se = mean_and_error(log, found)
-            difference, its_se = mean_and_error(log, found - constant)
+        found = compare_advice(log)
+        for score in found.scores:
+            low, high = score.interval or (0.0, 0.0)
             yield {
-                "data": name, "base": base, "rule": "own theta, constant" if rule == "none" else rule, "nats": nats,
-                "se": se, "difference": difference, "difference_se": its_se,
+                "data": name, "people": found.people, "rule": score.rule, "nats": score.nats_per_choice,
+                "se": score.stderr, "difference": score.difference or 0.0,
+                "interval": "-" if score.interval is None else f"{low:+.4f} to {high:+.4f}",
+                "p": "-" if score.p is None else f"{score.p:.2g}",
+                "corrected": "-" if score.p_corrected is None else f"{score.p_corrected:.2g}",
             }  # fmt: skip
 
 
 def elsewhere(known: dict[str, AdviceLog], others: dict[str, AdviceLog], rules: tuple[str, ...]) -> None:
     """Print how well rules fitted to the known people predict others."""
     for name, log in others.items():
-        base = "EA" if name == "cards" else "E"
-        constant = -fit_model(AdviceModel.of(base, "none"), known[name]).predictions(log)
+        base, begins = base_of(log), np.flatnonzero(log.first)
+        counts = np.diff(np.append(begins, len(log))).astype(float)
+        constant = -fit_model(AdviceModel.of(base, "none"), known[name]).log_likelihoods(log)
         for rule in rules:
-            found = -fit_model(AdviceModel.of(base, rule), known[name]).predictions(log)
-            (nats, se), (difference, its_se) = mean_and_error(log, found), mean_and_error(log, found - constant)
+            found = -fit_model(AdviceModel.of(base, rule), known[name]).log_likelihoods(log)
+            (nats, se), (difference, its_se) = ratio(found, counts), ratio(found - constant, counts)
             click.echo(f"{name:10} {base:2} {rule:45} {nats:.4f} ({se:.4f})  {difference:+.4f} ({its_se:.4f})")
 
 
@@ -186,10 +185,10 @@ def elsewhere(known: dict[str, AdviceLog], others: dict[str, AdviceLog], rules: 
     type=click.Path(dir_okay=False, path_type=Path),
     help="Keep the figures of --fitted in this file, and compute those only that it does not have.",
 )
-@click.option("--rule", "rules", type=click.Choice(list(RULES)), multiple=True, default=TABLE, help="Rules to compare.")
+@click.option("--data", "names", type=click.Choice(list(DATA)), multiple=True, help="Data to use. All unless given.")
 @record_option
 def main(
-    others: Path | None, nothing_fitted: bool, all_fitted: bool, keep: Path | None, rules: tuple[str, ...],
+    others: Path | None, nothing_fitted: bool, all_fitted: bool, keep: Path | None, names: tuple[str, ...],
     record: Path | None,
 ) -> None:  # fmt: skip
     """Compare trust rules by how well they predict held-out people."""
@@ -197,7 +196,7 @@ def main(
     if not folder:
         click.echo(f"nothing is measured: {VARIABLE} does not name the folder with cards.csv and dates.csv", err=True)
         return
-    known = logs(Path(folder))
+    known = {name: log for name, log in logs(Path(folder)).items() if not names or name in names}
     for wanted, compare, allowed in (
         (nothing_fitted, fixed, 0.0005), (all_fitted, partial(fitted, allowed=0.0015, keep=keep), 0.0015),
     ):  # fmt: skip
@@ -208,15 +207,12 @@ def main(
                 raise SystemExit(f"more than {allowed} nats off")
             return
     if others is not None:
-        elsewhere(known, logs(others), rules)
+        elsewhere(known, logs(others), tuple(rule for rule in COMPARED.values() if rule != BASE_RATES))
         return
     rows = []
-    for row in compared(known, rules):
+    for row in compared(known):
         rows.append(row)
-        click.echo(
-            f"{row['data']:10} {row['base']:2} {row['rule']:45} {row['nats']:.4f} ({row['se']:.4f})  "
-            f"{row['difference']:+.4f} ({row['difference_se']:.4f})"
-        )
+        click.echo("  ".join(show(row) for show in SHOWN.values()))
     write_record(record, SHOWN, rows)
 
 

@@ -13,10 +13,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.learning.advice_fit import fit_advice, fit_model, fold_of, held_out, local_maximum, mean_and_error
+from assist.learning.advice_fit import (
+    BASE_RATES,
+    base_rates,
+    compare_advice,
+    fit_advice,
+    fit_model,
+    fold_of,
+    held_out,
+    local_maximum,
+)
 from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
 from assist.learning.advice_rules import RULES, moved_by
+from assist.learning.trust_scores import ratio
 from assist.people.trust_rules import LEAST, Event, LogitSteps
 from planner.system.errors import InputFileError
 
@@ -100,11 +110,68 @@ def test_the_likelihood_of_thousands_of_answers_is_the_sum_of_their_predictions(
 
 
 def test_parameters_of_people_with_thousands_of_answers_are_found() -> None:
-    log = simulated(3, 4_500, 1)
+    log = simulated(3, 1_500, 1)
     found = fit_advice(log, "constant")
     true = AdviceModel.of("E", "none", (0.5, 1.5, 1.5, 3.3, 1.2)).log_likelihood(log)
     assert true < found["log_likelihood"] < 0
     assert found["parameters"]["b1"] == pytest.approx(1.5, abs=0.3)
+
+
+@pytest.mark.parametrize(("people", "trials"), [(3, 600), (10, 200)])
+def test_few_people_with_many_judgements_have_enough_nodes(people: int, trials: int) -> None:
+    """Thousands of judgements tell theta more closely than the nodes of the quadrature are apart."""
+    log = simulated(people, trials, 1)
+    start = AdviceModel.of("E", "none")
+    found = fit_model(start, log)
+    assert found.log_likelihood(log) == pytest.approx(on_a_fine_grid(found, log), abs=0.02 * people)
+    assert start.refined(log).log_likelihood(log) == pytest.approx(on_a_fine_grid(start, log), abs=0.02 * people)
+    assert abs(start.log_likelihood(log) - on_a_fine_grid(start, log)) > 0.1 * people
+    assert start.refined(simulated(40, 25, 1)).nodes == NODES  # these are enough for few judgements
+
+
+def on_a_fine_grid(model: AdviceModel, log: AdviceLog) -> float:
+    """Return the log likelihood of base E with a theta that stays, as a sum over 4,001 values of theta."""
+    own, total = model.parameters, 0.0
+    logits = np.linspace(own["mu"] - 8 * own["sigma"], own["mu"] + 8 * own["sigma"], 4_001)
+    density = np.exp(-(((logits - own["mu"]) / own["sigma"]) ** 2) / 2)
+    theta = np.clip(1 / (1 + np.exp(-logits)), LEAST, 1 - LEAST)
+    for name in np.unique(log.person):
+        logs = np.zeros(len(theta))
+        for i in np.flatnonzero(log.person == name):
+            c = log.confidence[i]
+            z = own["a0"] + own["a1"] * c if log.agrees[i] else np.log(theta / (1 - theta)) - own["b1"] * c
+            p = LAPSE + (1 - 2 * LAPSE) / (1 + np.exp(-z))
+            logs += np.log(p if log.follows[i] else 1 - p)
+        total += math.log((np.exp(logs - logs.max()) * density).sum() / density.sum()) + logs.max()
+    return total
+
+
+def test_base_rates_are_those_of_the_people_of_other_folds() -> None:
+    log = simulated(8, 10, 0)
+    found, fold = base_rates(log, folds=2), fold_of(log.person, 2)
+    for agrees in (False, True):
+        inside, others = ((fold == each) & (log.agrees == agrees) for each in (0, 1))
+        rate = (log.follows[others].sum() + 0.5) / (others.sum() + 1)
+        assert np.exp(found[inside]) == pytest.approx(np.where(log.follows[inside], rate, 1 - rate))
+    never = AdviceLog(**vars(log) | {"follows": np.zeros(len(log), dtype=bool)})
+    assert np.isfinite(base_rates(never)).all()
+
+
+def test_rules_are_compared_with_base_rates_and_fixed_steps() -> None:
+    log = simulated(24, 12, 0)
+    rules = {
+        "constant": "none",
+        "rates": BASE_RATES,
+        "fixed": "L agreement + outcome at disagreement, fixed .05/.15/.25",
+    }
+    found = {score.rule: score for score in compare_advice(log, rules=rules, folds=2).scores}
+    logs = held_out(log, "E", "none", 2).sum(), base_rates(log, 2).sum()
+    assert [found[name].nats_per_choice * len(log) for name in ("constant", "rates")] == pytest.approx(
+        [-one for one in logs]
+    )
+    assert found["rates"].difference == pytest.approx((logs[0] - logs[1]) / len(log))
+    assert set(found["rates"].parameters) == {"agreement", "disagreement"}
+    assert found["fixed"].parameters.keys() == found["constant"].parameters.keys()
 
 
 def test_a_fit_without_a_finite_likelihood_is_an_error() -> None:
@@ -150,20 +217,25 @@ def test_parameters_of_simulated_people_are_found() -> None:
     assert fitted["b1"] == pytest.approx(1.5, abs=0.5)
 
 
-def test_a_fit_of_clipped_steps_is_the_best_of_many_local_maxima() -> None:
-    log, rng, others = simulated(20, 20, 3), np.random.default_rng(1), []
+def test_a_fit_of_clipped_steps_is_the_best_of_local_maxima() -> None:
+    """With too few nodes there are many maxima, which tell nothing about people."""
+    log, rng = simulated(20, 20, 3), np.random.default_rng(1)
     model = AdviceModel.of("E", "eq7 eta=.2, unit steps")
-    for _ in range(8):
-        start = replace(model, values=(rng.normal(0.5, 1.5), rng.uniform(0.5, 4), *model.values[2:]))
-        others.append(local_maximum(start, log).log_likelihood(log))
-    assert max(others) - min(others) > 1
-    assert fit_model(model, log).log_likelihood(log) > max(others) - 0.01
+    found = fit_model(model, log)
+    coarse, fine = [], []
+    for _ in range(6):
+        values = (rng.normal(0.5, 1.5), rng.uniform(0.5, 4), *model.values[2:])
+        for start, others in ((model, coarse), (found, fine)):
+            others.append(local_maximum(replace(start, values=values), log).log_likelihood(log))
+    assert max(coarse) - min(coarse) > 1 > 2 * (max(fine) - min(fine))
+    assert found.log_likelihood(log) > max(fine) - 0.01
 
 
 def test_the_right_rule_predicts_people_better_whom_it_has_not_seen() -> None:
     log = simulated(40, 25, 2, steps=0.8)
     constant, moving = (held_out(log, "E", name, folds=2) for name in ("none", "L outcome at disagreement gain/loss"))
-    difference, error = mean_and_error(log, moving - constant)
+    begins = np.flatnonzero(log.first)
+    difference, error = ratio(np.add.reduceat(moving - constant, begins), np.diff(np.append(begins, len(log))) * 1.0)
     assert difference > 3 * error > 0
 
 
@@ -226,10 +298,24 @@ def test_an_advisor_may_be_missing_and_feedback_have_another_name(tmp_path: Path
 def test_what_is_missing_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputFileError, match="no column 'outcome'"):
         read_advice(write(tmp_path / "log.csv", ROW, columns=COLUMNS[:-2]))
-    with pytest.raises(InputFileError, match="no judgement is left"):
-        read_advice(write(tmp_path / "log.csv", ROW), only="person=nobody")
+    with pytest.raises(InputFileError, match="no judgement has person nobody; there are p1"):
+        read_advice(write(tmp_path / "log.csv", ROW), rows={"person": "nobody"})
+    with pytest.raises(InputFileError, match=r":1: no column 'condition' to choose rows by; there are person, seq"):
+        read_advice(write(tmp_path / "log.csv", ROW), rows={"condition": "feedback"})
+    with pytest.raises(InputFileError, match="no judgement has all of the chosen values"):
+        read_advice(write(tmp_path / "log.csv", ROW, LATER | {"person": "p2"}), rows={"person": "p1", "trial": "3"})
+    with pytest.raises(InputFileError, match="no judgement is there"):
+        read_advice(write(tmp_path / "log.csv"))
     with pytest.raises(InputFileError, match="No such file"):
         read_advice(tmp_path / "none.csv")
+
+
+def test_rows_are_chosen_by_the_values_of_columns(tmp_path: Path) -> None:
+    columns = (*COLUMNS, "failed", "group")
+    rows = [ROW | {"person": f"p{n}", "failed": n % 2, "group": "AB"[n // 2]} for n in range(4)]
+    file = write(tmp_path / "log.csv", *rows, columns=columns)
+    assert read_advice(file, rows={"failed": "0"}).person.tolist() == ["p0", "p2"]
+    assert read_advice(file, rows={"failed": "0", "group": "B"}).person.tolist() == ["p2"]
 
 
 def test_a_trial_is_there_once(tmp_path: Path) -> None:

@@ -433,6 +433,23 @@ def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path) -> None:
     assert (compared["people"], compared["choices"]) == (12, 120)
     parameters = {row["rule"]: set(row["parameters"]) for row in compared["rules"]}
     assert parameters["outcome"] - parameters["constant"] == {"g", "l"}
+    assert parameters["base rates"] == {"agreement", "disagreement"}
+    assert parameters["paper, eta 0.2"] == parameters["constant"]
+    chosen = json.loads(
+        invoke(
+            "fit",
+            "--advice",
+            judgements,
+            "--trust",
+            "constant",
+            "--rows",
+            "sequence=a",
+            "--rows",
+            "person=p1",
+            "--json",
+        ).stdout
+    )
+    assert (chosen["people"], chosen["choices"]) == (1, 10)
 
 
 def test_a_line_of_advice_that_is_wrong_is_named(judgements: Path) -> None:
@@ -464,6 +481,12 @@ def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
         (("--trust", "constant", "--family", "uniform"), "--family and --trust: expected one of them"),
         (("--theta-per-episode",), "--theta-per-episode: expected --trust or --compare-trust as well"),
         (("--confidence", "one"), "--confidence: expected --advice as well"),
+        (("--rows", "a=b"), "--rows: expected --advice as well"),
+        (("--advice", "LOG", "--trust", "paper", "--rows", "a"), "--rows a: expected COLUMN=VALUE, such as"),
+        (
+            ("--advice", "LOG", "--trust", "paper", "--rows", "a=1", "--rows", "a=2"),
+            "--rows: column a is there twice; expected one value for it",
+        ),
         (("--advice", "LOG"), "--advice: expected --trust or --compare-trust as well"),
         (("--advice", "LOG", "--trust", "paper"), "INSTANCE has no effect with --advice"),
         (("--folds", "3"), "--folds has no effect without --compare or --compare-trust"),

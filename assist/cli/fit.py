@@ -49,7 +49,8 @@ def fit(
     instance: str | None, domain: str | None, file: Path | None, out: Path | None, population: Path | None,
     family: str | None, figures: Path | None, misconceptions: bool, terms: bool, compare: bool, people: str | None,
     folds: int, seed: int, as_json: bool, trust: str | None, compare_trust: bool, theta_per_episode: bool,
-    advice: Path | None, confidence: Confidence, problems: tuple[str, ...], goal_prior: tuple[str, ...], **options: Any,
+    advice: Path | None, confidence: Confidence, rows: tuple[str, ...], problems: tuple[str, ...],
+    goal_prior: tuple[str, ...], **options: Any,
 ) -> None:  # fmt: skip
     """Estimate people's expertise, influence and trust from a LOG of their actions.
 
@@ -60,7 +61,7 @@ def fit(
 
     if family and as_json and not population:
         raise click.UsageError("--family: expected --population, since with --json it has no effect otherwise")
-    by_rule = trust_of(trust, compare_trust, theta_per_episode, advice, confidence)
+    by_rule = trust_of(trust, compare_trust, theta_per_episode, advice, confidence, rows)
     if not compare and not compare_trust:
         refuse_unused(["folds"], "without --compare or --compare-trust")
     if compare:

@@ -7,7 +7,7 @@ A fit is one of largest marginal likelihood (`advice_model`). `fit_advice` is wh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,8 +24,20 @@ from .trust_scores import TrustComparison
 POSITIVE = {"sigma", "slope", "n0", "w", "ws", "wf"}
 UNIT = {"gam", "r0"}
 
-POINTS, LOCAL = 100, 5
+POINTS, LOCAL = 30, 3
 """Random points, and searches from the most likely ones, where a likelihood has many local maxima."""
+
+BASE_RATES = "base rates"
+"""In place of a rule's name: the shares of people who followed, at agreement and at disagreement."""
+
+COMPARED = {
+    BASE_RATES: BASE_RATES,
+    "one theta": "shared",
+    "paper, eta 0.2": "eq7 eta=.2, confidence units",
+    **OF_NAMES,
+    "outcome-at-disagreement, default steps": "L agreement + outcome at disagreement, fixed .03/.10/.20",
+}
+"""What is compared unless other rules are given: simpler predictions, and the shipped rules, fitted and as shipped."""
 
 WIDTHS = {"mu": 1.0, "sigma": 0.5}
 """Standard deviations of the random points; of other parameters, half of the value at which fits begin."""
@@ -36,13 +48,23 @@ def fit_model(start: AdviceModel, log: AdviceLog) -> AdviceModel:
 
     Where these are the values of `of`, smaller steps are a second start. Where theta moves by steps and is clipped,
     the likelihood has many local maxima (`advice_model.NODES`). The fit is then the best of several local maxima, found
-    from the most likely of some random points.
+    from the most likely of some random points. It has as many nodes as the log needs at the start, and at its end.
 
     Raises
     ------
     ValueError
         The likelihood of the fit is not finite, so that nothing was estimated.
     """
+    found = _best(start.refined(log), log)
+    while (finer := found.refined(log)) is not found:
+        surface = _Likelihood(finer, log)
+        at = surface.point(finer.values)
+        found = surface.finite(_local_maximum(surface, at) if surface.kinks else _scoring(surface.people, at))
+    return found
+
+
+def _best(start: AdviceModel, log: AdviceLog) -> AdviceModel:
+    """Return the model of largest marginal likelihood with the nodes of `start`."""
     surface = _Likelihood(start, log)
     initial = AdviceModel.of(start.base, start.rule.name).values
     common, rest = initial[: len(BASES[start.base])], initial[len(BASES[start.base]) :]
@@ -133,6 +155,9 @@ def _scoring(people: Callable[[Floats], Floats], point: Floats, enough: float = 
     """
     delta, damping, unit = 1e-4, 1e-3, np.eye(len(point))
     values = people(point)
+    if len(values) <= len(point):  # too few scores for the information
+        options = {"eps": delta, "gtol": 1e-2}
+        return np.asarray(minimize(lambda at: -people(at).sum(), point, method="BFGS", options=options).x)
     for _ in range(100):
         scores = np.array([(people(point + delta * one) - values) / delta for one in unit])
         gradient, information = scores.sum(axis=1), scores @ scores.T
@@ -182,25 +207,43 @@ def held_out(log: AdviceLog, base: str, rule: str, folds: int = 8) -> Floats:
     return found
 
 
-def mean_and_error(log: AdviceLog, values: Floats) -> tuple[float, float]:
-    """Return the mean of values per row, shape (N,), and its standard error over people (ratio estimator)."""
-    begins = np.flatnonzero(log.first)
-    sums, counts = np.add.reduceat(values, begins), np.diff(np.append(begins, len(log)))
-    mean = sums.sum() / counts.sum()
-    people = len(begins)
-    return float(mean), float(math.sqrt(((sums - mean * counts) ** 2).sum() * people / (people - 1)) / counts.sum())
+def base_rates(log: AdviceLog, folds: int = 8) -> Floats:
+    """Return the log probability of each answer, shape (N,), by the share of others who followed.
+
+    Others are the people of other folds, where the advice was their own choice too, or where it was not.
+    """
+    fold, found = fold_of(log.person, folds), np.zeros(len(log))
+    for each in range(folds):
+        for agrees in (False, True):
+            inside, outside = ((log.agrees == agrees) & mine for mine in (fold == each, fold != each))
+            if inside.any():
+                rate = _rate(log, outside)
+                found[inside] = np.log(np.where(log.follows[inside], rate, 1 - rate))
+    return found
 
 
-def compare_advice(log: AdviceLog, *, folds: int = 8, level: float = 0.95) -> TrustComparison:
-    """Compare the trust rules of `OF_NAMES` on held-out people.
+def _rate(log: AdviceLog, rows: NDArray[np.bool_]) -> float:
+    """Return the share of rows in which the advice was followed, with half a row for each answer: never 0 or 1."""
+    return float((log.follows[rows].sum() + 0.5) / (rows.sum() + 1.0))
+
+
+def compare_advice(
+    log: AdviceLog, *, rules: Mapping[str, str] = COMPARED, folds: int = 8, level: float = 0.95,
+    progress: Callable[[int], None] | None = None,
+) -> TrustComparison:  # fmt: skip
+    """Compare trust rules on held-out people.
 
     Parameters
     ----------
     log : AdviceLog
+    rules : mapping of str to str
+        Names of rules in `RULES`, or `BASE_RATES`, by names in the result; "constant" is among these.
     folds : int
         Groups of people that are left out in turn.
     level : float
         Level of the intervals.
+    progress : callable, optional
+        Called with how many rules have been finished since the last call.
 
     Raises
     ------
@@ -210,9 +253,17 @@ def compare_advice(log: AdviceLog, *, folds: int = 8, level: float = 0.95) -> Tr
     begins = np.flatnonzero(log.first)
     if len(begins) < 2:
         raise ValueError("one person; a comparison needs two or more, to learn from some about others")
-    base = base_of(log)
-    scores = {name: np.add.reduceat(held_out(log, base, rule, folds), begins) for name, rule in OF_NAMES.items()}
-    estimates = {name: fit_model(AdviceModel.of(base, rule), log).parameters for name, rule in OF_NAMES.items()}
+    base, scores, estimates = base_of(log), {}, {}
+    for name, rule in rules.items():
+        if rule == BASE_RATES:
+            of_rows = base_rates(log, folds)
+            estimates[name] = {"agreement": _rate(log, log.agrees), "disagreement": _rate(log, ~log.agrees)}
+        else:
+            of_rows = held_out(log, base, rule, folds)
+            estimates[name] = fit_model(AdviceModel.of(base, rule), log).parameters
+        scores[name] = np.add.reduceat(of_rows, begins)
+        if progress is not None:
+            progress(1)
     counts = np.diff(np.append(begins, len(log))).astype(float)
     return TrustComparison.of(scores, counts, estimates, level)
 

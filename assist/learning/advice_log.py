@@ -8,6 +8,7 @@ ignored. Choices are 0 or 1.
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -83,7 +84,7 @@ class AdviceLog:
 
 
 def read_advice(
-    file: str | PathLike[str], *, confidence: Confidence = "own", leave_out: str | None = None, only: str | None = None
+    file: str | PathLike[str], *, confidence: Confidence = "own", rows: Mapping[str, str] | None = None
 ) -> AdviceLog:
     """Read a log of judgements with advice.
 
@@ -92,10 +93,8 @@ def read_advice(
     file : path
     confidence : "own" or "one"
         What confidences, from 0 to 100, are about: the person's own choice, or the chance that choice 1 is right.
-    leave_out : str, optional
-        A column; rows where it is 1 are left out, as of people who failed checks of attention.
-    only : str, optional
-        `COLUMN=VALUE`; all other rows are left out.
+    rows : mapping of str to str, optional
+        Values of columns; other rows are left out. `{"attention_fail": "0"}` leaves out who failed checks of attention.
 
     Raises
     ------
@@ -115,19 +114,22 @@ def read_advice(
             twice = next((name for name in (*names.values(), OPTIONAL) if list(header).count(name) > 1), None)
             if twice is not None:
                 raise InputFileError(f"{path}:1: two columns '{twice}'; expected one")
-            rows = [
+            wanted = dict(rows or {})
+            unknown = next((name for name in wanted if name not in header), None)
+            if unknown is not None:
+                raise InputFileError(
+                    f"{path}:1: no column '{unknown}' to choose rows by; there are {', '.join(header)}"
+                )
+            every = [
                 (reader.line_num, row | {name: row.get(own) or "" for name, own in names.items()}) for row in reader
             ]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputFileError(f"{path}: {error}") from None
-    column, _, wanted = (only or "").partition("=")
-    rows = [
-        (line, row)
-        for line, row in rows
-        if (leave_out is None or row.get(leave_out) != "1") and (only is None or row.get(column) == wanted)
+    found = [
+        (line, row) for line, row in every if all((row[name] or "").strip() == value for name, value in wanted.items())
     ]
-    if not rows:
-        raise InputFileError(f"{path}: no judgement is left; expected a line for each")
+    if not found:
+        raise InputFileError(f"{path}: {_nothing_left(every, wanted)}")
 
     def number(line: int, row: dict[str, str], name: str, most: float) -> float:
         try:
@@ -138,20 +140,20 @@ def read_advice(
             raise InputFileError(f"{path}:{line}: {name} {value:g}; expected 0 to {most:g}")
         return value
 
-    if confidence == "own" and any(row.get(OPTIONAL) for _, row in rows):
-        wanted = "confidences about choice 1 (confidence 'one'), or no such column"
+    if confidence == "own" and any(row.get(OPTIONAL) for _, row in found):
+        expected = "confidences about choice 1 (confidence 'one'), or no such column"
         raise InputFileError(
-            f"{path}:1: {OPTIONAL} is not used with confidences about the own choice; expected {wanted}"
+            f"{path}:1: {OPTIONAL} is not used with confidences about the own choice; expected {expected}"
         )
     seen: dict[tuple[str, str, float], int] = {}
-    for line, row in rows:
+    for line, row in found:
         if not row["person"].strip():
             raise InputFileError(f"{path}:{line}: person ''; expected a name")
         trial = number(line, row, "trial", np.inf)
         first_line = seen.setdefault((row["person"], row["sequence"], trial), line)
         if first_line != line:
             raise InputFileError(f"{path}:{line}: trial {trial:g} of {row['person']} is on line {first_line} already")
-    rows.sort(key=lambda entry: (entry[1]["person"], number(entry[0], entry[1], "trial", np.inf)))
+    found.sort(key=lambda entry: (entry[1]["person"], number(entry[0], entry[1], "trial", np.inf)))
 
     def flag(line: int, row: dict[str, str], name: str) -> bool:
         value = number(line, row, name, 1)
@@ -161,25 +163,34 @@ def read_advice(
 
     flags = ("own_choice", "advice", "final_choice", "outcome", "feedback_shown")
     own, advice, final, outcome, shown = (
-        np.array([flag(line, row, name) for line, row in rows], dtype=bool) for name in flags
+        np.array([flag(line, row, name) for line, row in found], dtype=bool) for name in flags
     )
-    stated = np.array([number(line, row, "own_confidence", 100) for line, row in rows])
+    stated = np.array([number(line, row, "own_confidence", 100) for line, row in found])
     if 0 < stated.max() <= 1:
         raise InputFileError(f"{path}: own_confidence is at most {stated.max():g} in all lines; expected 0 to 100")
     sure = stated / 100 if confidence == "own" else np.where(own, 1, -1) * (stated - 50) / 50
     advised = np.array(
         [
             abs(number(line, row, OPTIONAL, 100) - 50) / 50 - 0.5 if row.get(OPTIONAL) and confidence == "one" else 0.0
-            for line, row in rows
+            for line, row in found
         ]
     )
-    person = np.array([row["person"] for _, row in rows])
+    person = np.array([row["person"] for _, row in found])
     first = np.append(True, person[1:] != person[:-1])
     numbers: list[int] = []
     known: dict[str, int] = {}
-    for begins, (_, row) in zip(first.tolist(), rows, strict=True):
+    for begins, (_, row) in zip(first.tolist(), found, strict=True):
         known = {} if begins else known
         numbers.append(known.setdefault(row["sequence"], len(known)))
     return AdviceLog(
         person, first, np.array(numbers), own == advice, final == advice, advice == outcome, shown, sure, advised
     )
+
+
+def _nothing_left(every: list[tuple[int, dict[str, str]]], wanted: Mapping[str, str]) -> str:
+    """Return why no judgement is left: there is none, or none with the wanted values of columns."""
+    for name, value in wanted.items():
+        there = sorted({(row[name] or "").strip() for _, row in every})
+        if value not in there:
+            return f"no judgement has {name} {value}; there are {', '.join(there[:10])}{', ...' * (len(there) > 10)}"
+    return f"no judgement {'has all of the chosen values' if every else 'is there'}; expected a line for each"

@@ -11,15 +11,17 @@ own choice, -1 elsewhere, z is one of
 
 Under two rules b1 differs between people, too: it is normal with the standard deviation `slope`.
 
-The initial theta, and b1 where it differs, are integrated out by Gauss-Hermite quadrature. Their posterior is updated
-after each row, so that every row is predicted from the rows before it.
+The initial theta, and b1 where it differs, are integrated out: by Gauss-Hermite quadrature, or on more nodes that are
+evenly spaced where many judgements of a person tell theta closely. Their posterior is updated after each row, so that
+every row is predicted from the rows before it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,20 +38,38 @@ LAPSE = 0.0005
 """Least probability of a final choice, so that no single answer decides a fit."""
 
 NODES = 31
-"""Nodes of the quadrature.
+"""Nodes of the Gauss-Hermite quadrature, with which fits begin.
 
-They suffice where theta moves on the logit scale. Where steps of theta itself are clipped, the likelihood has kinks as
-a function of theta_0, and 31 nodes are off by up to a few nats of two public data sets, with many local maxima.
+They are half a standard deviation apart. A posterior that is narrower, and kinks where steps of theta are clipped, need
+more nodes (`AdviceModel.refined`). Clipped steps also leave the likelihood with many local maxima.
 """
 
-POINTS, WEIGHTS = np.polynomial.hermite_e.hermegauss(NODES)
-WEIGHTS = WEIGHTS / WEIGHTS.sum()
+MOST_NODES = 32 * NODES
+"""A hundredth of a standard deviation apart: enough for some ten thousand judgements of a person."""
+
+WIDEST = 6.0
+"""Evenly spaced nodes reach so many standard deviations to each side; 2e-9 of all people are beyond."""
+
+ENOUGH = 0.01
+"""Largest change of the log likelihood by twice as many nodes, in nats per person, at which nodes are enough."""
 
 TOGETHER = 64
 """Answers whose likelihoods are multiplied before the logarithm is taken; `LAPSE` to this power does not underflow."""
 
 SLOPES, SLOPE_WEIGHTS = np.polynomial.hermite_e.hermegauss(11)
 SLOPE_WEIGHTS = SLOPE_WEIGHTS / SLOPE_WEIGHTS.sum()
+
+
+@cache
+def quadrature(nodes: int) -> tuple[Floats, Floats]:
+    """Return nodes of a standard normal distribution and their weights: Gauss-Hermite for `NODES`, else even."""
+    if nodes == NODES:
+        points, weights = np.polynomial.hermite_e.hermegauss(nodes)
+    else:
+        points = np.linspace(-WIDEST, WIDEST, nodes)
+        weights = np.exp(-(points**2) / 2)
+    return points, weights / weights.sum()
+
 
 BASES = {
     "A": {"mu": 2.0, "sigma": 1.0, "b0": 1.5, "b1": 1.5},
@@ -69,11 +89,14 @@ class AdviceModel:
     rule : Rule
     values : tuple of float
         Parameters of the base in the order of `BASES`, then those of the rule.
+    nodes : int
+        Number of nodes of theta_0.
     """
 
     base: str
     rule: Rule
     values: tuple[float, ...]
+    nodes: int = NODES
 
     @classmethod
     def of(cls, base: str, rule: str, values: Sequence[float] | None = None) -> AdviceModel:
@@ -99,15 +122,15 @@ class AdviceModel:
         return found, np.log(weights)
 
     def _nodes(self) -> tuple[Floats, Floats]:
-        """Return the nodes of b1, shape (M,), and the weights of all nodes, shape (M * NODES,)."""
-        own = self.parameters
+        """Return the nodes of b1, shape (M,), and the weights of all nodes, shape (M * `nodes`,)."""
+        own, weights = self.parameters, quadrature(self.nodes)[1]
         if "slope" not in own:
-            return np.array([own["b1"]]), WEIGHTS
-        return own["b1"] + own["slope"] * SLOPES, np.multiply.outer(SLOPE_WEIGHTS, WEIGHTS).ravel()
+            return np.array([own["b1"]]), weights
+        return own["b1"] + own["slope"] * SLOPES, np.multiply.outer(SLOPE_WEIGHTS, weights).ravel()
 
     def _likelihood(self, found: Floats, log: AdviceLog) -> Floats:
         own = self.parameters
-        start = np.clip(expit(own["mu"] + own["sigma"] * POINTS), LEAST, 1 - LEAST)
+        start = np.clip(expit(own["mu"] + own["sigma"] * quadrature(self.nodes)[0]), LEAST, 1 - LEAST)
         slopes, weights = self._nodes()
         rule = np.array(self.rule.coefficients(*self.values[len(BASES[self.base]) :]), dtype=float)
         by_agreement = self.base != "A"
@@ -142,6 +165,17 @@ class AdviceModel:
     def log_likelihood(self, log: AdviceLog) -> float:
         """Return the log probability of all answers."""
         return float(self.log_likelihoods(log).sum())
+
+    def refined(self, log: AdviceLog) -> AdviceModel:
+        """Return the model with as many nodes as the log needs: twice as many change little, by `ENOUGH`."""
+        model, found = self, self.log_likelihood(log)
+        while model.nodes < MOST_NODES:
+            finer = replace(model, nodes=2 * model.nodes)
+            before, found = found, finer.log_likelihood(log)
+            if not abs(found - before) > ENOUGH * log.first.sum():
+                break
+            model = finer
+        return model
 
 
 @njit(error_model="numpy")

@@ -17,7 +17,7 @@ GROUPS = {
         "--domain", "--max-states", "--region-states", "--state", "--plan", "--protocol", "--format",
         "--goals", "--goal-prior",
     ),
-    "Log": ("--columns", "--drop", "--rename", "--gaps", "--strict", "--advice", "--confidence"),
+    "Log": ("--columns", "--drop", "--rename", "--gaps", "--strict", "--advice", "--confidence", "--rows"),
     "People": (
         "--humans", "--pool", "--beta", "--theta", "--sigma", "--eta", "--utility-scale", "--trust", "--population",
         "--people", "--prior", "--simulate", "--pace",

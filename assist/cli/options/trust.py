@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -13,7 +14,7 @@ from .population import refuse_unused_rates
 
 Confidence = Literal["own", "one"]
 
-WITH_ADVICE = {"advice", "trust", "compare_trust", "confidence", "folds", "level", "out", "as_json"}
+WITH_ADVICE = {"advice", "trust", "compare_trust", "confidence", "rows", "folds", "level", "out", "as_json"}
 """Parameters of `fit` that have an effect with `--advice`."""
 
 
@@ -32,6 +33,8 @@ class TrustOptions(NamedTuple):
         Judgements with advice, in place of a log.
     confidence : "own" or "one"
         What confidences in that file are about.
+    rows : dict of str to str
+        Values of columns of that file; other rows are left out.
     """
 
     rule: str | None
@@ -39,6 +42,7 @@ class TrustOptions(NamedTuple):
     carry: bool
     advice: Path | None
     confidence: Confidence
+    rows: dict[str, str]
 
     @property
     def wanted(self) -> bool:
@@ -70,13 +74,17 @@ def fit_trust_options(command: Command) -> Command:
             help="What confidences in the file of --advice are about: the own choice, or the chance that choice 1 is "
                  "right.",
         ),
+        click.option(
+            "--rows", multiple=True, metavar="COLUMN=VALUE",
+            help="Use the rows of --advice with this value in this column only. Several must all hold.",
+        ),
     )  # fmt: skip
     return with_options(command, options)
 
 
 def trust_of(
     trust: str | None, compare_trust: bool, theta_per_episode: bool, advice: Path | None,
-    confidence: Confidence,
+    confidence: Confidence, rows: Sequence[str] = (),
 ) -> TrustOptions:  # fmt: skip
     """Return what to estimate about trust rules.
 
@@ -85,7 +93,13 @@ def trust_of(
     click.UsageError
         An option has no effect together with the others.
     """
-    found = TrustOptions(trust, compare_trust, not theta_per_episode, advice, confidence)
+    pairs = [tuple(map(str.strip, one.partition("=")[::2])) for one in rows]
+    for one, (column, _) in zip(rows, pairs, strict=True):
+        if not column or "=" not in one:
+            raise click.UsageError(f"--rows {one}: expected COLUMN=VALUE, such as condition=feedback")
+        if [name for name, _ in pairs].count(column) > 1:
+            raise click.UsageError(f"--rows: column {column} is there twice; expected one value for it")
+    found = TrustOptions(trust, compare_trust, not theta_per_episode, advice, confidence, dict(pairs))
     refuse_unused_rates(trust)
     for option, given in found.named.items():
         if given:
@@ -95,6 +109,8 @@ def trust_of(
     if advice is None:
         if is_given("confidence"):
             raise click.UsageError("--confidence: expected --advice as well")
+        if rows:
+            raise click.UsageError("--rows: expected --advice as well")
         return found
     if not found.wanted:
         raise click.UsageError("--advice: expected --trust or --compare-trust as well")

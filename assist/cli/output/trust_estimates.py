@@ -51,19 +51,21 @@ def show_trust(
 
 def show_advice(wanted: TrustOptions, folds: int, level: float, out: Path | None, *, as_json: bool) -> None:
     """Fit a trust rule to judgements with advice, or compare all rules."""
-    from ...learning.advice_fit import compare_advice, fit_advice
+    from ...learning.advice_fit import COMPARED, compare_advice, fit_advice
     from ...learning.advice_log import read_advice
 
     assert wanted.advice is not None
     if not 0 < level < 1:
         raise click.UsageError(f"level {level:g}: expected 0 < level < 1")
     try:
-        log = read_advice(wanted.advice, confidence=wanted.confidence)
+        log = read_advice(wanted.advice, confidence=wanted.confidence, rows=wanted.rows)
     except InputFileError as error:
         fail(str(error), ExitCode.FAILED)
     try:
         if wanted.rule is None:
-            _show_comparison(compare_advice(log, folds=folds, level=level), out, as_json=as_json)
+            with progress_bar("comparing trust rules", len(COMPARED)) as advance:
+                compared = compare_advice(log, folds=folds, level=level, progress=advance)
+            _show_comparison(compared, out, as_json=as_json)
             return
         found = fit_advice(log, wanted.rule)
     except ValueError as error:
