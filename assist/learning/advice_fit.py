@@ -155,9 +155,12 @@ def _scoring(people: Callable[[Floats], Floats], point: Floats, enough: float = 
     """
     delta, damping, unit = 1e-4, 1e-3, np.eye(len(point))
     values = people(point)
+
+    def loss(at: Floats) -> float:
+        return -float(people(at).sum())
+
     if len(values) <= len(point):  # too few scores for the information
-        options = {"eps": delta, "gtol": 1e-2}
-        return np.asarray(minimize(lambda at: -people(at).sum(), point, method="BFGS", options=options).x)
+        return np.asarray(minimize(loss, point, method="BFGS", options={"eps": delta, "gtol": 1e-2}).x)
     for _ in range(100):
         scores = np.array([(people(point + delta * one) - values) / delta for one in unit])
         gradient, information = scores.sum(axis=1), scores @ scores.T

@@ -93,13 +93,15 @@ def trust_of(
     click.UsageError
         An option has no effect together with the others.
     """
-    pairs = [tuple(map(str.strip, one.partition("=")[::2])) for one in rows]
-    for one, (column, _) in zip(rows, pairs, strict=True):
-        if not column or "=" not in one:
+    chosen: dict[str, str] = {}
+    for one in rows:
+        column, equals, value = (part.strip() for part in one.partition("="))
+        if not column or not equals:
             raise click.UsageError(f"--rows {one}: expected COLUMN=VALUE, such as condition=feedback")
-        if [name for name, _ in pairs].count(column) > 1:
+        if column in chosen:
             raise click.UsageError(f"--rows: column {column} is there twice; expected one value for it")
-    found = TrustOptions(trust, compare_trust, not theta_per_episode, advice, confidence, dict(pairs))
+        chosen[column] = value
+    found = TrustOptions(trust, compare_trust, not theta_per_episode, advice, confidence, chosen)
     refuse_unused_rates(trust)
     for option, given in found.named.items():
         if given:
