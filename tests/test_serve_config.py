@@ -205,8 +205,8 @@ def test_a_service_says_why_it_is_not_ready(tmp_path: Path) -> None:
         assert web.client.get("/api/health", params={"ready": True}).status_code == 503
         line.connected = True
         assert web.client.get("/api/health", params={"ready": True}).status_code == 200
-        web.service.session._store._full = True
-        assert "disk was full" in web.client.get("/api/health").json()["reasons"][0]
+        web.service.session._store._failed = "No space left on device"
+        assert "No space left on device" in web.client.get("/api/health").json()["reasons"][0]
         web.act("(fetch box-a)")  # there is room again
         assert web.client.get("/api/health").json()["ready"]
         assert web.ask("POST", "/api/reload", None).status_code == 409

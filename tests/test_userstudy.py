@@ -350,9 +350,8 @@ def test_data_can_be_withdrawn_after_the_end_and_are_in_no_table_then(opened: Op
     before = tables(session.study, journal)
     assert {row["participant"] for row in before.actions} == {"ann", "bob"}
     assert all(row["consented"] >= row["arrived"] for row in before.participants)
-    assert ann.report("withdrew")["study"]["kind"] == "withdrew"
-    with pytest.raises(InapplicableError):
-        ann.report("withdrew")
+    for _ in range(2):  # a second time changes nothing
+        assert ann.report("withdrew")["study"]["kind"] == "withdrew"
     with pytest.raises(InapplicableError):
         ann.report("returned")
     after = tables(session.study, journal)

@@ -24,10 +24,12 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     from planner.system.errors import DamagedFileError, InputFileError
 
     from ..reports.userstudy_report import headline, require, write_report
+    from ..userstudy.session import REPORT
 
     require()
+    out = out or folder / REPORT
     try:
-        summary = write_report(folder, out or folder / "report")
+        summary = write_report(folder, out)
     except (InputFileError, DamagedFileError, OSError) as error:
         fail(str(error), ExitCode.FAILED)
     if as_json:
@@ -38,4 +40,4 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     for row in rows:
         table.add_row(*row)
     print_table(table)
-    click.echo(f"the report is {(out or folder / 'report') / 'report.md'}")
+    click.echo(f"the report is {out / 'report.md'}")

@@ -176,8 +176,9 @@ def _report(folder: Path) -> None:
 
     from ..reports.userstudy_report import write_report
     from ..userstudy.export import archive
+    from ..userstudy.session import EXPORT, REPORT
 
-    with atomic(folder / "user-study.zip") as path:
+    with atomic(folder / EXPORT) as path:
         path.write_bytes(archive(folder))
-    write_report(folder, folder / "report")
-    click.echo(f"export: {folder / 'user-study.zip'}; report: {folder / 'report' / 'report.md'}", err=True)
+    write_report(folder, folder / REPORT)
+    click.echo(f"export: {folder / EXPORT}; report: {folder / REPORT / 'report.md'}", err=True)

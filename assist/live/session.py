@@ -263,10 +263,10 @@ class Session:
             return error
         if known is not None:
             return known
-        if record is None:
-            return course.robot(event.robot)
         arrival = event.person is None or event.kind == "arrived"
         answer = course.robot(event.robot) if arrival else course.person(event.person or "")
+        if record is None:
+            return answer
         self._store.add(record, answer, at=utc())
         touched |= course.touched(record)
         if event.kind in ("left", "began") or answer.get("finished"):
@@ -327,21 +327,25 @@ class Session:
                 return Tombstone("", utc(), reason, 0)
             if self._people is not None:
                 self._people.erase(person)
-            before = self._course
-            label = f"(erased {len(self._store.tombstones()) + 1})"
-            believed = before.beliefs()
-            self._unsaved = True
-            with self._store.transaction():
-                stone = self._store.rewrite(person, label, reason, before.without(person, label))
-                self._resume()
-                self._unsaved = True
-                kept = self._restored.beliefs()
-                if any(not _same(believed.get(name, belief), belief) for name, belief in kept.items()):
-                    raise RuntimeError("the others' beliefs would change; nothing was erased")
-            self._unsaved = False
-            if self.changed is not None:
-                self.changed({person})
+            stone = self._remove(person, self._store.next_label(), reason)
             self._store.purge()
+        return stone
+
+    def _remove(self, person: str, label: str, reason: str) -> Tombstone:
+        """Remove what is recorded of a person who has left, and check that the others' beliefs stay as they are."""
+        before = self._course
+        believed = before.beliefs()
+        self._unsaved = True
+        with self._store.transaction():
+            stone = self._store.rewrite(person, label, reason, before.without(person, label))
+            self._resume()
+            self._unsaved = True
+            kept = self._restored.beliefs()
+            if any(not _same(believed.get(name, belief), belief) for name, belief in kept.items()):
+                raise RuntimeError("the others' beliefs would change; nothing was erased")
+        self._unsaved = False
+        if self.changed is not None:
+            self.changed({person})
         return stone
 
     @property

@@ -99,7 +99,7 @@ class EventStore:
         self.file.parent.mkdir(parents=True, exist_ok=True)
         self._lock = os.open(self.file.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY)
         self._db: sqlite3.Connection = None  # type: ignore[assignment]  # until it is connected
-        self._full = False
+        self._failed: str | None = None  # why the last transaction could not be written
         try:
             self._lock_file()
             os.close(os.open(self.file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY))
@@ -173,6 +173,11 @@ class EventStore:
         n, record, answer = row
         return _document(record, self.file, n), _document(answer, self.file, n)
 
+    def next_label(self) -> str:
+        """Return a label for the next person whose records are erased."""
+        labels = [stone.label for stone in self.tombstones()]
+        return f"(erased {1 + sum(label.startswith('(erased ') for label in labels)})"
+
     def tombstones(self) -> list[Tombstone]:
         """Return what remains of the people whose records were erased."""
         with self._sqlite_errors():
@@ -196,7 +201,8 @@ class EventStore:
             with self._sqlite_errors():
                 self._db.execute("COMMIT")
         except BaseException as error:
-            self._full = self._full or isinstance(error, JournalError)
+            if isinstance(error, JournalError):
+                self._failed = str(error.strerror).partition(";")[0]
             self._abandon()
             raise
 
@@ -222,24 +228,24 @@ class EventStore:
             self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?)", row)
 
     def check(self, room: int = 1 << 16) -> None:
-        """Check, after the disk was full, whether there is room again for at least `room` bytes.
+        """Check, after something could not be written, whether there is room again for at least `room` bytes.
 
         Raises
         ------
         JournalError
-            The disk is still full.
+            The disk is still full, or cannot be written.
         """
-        if self._full:
+        if self._failed is not None:
             with self.transaction():
                 self.begin({"room": " " * room})
             with self.transaction(), self._sqlite_errors():
                 self._db.execute("DELETE FROM header WHERE rowid > 1")
-            self._full = False
+            self._failed = None
 
     def fault(self) -> str | None:
         """Return why events cannot be saved now, as far as it is known without an attempt; None if they can."""
-        if self._full:
-            return "the disk was full at the last attempt"
+        if self._failed is not None:
+            return f"{self._failed} at the last attempt"
         writable = os.access(self.file, os.W_OK) and os.access(self.file.parent, os.W_OK)
         return None if writable else f"{self.file.name} cannot be written"
 
@@ -305,14 +311,16 @@ class EventStore:
                 after, answered = change(*before)
                 count += own
                 if own:
+                    row = after.get("person") or "", after.get("id"), None if answered is None else _text(answered)
                     self._db.execute(
-                        "UPDATE events SET at = NULL, person = '', id = NULL, answer = NULL, record = ? WHERE n = ?",
-                        (_text(after), n),
+                        "UPDATE events SET at = NULL, person = ?, id = ?, answer = ?, record = ? WHERE n = ?",
+                        (*row, _text(after), n),
                     )
                 elif (after, answered) != before:
                     kept = None if answer is None else _text(answered)
                     self._db.execute("UPDATE events SET record = ?, answer = ? WHERE n = ?", (_text(after), kept, n))
             stone = Tombstone(label, utc(), reason, count)
+            self._db.execute("DELETE FROM erased WHERE label = ?", (person,))  # who withdrew and is erased later
             self._db.execute("INSERT INTO erased VALUES (?, ?, ?, ?, 0)", stone)
         return stone
 

@@ -153,6 +153,8 @@ def trade_off_figure(points: DataFrame, published: Mapping[str, float] | None = 
     source : str
         Name of their source.
     """
+    from matplotlib import rc_context
+
     shown = looks(points["policy"])
     instances = _names(points)
     figure, axes = _grid(len(instances), 1 if len(instances) == 1 else 2, height=4.2 if len(instances) == 1 else 3.5)
@@ -177,7 +179,8 @@ def trade_off_figure(points: DataFrame, published: Mapping[str, float] | None = 
         entries.append(entry(f"savings of {source}, relative to the baselines here", marker="*", markersize=9))
     if np.isfinite(points["actions_high"].to_numpy(dtype=float)).any():
         entries.append(entry("95 % intervals of the mean", **THIN))
-    entries.append(entry("cost of suggesting, of moving", marker="$0,0$", markersize=14, markeredgewidth=0))
+    with rc_context({"text.parse_math": True}):  # a text as a marker is a formula
+        entries.append(entry("cost of suggesting, of moving", marker="$0,0$", markersize=14, markeredgewidth=0))
     legend_below(figure, entries)
     note_points(figure, notes)
     return figure

@@ -33,7 +33,7 @@ FORMATS = (".png", ".svg", ".pdf")
 SETTINGS: dict[Any, Any] = {
     "font.size": 9, "axes.titlesize": 9, "axes.labelsize": 9, "legend.fontsize": 8.5, "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5, "figure.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False,
-    "grid.alpha": 0.3, "legend.frameon": False,
+    "grid.alpha": 0.3, "legend.frameon": False, "text.parse_math": False,
 }  # fmt: skip
 DARK = {
     "figure.facecolor": "#16191d", "axes.facecolor": "#16191d", "savefig.facecolor": "auto", "grid.color": "#8a9099",

@@ -115,12 +115,12 @@ def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], en
 
 @styled
 def flow_figure(flow: Rows) -> Figure:
-    """Plot how many participants reached each stage of the procedure, and how many left there.
+    """Plot how many participants reached each stage of the procedure, how many left there, and how many withdrew.
 
     Parameters
     ----------
     flow : sequence of dict
-        Keys `stage`, `reached`, `left`, `there`.
+        Keys `stage`, `reached`, `left`, `there`, `withdrew`.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
@@ -134,11 +134,12 @@ def flow_figure(flow: Rows) -> Figure:
         said = [str(row["reached"])]
         said += [f"{row['left']} left"] if row["left"] else []
         said += [f"{row['there']} present"] if row["there"] else []
+        said += [f"{row['withdrew']} withdrew"] if row["withdrew"] else []
         axis.annotate(", ".join(said), (row["reached"], -place), (5, 0), textcoords="offset points", va="center")
     axis.set_yticks([-place for place in range(len(flow))], [row["stage"] for row in flow])
     axis.set_xlim(0, 1.18 * max(1, flow[0]["reached"]))
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axis.set_xlabel("participants who reached this stage (grey: left there)")
+    axis.set_xlabel("participants who reached this stage and did not withdraw (grey: left there)")
     return figure
 
 

@@ -1,4 +1,8 @@
-"""A report as an HTML page."""
+"""A report as an HTML page, in which nothing but the program's own markup has an effect.
+
+Titles, names, reasons and options are anybody's words. Markup in them is shown as it is written; links lead nowhere.
+The page's own policy forbids scripts and whatever would be loaded from elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,8 @@ from planner.system.errors import MissingExtraError
 
 from .templates import rendered
 
+ELSEWHERE = re.compile(r'<img alt="([^"]*)" src="(?!figures/[\w-]+\.(?:png|svg)")[^"]*"[^>]*/>')
+"""Images that are no figures of the report; their descriptions stay."""
 IMAGE = re.compile(r'<img alt="([^"]*)" src="([^"]*)\.png" />')
 
 
@@ -35,7 +41,11 @@ def html_page(title: str, text: str, *, dark: bool) -> str:
     """
     import markdown
 
-    body = markdown.markdown(text, extensions=["tables"])
+    reader = markdown.Markdown(extensions=["tables"])
+    reader.preprocessors.deregister("html_block")
+    for pattern in ("html", "autolink", "automail", "link", "reference", "short_reference", "image_reference"):
+        reader.inlinePatterns.deregister(pattern)
+    body = ELSEWHERE.sub(r"\1", reader.convert(text))
     body = IMAGE.sub(_for_both_backgrounds, body) if dark else body
     return rendered("page.html.jinja", title=title, body=body, dark=dark)
 

@@ -186,21 +186,27 @@ def _conditions(study: UserStudy, tables: Tables) -> list[Row]:
     found, policies = [], {one.name: one.policy for one in study.conditions}
     for name, order in study.orders.items():
         own = [row["status"] for row in tables.participants if row["condition"] == name]
-        done, here = own.count("done"), own.count("here")
-        counts = {"begun": len(own), "done": done, "under_way": here, "left": len(own) - done - here}
+        done, here, withdrew = own.count("done"), own.count("here"), own.count("withdrew")
+        counts = {"begun": len(own), "done": done, "under_way": here, "withdrew": withdrew}
+        counts["left"] = len(own) - done - here - withdrew
         found.append({"condition": name, "policy": " > ".join(policies[one] for one in order), **counts})
     return found
 
 
 def _flow(study: UserStudy, tables: Tables) -> list[Row]:
-    """Return the numbers of participants who reached each stage, and who left there."""
+    """Return the numbers of participants who reached each stage, who left there, and who withdrew there.
+
+    Who withdrew, perhaps after the end, counts at no stage as somebody who reached it.
+    """
     stages = [stage.name for stage in study.stages]
     at = [(stages.index(row["stage"]), row["status"]) for row in tables.participants]
+    kept = [(stage, status) for stage, status in at if status != "withdrew"]
     return [
         {
-            "stage": name, "reached": sum(stage >= number for stage, _ in at),
-            "left": sum(stage == number and status not in ("done", "here") for stage, status in at),
-            "there": sum(stage == number and status == "here" for stage, status in at),
+            "stage": name, "reached": sum(stage >= number for stage, _ in kept),
+            "left": sum(stage == number and status not in ("done", "here") for stage, status in kept),
+            "there": sum(stage == number and status == "here" for stage, status in kept),
+            "withdrew": sum(stage == number and status == "withdrew" for stage, status in at),
         }
         for number, name in enumerate(stages)
     ]  # fmt: skip

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from ..study.study import OWN
 
 Record = dict[str, Any]
+
+MARKUP = re.compile(r"<(?=[!/?a-zA-Z])")
+"""Signs with which HTML begins a tag or a comment."""
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -19,8 +23,8 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def cell(content: object) -> str:
-    """Return the text of a cell of a Markdown table."""
-    return str(content).replace("|", "\\|")
+    """Return the text of a cell of a Markdown table: on one line, with markup shown as it is written."""
+    return MARKUP.sub("&lt;", " ".join(str(content).split()).replace("|", "\\|"))
 
 
 def short(text: str, most: int = 48) -> str:

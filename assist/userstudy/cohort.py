@@ -71,7 +71,7 @@ class Cohort:
     # Events.
 
     def happen(self, event: Event, time: float) -> dict[str, Any] | None:
-        """Apply an event; return its record, or None if the passing of time had no effect.
+        """Apply an event; return its record, or None if it has no effect: time that passes, a repeated withdrawal.
 
         Raises
         ------
@@ -137,7 +137,7 @@ class Cohort:
     def _facts(self, person: Participant, event: Event, n: int, time: float) -> dict[str, Any] | None:
         """Apply an event to the participant's team; return the record's fields that depend on its kind.
 
-        The result is None for elapsed time without effect.
+        The result is None for an event without effect.
         """
         stage, kind = self.stages[person.at], event.kind
         if kind == "returned" and person.status in (GONE, FULL):
@@ -154,6 +154,8 @@ class Cohort:
             return {"status": GONE} | self._parts(person, n, time)
         if kind == "excluded":
             return self._excludes(person, event)
+        if kind == "withdrew" and person.status in (WITHDREW, DECLINED):
+            return None
         if kind == "withdrew" and person.status in (GONE, FULL, DONE, UNMATCHED):
             self._in_time(person, event)
             return {"status": DECLINED if stage.kind == "consent" else WITHDREW} | self._parts(person, n, time)
@@ -285,8 +287,10 @@ class Cohort:
         group, period = self.groups.begun[record["group"]], record.get("period", 1)
         for code in record["members"]:
             person = self.participants[code]
-            person.at, person.entered = self.study.begins_at(period), record["time"]
             person.condition, person.group = group.condition, record["group"]
+            if person.removed:
+                continue
+            person.at, person.entered = self.study.begins_at(period), record["time"]
             person.groups["task", period] = group.teams[period]
 
     def _note(self, record: Mapping[str, Any]) -> None:
@@ -314,8 +318,9 @@ class Cohort:
             return
         if record["event"] in ("visited", VACANT):
             self.participants[record["person"]] = Participant(
-                record["person"], bool(record.get("simulated")), erased=record["event"] == VACANT
-            )
+                record["person"], bool(record.get("simulated")), erased=record["event"] == VACANT,
+                removed="reached" in record, at=record.get("reached", 0),
+            )  # fmt: skip
         person = self.participants[record["person"]]
         self._touched.add(person.code)
         if record["event"] in ("visited", "onward"):
@@ -368,10 +373,24 @@ class Cohort:
         taking_part = self.known(person).status in (HERE, GONE, FULL, DONE, UNMATCHED)
         return StudyEvent("withdrew", person, late=True) if taking_part else None
 
+    def withdrawn(self) -> list[str]:
+        """Return the codes of participants who withdrew and whose records are still there."""
+        return [
+            code
+            for code, who in self.participants.items()
+            if who.status == WITHDREW and not (who.removed or who.erased)
+        ]
+
     def without(self, person: str, label: str) -> Change:
         """Return a function that removes what is recorded of a participant from a record and its answer.
 
         The order of arrival and the assigned condition remain, on which the conditions of others depend.
+
+        Parameters
+        ----------
+        person : str
+        label : str
+            Stands for the participant; the participant's code after a withdrawal, which then remains.
         """
         who = self.known(person)
         teams = {} if who.group is None else self.groups.begun[who.group].teams
@@ -392,7 +411,7 @@ class Cohort:
 
     def _at_task(self, person: Participant) -> ParticipantTeam:
         stage = self.stages[person.at]
-        if stage.kind not in ("practice", "task"):
+        if stage.kind not in ("practice", "task") or person.removed:
             raise InapplicableError(f"{person.code} is at {stage.name}; no action is possible there")
         return person.groups[stage.kind, stage.period]
 
@@ -429,7 +448,7 @@ class Cohort:
             "reason": None, "cost_to_go": None, "steps": 0, "finished": False, "explained": False,
         }  # fmt: skip
         over = False
-        if stage.kind in ("practice", "task"):
+        if stage.kind in ("practice", "task") and not who.removed:
             seen, over = self._at_task(who).seen(person) | {"present": True}, self.is_over(who)
             if over:
                 seen |= {"applicable": [], "suggestion": None, "reason": None}
@@ -447,7 +466,8 @@ class Cohort:
         if kind == WAITING and self.study.group is not None:
             waiting, expected = self.groups.company(who)
             study["waiting"] = {"here": len(waiting), "of": expected}
-        return seen | {"seq": who.seq, "study": study}
+        # The removal of records moves the last event of a participant before views that were sent.
+        return seen | {"seq": self.count if who.removed else who.seq, "study": study}
 
     def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
         """Return a function that explains a participant's suggestion, as `Course.explain_later` does.

@@ -39,6 +39,8 @@ class Participant:
         Why the researchers exclude the participant from the analysis.
     erased : bool
         Whether the records were erased; `code` is then a label.
+    removed : bool
+        Whether the participant withdrew and the records were removed; `code`, `at` and `condition` remain.
     group : str or None
         Name of the participant's group, once it has begun.
     groups : dict of ParticipantTeam
@@ -57,6 +59,7 @@ class Participant:
     completion: str | None = None
     excluded: str | None = None
     erased: bool = False
+    removed: bool = False
     group: str | None = None
     groups: dict[tuple[str, int], ParticipantTeam] = field(default_factory=dict)
 

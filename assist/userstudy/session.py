@@ -1,23 +1,29 @@
 """A user study as a live session: events are saved before they are acknowledged, and a session can be resumed.
 
 The folder contains the journal, a copy of the study's file, and the secret of the links.
+
+What a participant withdraws is removed before the withdrawal is acknowledged, by the function that erases records. If
+the removal fails, it is tried again with later events, and when the session is opened again.
 """
 
 from __future__ import annotations
 
+import logging
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from planner import CostToGo
 from planner.system.errors import ResultsExistError
-from planner.system.files import atomic
+from planner.system.files import atomic, remove_unfinished
 
 from ..live.course import Course
+from ..live.events import Event
 from ..live.header import files_of
 from ..live.live_task import LiveTask, digest
-from ..live.session import Session
+from ..live.session import Outcome, Session
+from ..live.store import Tombstone
 from ..people.goals import first_of
 from ..people.user_code import parse
 from ..person.policy import Policy
@@ -30,7 +36,14 @@ from .plan import UserStudy
 FORMAT = "kitassist user study 1"
 """Format of journals."""
 
-JOURNAL, PLAN = "journal.sqlite", "study.toml"
+JOURNAL, PLAN, EXPORT, REPORT = "journal.sqlite", "study.toml", "user-study.zip", "report"
+"""Names in a study's folder; the last two are made from the journal, and can be made again."""
+
+WITHDRAWN = "withdrew"
+"""The reason that remains of a withdrawal."""
+
+RETRY = 10.0
+"""Seconds between two attempts to remove what was withdrawn, each of which may take as long as opening the study."""
 
 
 class StudySession(Session):
@@ -53,6 +66,10 @@ class StudySession(Session):
 
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], folder: str | Path) -> None:
         self.study = study
+        self._remains, self._tried = (
+            False,
+            0.0,
+        )  # whether something withdrawn could not be removed, and the last attempt
         self._policies = {one.name: _policy(study, one.policy) for one in study.conditions}
         # Solved once for all teams with the same setting.
         self._solved: list[tuple[Setting, dict[str, Any]]] = []
@@ -66,6 +83,10 @@ class StudySession(Session):
         if not self._plan.exists():
             with atomic(self._plan) as path:
                 shutil.copyfile(study.file, path)
+        try:
+            self._remove_withdrawn()
+        except Exception:
+            logging.getLogger(__name__).exception("what was withdrawn could not be removed; it will be tried again")
 
     def _once(self, task: CostToGo, setting: Setting) -> Policy:
         return LiveTask(task, setting, self.study.population).policy
@@ -92,6 +113,56 @@ class StudySession(Session):
         setting = self.study.setting if condition is None else self.study.condition(condition).setting
         solved = next(tasks for other, tasks in self._solved if other == setting)
         return Course(solved, policy=policy, setting=setting, population=self.study.population)
+
+    # Withdrawals.
+
+    def report(self, events: Sequence[Event]) -> list[Outcome]:
+        """Apply events as `Session.report` does; a withdrawal succeeds when the participant's records are removed.
+
+        A withdrawal whose records cannot be removed now is recorded, but its outcome is the error.
+        """
+        with self.lock:
+            outcomes = super().report(events)
+            withdrawals = [place for place, event in enumerate(events) if event.kind == "withdrew"]
+            if not withdrawals and not (self._remains and self._clock() >= self._tried + RETRY):
+                return outcomes
+            try:
+                self._remove_withdrawn()
+            except Exception as error:
+                logging.getLogger(__name__).exception("what was withdrawn could not be removed; it will be tried again")
+                for place in withdrawals:
+                    if not isinstance(outcomes[place], Exception):
+                        outcomes[place] = error
+            return outcomes
+
+    def _remove_withdrawn(self) -> None:
+        """Remove the records of those who withdrew, and what was made from them; does nothing if nothing is left."""
+        self._remains, self._tried = True, self._clock()
+        for code in self.cohort.withdrawn():
+            self._remove(code, code, WITHDRAWN)
+        self._store.purge()
+        self._remains = False
+
+    def _remove(self, person: str, label: str, reason: str) -> Tombstone:
+        stone = super()._remove(person, label, reason)
+        self._remove_derived()
+        return stone
+
+    def _remove_derived(self) -> None:
+        """Remove the export and the report in the folder, which have the data of everybody at that time."""
+        report = self.folder / REPORT
+        (self.folder / EXPORT).unlink(missing_ok=True)
+        for name in ("report.md", "report.html", "summary.json"):
+            (report / name).unlink(missing_ok=True)
+        for ending in ("png", "svg"):
+            for figure in (report / "figures").glob(f"*.{ending}"):
+                figure.unlink(missing_ok=True)
+        remove_unfinished([self.folder, report, report / "figures"])
+
+    def fault(self) -> str | None:
+        """Return why events cannot be saved, or what was withdrawn not be removed; None if all is well."""
+        remains = "what a participant withdrew could not be removed yet" if self._remains else None
+        return super().fault() or remains
 
     @property
     def cohort(self) -> Cohort:

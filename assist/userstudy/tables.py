@@ -190,6 +190,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     people: dict[str, Row] = {}
     current: dict[str, Row] = {}
     began: dict[str, float] = {}
+    removed: dict[str, str] = {}
     steps: dict[str, int] = {}
 
     def enters(code: str, stage: Stage, time: float) -> None:
@@ -227,6 +228,8 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             }  # fmt: skip
             at[code] = 0
         person, stage = people[code], stages[at[code]]
+        if "reached" in record:  # the records of a withdrawal were removed
+            removed[code] = stages[record["reached"]].name
         if event in EVENTS:
             found.events.append({
                 "participant": code, "time": record["time"], "utc": utc, "event": event, "stage": person["stage"],
@@ -264,8 +267,14 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     most = study.exclude_failed_checks
     for person in people.values():
         if person["status"] == "withdrew":
-            person["completion_code"] = person["excluded"] = None
-            person["failed_checks"] = 0
+            person |= {
+                "arrived": None,
+                "consented": None,
+                "completion_code": None,
+                "excluded": None,
+                "failed_checks": 0,
+            }
+            person["stage"] = removed.get(person["participant"], person["stage"])
         elif most is not None and person["failed_checks"] >= most and person["excluded"] is None:
             person["excluded"] = f"failed {most} or more attention checks"
     for name in ("tasks", "actions", "answers", "events"):

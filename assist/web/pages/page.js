@@ -60,6 +60,15 @@ export function keep(key, value, where = "sessionStorage") {
   }
 }
 
+/** Forget what this tab keeps under keys that begin so. */
+export function forget(beginning) {
+  try {
+    for (const key of Object.keys(sessionStorage)) if (key.startsWith(beginning)) sessionStorage.removeItem(key);
+  } catch {
+    // no storage
+  }
+}
+
 /** Minutes and seconds. */
 export const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 

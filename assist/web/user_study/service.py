@@ -234,7 +234,7 @@ class StudyService(Service):
         now, study = self.session.now(), self.study
         people = []
         for code, person in cohort.participants.items():
-            tasks = [] if person.erased else person.at_tasks()
+            tasks = [] if person.erased or person.removed else person.at_tasks()
             people.append({
                 "code": code, "status": person.status, "stage": cohort.stages[person.at].name,
                 "number": person.at + 1, "condition": person.condition, "connected": self.connected(code),

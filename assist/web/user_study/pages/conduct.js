@@ -4,7 +4,7 @@ import { LONG, Refused, ask, askJson } from "../../pages/connection.js";
 import { all, at, clock, complain, focused } from "../../pages/page.js";
 
 const BETWEEN = 2000; // milliseconds between two updates
-const LEFT = ["gone", "withdrew", "declined", "full", "unmatched"];
+const LEFT = ["gone", "declined", "full", "unmatched"];
 const STATES = { done: "completed", gone: "dropped out", withdrew: "withdrew", declined: "no consent", full: "study full", unmatched: "no group" };
 
 function cell(content, kind = "") {
@@ -93,11 +93,13 @@ function show(study) {
   at("balance").textContent = within
     ? `The most and the least frequent order differ by ${apart}. An order is assigned when a participant's first task begins.`
     : `The largest and the smallest condition differ by ${apart}. A condition is assigned when a participant's first task begins.`;
+  const kept = participants.filter((one) => one.status !== "withdrew");
   at("flow").replaceChildren(...stages.map((name, number) => row([
     cell(name),
-    cell(participants.filter((one) => one.number > number).length, "count"),
-    cell(participants.filter((one) => one.number === number + 1 && one.status === "here").length, "count"),
-    cell(participants.filter((one) => one.number === number + 1 && LEFT.includes(one.status)).length, "count"),
+    cell(kept.filter((one) => one.number > number).length, "count"),
+    cell(kept.filter((one) => one.number === number + 1 && one.status === "here").length, "count"),
+    cell(kept.filter((one) => one.number === number + 1 && LEFT.includes(one.status)).length, "count"),
+    cell(participants.filter((one) => one.number === number + 1 && one.status === "withdrew").length, "count"),
   ])));
   const key = focused()?.dataset.key;
   at("people").replaceChildren(...[...participants].reverse().map((one) => {

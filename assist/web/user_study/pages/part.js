@@ -1,7 +1,7 @@
 // A participant's page: consent, instructions, questionnaires and the end. It redirects to the page of tasks.
 
 import { Outbox, askJson, follow, passes, pageOf, person, place } from "../../pages/connection.js";
-import { all, at, complain, element, keep, language, recall, sentence, text } from "../../pages/page.js";
+import { all, at, complain, element, forget, keep, language, recall, sentence, text } from "../../pages/page.js";
 import { Questions } from "./questions.js";
 
 const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${rest}`;
@@ -86,7 +86,10 @@ const STAGES = {
   unmatched: (study) => ends(study, text("study.unmatched"), `<p>${text("study.unmatched_text")}</p>`),
   thanks: (study) => ends(study),
   declined: () => plain(text("study.declined"), text("study.declined_text")),
-  withdrew: () => plain(text("study.left"), text("study.left_text")),
+  withdrew: () => {
+    forget(`kitassist draft ${place} `);
+    plain(text("study.left"), text("study.left_text"));
+  },
   gone: () => {
     plain(text("study.returned"), text("study.returned_text"));
     send("return", {});

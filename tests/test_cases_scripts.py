@@ -1,0 +1,134 @@
+"""Markup in anything that people or researchers write has no effect: on no page, in no report, in no file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from serving import served
+from test_live_pages import CHROMIUM, chromium
+from test_userstudy_pages import PATIENCE
+from userstudies import PLAN, Part, written
+
+from assist.reports.html_page import html_page
+from assist.reports.userstudy_report import write_report
+from assist.reports.wording import cell, table
+from assist.userstudy.plan_file import read
+from assist.userstudy.session import StudySession
+from planner import Table
+
+__all__ = ["chromium"]
+IMAGE = "<img src=x onerror=window.ran=1>"
+RUNS = f"</title></script><script>window.ran=1</script>{IMAGE}[x](javascript:window.ran=1)"
+ATTACKED = (
+    PLAN.replace("A small study", RUNS)
+    .replace('text = "I was wary."', f'text = "{RUNS}"')
+    .replace('name = "attention"\n', f'name = "{IMAGE} $x_{{$"\n')
+    .replace("Do you *agree*?", f"Do you *agree*? {RUNS} <a href='javascript:window.ran=1' id=evil>me</a>")
+    .replace("Anything else?", f"{RUNS}\\n# {RUNS}")
+    .replace("[[questionnaires]]", f"# {RUNS}\n[[questionnaires]]", 1)
+    + f"""
+[[questionnaires]]
+form = "choice"
+name = "which"
+title = "{RUNS}"
+introduction = "{RUNS}"
+items = [{{ name = "which", text = "{RUNS}", options = ["{RUNS}", "{IMAGE}"], required = false }}]
+"""
+)
+WATCH = """
+window.blocked = [];
+addEventListener("securitypolicyviolation", (event) => window.blocked.push(event.violatedDirective));
+"""
+
+
+def test_a_report_shows_markup_as_it_is_written() -> None:
+    text = "\n\n".join([
+        f"# {RUNS}", "![Each measure](figures/outcomes.png)", table(["a", "b"], [[RUNS, "p < .001"]]),
+        f"<div onclick='window.ran=1'>\n{RUNS}\n</div>", "<!-- a comment -->", "[x]: javascript:window.ran=1",
+        "[x] [y][x]",
+        "![z](https://evil.example/z.png) ![z](//evil.example/z.png) ![z][x]", "<https://evil.example>",
+    ])  # fmt: skip
+    page = html_page(RUNS, text, dark=True)
+    body = page.partition("</style>")[2].removesuffix("</html>\n")
+    for tag in ("<script", "<img src=x", "<div", "<a ", "<!--", 'src="http', 'src="//', "href="):
+        assert tag not in body, tag
+    assert "&lt;script&gt;window.ran=1" in body
+    assert 'figures/outcomes.svg"' in body
+    assert "p &lt; .001" in body
+    assert page.count("<title>") == page.count("</title>") == 1
+    assert "default-src 'none'" in page
+
+
+def test_a_cell_is_one_line_of_one_cell() -> None:
+    assert cell("a|b\n| c |\r\n# d <script> 1 < 2") == "a\\|b \\| c \\| # d &lt;script> 1 < 2"
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+def test_no_script_in_a_report_runs(chromium: Any, tiny: Table, tmp_path: Path) -> None:
+    """The reason of an exclusion, titles, names of conditions, questions and their options; figures are shown."""
+    study = read(written(tmp_path / "study.toml", ATTACKED))
+    session = StudySession(study, {"tiny": tiny, "practice": tiny}, tmp_path / "data")
+    for name in ("ann", "bob"):
+        part = Part(session, name)
+        part.come()
+        part.to("questionnaire which")
+        part.onward({"which": RUNS})
+    part.report("excluded", reason=RUNS)
+    session.close()
+    write_report(tmp_path / "data", tmp_path / "report")
+    context = chromium.new_context()
+    context.add_init_script(WATCH)
+    page = context.new_page()
+    page.goto((tmp_path / "report" / "report.html").as_uri())
+    assert page.evaluate("[window.ran, window.blocked]") == [None, []]
+    assert page.evaluate("[...document.images].every((one) => one.naturalWidth > 0) && document.images.length") >= 3
+    assert page.locator("script, a, div").count() == 0
+    assert page.locator(f"td:has-text('{IMAGE}')").count() >= 1
+    figures = list((tmp_path / "report" / "figures").glob("*.svg"))
+    assert figures
+    for figure in figures:
+        page.goto(figure.as_uri())
+        assert page.evaluate("window.ran ?? null") is None
+        assert page.locator("script").count() == 0
+    context.close()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any, tmp_path: Path) -> None:
+    """Every page obeys a policy without inline scripts. What the policy had to stop is only what researchers wrote."""
+    file = written(tmp_path / "study.toml", ATTACKED)
+    with served("--study", file, "--data", tmp_path / "data", instance=None) as study:
+        context = chromium.new_context()
+        context.add_init_script(WATCH)
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        for path in ("/", "/study/nowhere", "/docs"):
+            page.goto(study.url + path)
+            page.wait_for_selector("h1")
+            assert page.evaluate("[window.ran, window.blocked]") == [None, []], path
+        page.goto(study.links["everybody"])
+        page.wait_for_selector("#form button")
+        page.click("#evil")
+        assert page.evaluate("window.ran ?? null") is None
+        page.goto(page.url)
+        person = page.url.partition("/part/")[2].partition("#")[0]
+        for stage in ("consent", "instructions"):
+            answer = study.ask("POST", f"/api/study/participants/{person}/onward", json={"stage": stage})
+            assert answer.status_code == 200
+        page.goto(study.links["everybody"].partition("#")[0].replace("/study", f"/join/{person}"))
+        page.wait_for_selector("#drawing svg")
+        assert page.evaluate("[window.ran, window.blocked]") == [None, []]
+        view = study.ask("GET", f"/api/people/{person}").json()
+        assert view["study"]["kind"] == "practice"
+        study.ask("POST", f"/api/study/participants/{person}/exclude", json={"reason": RUNS})
+        page.goto(study.operator)
+        page.wait_for_selector(f"#people td:has-text('{IMAGE}')")
+        assert page.evaluate("[window.ran, window.blocked]") == [None, []]
+        page.goto(study.links["everybody"].replace("/study#", "/study?withdraw#"))
+        page.fill("#code", IMAGE)
+        page.click("#withdraw button")
+        page.wait_for_selector("#text:has-text('no such code')")
+        assert page.evaluate("[window.ran, window.blocked]") == [None, []]
+        context.close()
