@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -296,7 +297,9 @@ def chosen(
     """Return the fields of a view that a file names, or the usual ones."""
     for name in fields or ():
         if name not in known:
-            raise fault(file, f"{place}.fields", f"{name!r}; expected some of {', '.join(sorted(known))}")
+            near = get_close_matches(name, known, n=1, cutoff=0.75)  # a slip of the hand, not another word
+            right = f"did you mean {near[0]!r}?" if near else f"expected some of {', '.join(sorted(known))}"
+            raise fault(file, f"{place}.fields", f"{name!r}; {right}")
     return fields or usual
 
 

@@ -288,6 +288,10 @@ class MqttBridge:
         elif before is not None and before[0].id != report.id:
             why = f"the number {number} belongs to the id {before[0].id!r}; expected one id for each"
             self._answer(report.person, report.id, None, "refused", why)
+        elif order.jumps(number):
+            missing = order.missing(number)
+            why = f"number {number}: the numbers {missing[0]} to {missing[-1]} did not arrive; expected {missing[0]}"
+            self._answer(report.person, report.id, None, "refused", why)
         else:
             self._hand_over(report.person, order.take(number, (report, lambda: None)))
 

@@ -8,6 +8,9 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
+FAR = 50
+"""Missing numbers before a number, above which it is a sender's mistake; messages are not delayed by so many others."""
+
 
 class InOrder(Generic[T]):
     """Holds back items until all with lower numbers have arrived.
@@ -29,6 +32,7 @@ class InOrder(Generic[T]):
     def __init__(self, first: int = 1, room: int = 1000) -> None:
         self.next, self.held, self._room = first, dict[int, T](), room
         self._passed = deque[range](maxlen=room)
+        self._far: int | None = None
 
     def take(self, number: int, item: T) -> list[T]:
         """Return the items that can be processed now, in order.
@@ -38,9 +42,27 @@ class InOrder(Generic[T]):
         """
         if number < self.next:
             return [item]
+        before = list[T]()
+        if number - 1 == self._far and len(self.missing(number)) > FAR:
+            self._passed.append(self.missing(number))
+            before = self.resume(number)
         if len(self.held) < self._room or number == self.next:
             self.held.setdefault(number, item)
-        return self._released()
+        return before + self._released()
+
+    def missing(self, number: int) -> range:
+        """Return the numbers that have to arrive before a number is released."""
+        return range(self.next, max(self.next, number))
+
+    def jumps(self, number: int) -> bool:
+        """Return whether a number is too far ahead to wait for those before it, unless it follows the last such number.
+
+        Then the sender goes on from there, and `take` passes over the numbers before.
+        """
+        if len(self.missing(number)) <= FAR or number - 1 == self._far:
+            return False
+        self._far = number
+        return True
 
     def late(self, number: int) -> bool:
         """Return whether a number has been passed over."""
