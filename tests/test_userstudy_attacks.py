@@ -35,14 +35,14 @@ def test_a_hostile_visitor_is_refused_and_disturbs_nobody(tiny: Table, tmp_path:
 
 def attacks(web: Web, table: Table) -> None:
     ask, key = web.ask, {"key": "k" * 24}
-    links = ask("POST", "/api/study/links", json={"participants": ["7", "8"]}).json()["links"]
-    seven, eight = (parse_qs(urlsplit(link).query)["signature"][0] for link in links.values())
 
     def joins(**body: Any) -> Any:
         return ask("POST", "/api/study/seats", VISITOR, json=body)
 
+    eve = joins(id="eve").json()["person"]  # before there are signed links
+    links = ask("POST", "/api/study/links", json={"participants": ["7", "8"]}).json()["links"]
+    seven, eight = (parse_qs(urlsplit(link).query)["signature"][0] for link in links.values())
     ann = joins(id="participant 7", signature=seven).json()["person"]
-    eve = joins(id="eve").json()["person"]
     own, hers = f"/api/people/{ann}", f"/api/study/participants/{ann}"
     mine = f"/api/study/participants/{eve}"
     assert web.onward(ann, "consent", id="once").status_code == 200
@@ -166,7 +166,7 @@ def attacks(web: Web, table: Table) -> None:
     packed = zipfile.ZipFile(io.BytesIO(ask("GET", "/api/study/export").content))
     everything = {name: packed.read(name).decode() for name in packed.namelist() if name.endswith(".csv")}
     people = everything["participants.csv"].splitlines()[1:]
-    assert [(row.split(",")[0], row.split(",")[1]) for row in people] == [(ann, "false"), (eve, "false")]
+    assert [(row.split(",")[0], row.split(",")[1]) for row in people] == [(eve, "false"), (ann, "false")]
     cells = [cell for name, text in everything.items() for row in text.splitlines() for cell in row.split(",")]
     assert any(cell.startswith("\"'=HYPERLINK") for cell in cells)  # a text, not a formula
     assert not any(cell.startswith(("=", '"=')) for cell in cells)

@@ -54,6 +54,7 @@ class Web:
 
     def ask(self, method: str, path: str, who: str | None = None, **more: Any) -> Any:
         token = self.access.operator if who is None else self.access.token(who)
+        self.client.cookies.clear()  # each request is of another browser
         return self.client.request(method, path, headers={"Authorization": f"Bearer {token}"}, **more)
 
     def come(self, visit: str) -> Any:
@@ -236,7 +237,7 @@ def test_whoever_conducts_a_study_sees_which_orders_are_drawn(tiny: Table, tmp_p
 
 
 def test_who_is_not_connected_for_long_is_gone_and_may_come_back(tiny: Table, tmp_path: Path) -> None:
-    plan = PLAN.replace("away = 10", "away = 0.002").replace("seed = 3", "seed = 3\nparticipants = 1")
+    plan = PLAN.replace("away = 10", "away = 0.01").replace("seed = 3", "seed = 3\nparticipants = 1")
     web = Web(tiny, tmp_path, plan, look_every=0.02)
     with web.client:
         ann = web.come("ann").json()["person"]
@@ -244,7 +245,7 @@ def test_who_is_not_connected_for_long_is_gone_and_may_come_back(tiny: Table, tm
         token = web.access.token(ann)
         with web.client.websocket_connect(f"{path}/events", subprotocols=["kitassist", f"token.{token}"]) as tab:
             assert tab.receive_json()["study"]["kind"] == "consent"
-            time.sleep(0.4)  # longer than away, but connected
+            time.sleep(0.8)  # longer than away, but connected
             assert web.ask("GET", path, ann).json()["study"]["kind"] == "consent"
         deadline = time.monotonic() + PATIENCE / 1000
         while web.ask("GET", path).json()["study"]["kind"] != "gone":

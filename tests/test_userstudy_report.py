@@ -16,6 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from conftest import KITTING
@@ -161,7 +162,7 @@ def test_what_people_typed_breaks_neither_the_page_nor_a_table(tmp_path: Path) -
     folder = exported(tmp_path / "data", participants=away)
     written(folder / "study.toml", PLAN.replace("A small study", "Kits </title> & 'trays'"))
     run("study-report", folder)
-    assert r"| excluded by the researchers: left \| <ran> | 2 |" in (folder / "report" / "report.md").read_text()
+    assert r"| excluded by the researchers: left \| &lt;ran> | 2 |" in (folder / "report" / "report.md").read_text()
     assert "<title>Kits &lt;/title&gt; &amp; &#39;trays&#39;</title>" in (folder / "report" / "report.html").read_text()
 
 
@@ -260,14 +261,25 @@ def test_statistics_are_those_worked_out_by_hand() -> None:
     assert cronbach_alpha([[1, 1], [2, 3], [3, 2]]) == pytest.approx(2 * (1 - 2 / 3))
     assert cronbach_alpha([[1, 2], [2, 3], [3, 4]]) == pytest.approx(1)
     assert detectable(64, 64) == pytest.approx(0.5, abs=0.005)  # Cohen (1988): 64 in each group for d = 0.5
-    assert detectable_within(34) == pytest.approx(0.5, abs=0.01)  # as G*Power has it: 34 pairs for d = 0.5
     crossed = [(1, 2), (2, 1)]
+    assert detectable_within(crossed * 17) == pytest.approx(0.5, abs=0.01)  # as G*Power has it: 34 pairs for d = 0.5
     for nothing in (
         within_participants([1, 1], crossed).difference.low, within_participants([1, 2], crossed).hedges_g,
-        detectable_within(1), between_groups([1], [2, 3]).difference.low, between_groups([1], [2, 3]).hedges_g,
+        detectable_within([(1, 2)]), detectable_within(crossed), detectable_within([(1, 2)] * 9),
+        between_groups([1], [2, 3]).difference.low, between_groups([1], [2, 3]).hedges_g,
         between_groups([1, 1], [2, 2]).p, cronbach_alpha([[1, 2]]), detectable(1, 5),
     ):  # fmt: skip
         assert math.isnan(nothing)
+
+
+@pytest.mark.parametrize("periods", [[(1, 2), (2, 1)] * 3, [(1, 2)] * 2 + [(2, 1)] * 5, [(1, 2), (2, 3), (3, 1)] * 3])
+def test_four_of_five_studies_show_the_difference_that_is_called_detectable(periods: list[tuple[int, int]]) -> None:
+    """Also in small studies, in which the effects of periods take degrees of freedom, and with unequal orders."""
+    effect, rng, studies = detectable_within(periods), np.random.default_rng(5), 1500
+    learnt = np.array([2.0 * before - 2.0 * after for after, before in periods])
+    drawn = effect + learnt + rng.standard_normal((studies, len(periods)))
+    shown = [within_participants(one, periods).p < 0.05 for one in drawn]
+    assert np.mean(shown) == pytest.approx(0.8, abs=0.031)  # three standard errors
 
 
 def test_no_cell_of_a_table_is_a_formula() -> None:

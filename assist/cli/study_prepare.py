@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from pathlib import Path
 
@@ -43,21 +42,23 @@ def study_prepare(file: Path, data: Path, links: Path | None, public_url: str | 
         fail(str(error), ExitCode.USAGE)
     if public_url is None:
         raise click.UsageError("--links: expected --public-url URL as well, with which the links begin")
+    from ..userstudy.tables import written
     from ..web.tokens import AccessTokens
     from ..web.user_study.service import participant_url
 
     ids = _ids(links)
     data.mkdir(parents=True, exist_ok=True)
     access = AccessTokens.kept(data / "secret", public_url)
-    writer = csv.writer(sys.stdout, lineterminator="\n")
-    writer.writerow(("participant", "link"))
-    writer.writerows((one, participant_url(access, one)) for one in ids)
+    rows = ({"participant": one, "link": participant_url(access, one, data)} for one in ids)
+    sys.stdout.write(written(("participant", "link"), rows))
 
 
 def _ids(file: Path, longest: int = 100) -> list[str]:
     """Return the IDs in a file, one a line; empty lines are left out."""
+    from ..userstudy.codes import identifier
+
     try:
-        lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
+        lines = [identifier(line) for line in file.read_text(encoding="utf-8-sig").splitlines()]
     except UnicodeDecodeError:
         raise click.UsageError(f"--links {file}: expected a text file in UTF-8") from None
     found: dict[str, int] = {}

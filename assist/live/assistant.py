@@ -517,13 +517,21 @@ class Assistant:
         This takes little time. The function may be called from another thread.
         """
         place = None if person is None else self._team.known(person).place
-        # The robot that attends to the person explains, or else the first one.
-        number = self._places.at.index(place) if place in self._places.at else 0
-        location = self._places.at[number]
+        # The robot that attends to the person explains, or else one that attends to nobody, or else the first.
+        numbers = range(len(self._places.at))
+        mine = [number for number in numbers if self._places.at[number] == place]
+        idle = [number for number in numbers if not self._attends(number)]
+        number = next(iter([*mine, *idle]), 0)
+        location = self._places.at[number] if number in mine or number not in idle else BASE
         return partial(
             self._decisions.point(number).explanation, place, None if location == BASE else location,
             arrived=not self._places.under_way[number], against=against,
         )  # fmt: skip
+
+    def _attends(self, number: int) -> bool:
+        """Return whether a robot, numbered from 0, is on its way, or at a person who has its suggestion."""
+        location = self._places.at[number]
+        return self._places.under_way[number] or (location != BASE and self._team.robot[location] != 0)
 
     # Views.
 

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from planner import CostToGo
 
 from ..explain.explanation import Explanation, WhyNothing
+from ..people.action_names import in_pddl
 from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.human import Population
@@ -33,7 +34,7 @@ from ..team.state import TeamPolicy
 from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
 from .erasing import without
-from .events import KINDS, NAME, AbsentError, Event, InvalidError, advised, require_record
+from .events import KINDS, AbsentError, Event, InvalidError, advised, is_name, require_record
 from .live_task import InapplicableError, UnknownError, require_usable
 from .recent_events import entries
 from .store import Change
@@ -193,6 +194,8 @@ class Course:
         if event.kind == "acted":
             facts |= {"action": event.action, "followed": event.followed, "unheard": self._unheard(event) or None}
             facts |= self.desk.seen_of(event.person or "", event.action, event.likelihoods, event.missed)
+            if event.action is not None:
+                facts["action"] = in_pddl(event.action)
         if event.kind == "answered":
             self._require_asked(event)
             facts["answer"] = event.answer
@@ -209,9 +212,9 @@ class Course:
 
     def _joins(self, event: Event) -> str | None:
         name = event.person or ""
-        if not NAME.fullmatch(name) or name.strip(" .") != name:
+        if not is_name(name):
             raise InvalidError(
-                f"person {name[:80]!r}: expected a name of up to 64 letters, digits, blanks and signs of . _ -"
+                f"person {name[:80]!r}: expected a name of up to 64 letters, digits, blanks and signs of . _ - '"
             )
         if name in self.present:
             raise InapplicableError(f"{name} is there already")
@@ -242,7 +245,7 @@ class Course:
         if event.action is None and event.followed is not None:
             raise InvalidError("followed: expected an action that was seen")
         note, stands = self._notes[event.person or ""], self._state(event.person or "").suggestion
-        if event.followed and (stands is None or stands.lower() != (event.action or "").strip().lower()):
+        if event.followed and (stands is None or stands.lower() != in_pddl(event.action or "")):
             said = "nothing is suggested" if stands is None else f"{stands} is suggested"
             raise InapplicableError(f"followed is true and the action {event.action}, but {said}")
         late = event.seen is not None and event.seen < note.suggested
@@ -331,7 +334,7 @@ class Course:
         AbsentError
             Nothing is recorded of this person.
         """
-        if person not in self._notes or not NAME.fullmatch(person):
+        if person not in self._notes or not is_name(person):
             raise AbsentError(f"nothing is recorded about {person[:80]!r}")
         return Event("left", person) if person in self.present else None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,8 +29,32 @@ LONGEST_REASON = 200
 VACANT, ERASED = "vacant", "erased"
 """Kinds of records in place of a person's first event and of the later ones, after their records were erased."""
 
-NAME = re.compile(r"(?=.*\w)[\w.\- ]{1,64}")
-"""Valid names of people; they are part of addresses of pages."""
+LONGEST_NAME = 64
+"""Number of characters of a name, which is part of addresses of pages."""
+
+BETWEEN_LETTERS = frozenset(" .-_'\u2019\u05f3\u00b7")
+"""Signs of names besides letters, marks and digits: among others apostrophes, also typographic and Hebrew ones."""
+
+JOINERS = frozenset("\u200c\u200d")
+"""Invisible signs that some scripts need within words: behind a mark, as in Sinhala, or an Arabic letter."""
+
+
+def name_of(text: str) -> str:
+    """Return a name without blanks around it and in its composed form (NFC), so that it is the same for all."""
+    return unicodedata.normalize("NFC", text).strip()
+
+
+def is_name(text: str) -> bool:
+    """Whether this is a valid name, in any script, as `name_of` returns it."""
+    if not 0 < len(text) <= LONGEST_NAME or text.strip(" .") != text:
+        return False
+    for before, sign in zip(f" {text}", text, strict=False):
+        if sign in JOINERS:
+            if unicodedata.category(before) != "Mn" and unicodedata.bidirectional(before) != "AL":
+                return False
+        elif unicodedata.category(sign)[0] not in "LMN" and sign not in BETWEEN_LETTERS:
+            return False
+    return any(unicodedata.category(sign)[0] in "LN" for sign in text)
 
 
 class AbsentError(UnknownError):
@@ -51,7 +75,8 @@ class Event:
         "joined", "left", "began", "acted", "undone", "answered", "retracted", "arrived", "elapsed", "paused", "resumed"
         or "rearranged".
     person : str or None
-        The person who acted, joined or left, or at whom the robot has arrived; None for other events.
+        The person who acted, joined or left, or at whom the robot has arrived, as `name_of` returns it; None for other
+        events.
     action : str or None
         The action, in PDDL notation.
     followed : bool or None
@@ -88,6 +113,10 @@ class Event:
     likelihoods: Mapping[str, float] | None = field(default=None, hash=False)
     missed: float | None = None
     answer: str | bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.person is not None:
+            object.__setattr__(self, "person", name_of(self.person))
 
 
 def advised(record: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from ..people.action_names import in_pddl
 from .advice import Advice
 from .events import ERASED, VACANT
 
@@ -16,7 +17,7 @@ def entries(record: Mapping[str, Any], advices: Sequence[Advice]) -> Iterator[di
     if record["event"] not in ("elapsed", VACANT, ERASED):
         action = record.get("action")
         if "likelihoods" in record:
-            action = max(record["likelihoods"], key=record["likelihoods"].get)
+            action = in_pddl(max(record["likelihoods"], key=record["likelihoods"].get))
         answer = {"answer": record["answer"]} if "answer" in record else {}
         yield entry | unsaid | {"action": action, "followed": record.get("followed")} | answer
     for advice in advices:

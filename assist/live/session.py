@@ -36,7 +36,7 @@ from ..team.state import TeamPolicy
 from .advice import Advice
 from .course import Course
 from .event_sourced import EventSourced, Outlook
-from .events import LONGEST_REASON, AbsentError, Event, InvalidError
+from .events import LONGEST_REASON, AbsentError, Event, InvalidError, name_of
 from .header import header_of, require_same
 from .live_task import InapplicableError, UnknownError
 from .people_store import PeopleStore, model_of
@@ -183,7 +183,7 @@ class Session:
         try:
             belief = self._people.belief(person, self._meaning)
         except (JournalError, DamagedFileError) as error:
-            logging.getLogger(__name__).warning("%s joins without what was learned before: %s", person, error)
+            logging.getLogger(__name__).warning("a person joins without what was learned before: %s", error)
             return event
         return event if belief is None else replace(event, belief=tuple(belief.ravel().tolist()))
 
@@ -202,7 +202,7 @@ class Session:
                 if belief is not None:
                     self._people.save(person, self._meaning, belief)
             except Exception as error:  # noqa: BLE001
-                logging.getLogger(__name__).warning("what was learned about %s is not kept: %s", person, error)
+                logging.getLogger(__name__).warning("what was learned about a person is not kept: %s", error)
 
     # Events.
 
@@ -310,7 +310,7 @@ class Session:
             The disk is full. If the message says that traces may remain, they are removed when the session is opened
             again.
         """
-        reason = " ".join(reason.split())
+        person, reason = name_of(person), " ".join(reason.split())
         named = re.search(rf"(?<![\w-]){re.escape(person.casefold())}(?![\w-])", reason.casefold())
         if named or not 0 < len(reason) <= LONGEST_REASON:
             raise InvalidError(

@@ -49,6 +49,14 @@ def words_of(action: str, renamed: Mapping[str, str] | None = None) -> Words:
     return ((renamed or {}).get(words[0], words[0]), *words[1:]) if words[0] else ()
 
 
+def in_pddl(action: str) -> str:
+    """Return an action in PDDL notation, in lower case; as it is if it has another form than those of `words_of`."""
+    try:
+        return f"({' '.join(words_of(action))})"
+    except UnmatchedError:
+        return action
+
+
 def wrong_form(action: str) -> str | None:
     """Return what is wrong with the brackets of an action; None if they are right."""
     if FORMS.fullmatch(action.strip()):

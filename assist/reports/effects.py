@@ -6,10 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, stats
 
 from .statistics import IntervalEstimate
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,8 @@ def within_participants(differences: ArrayLike, periods: ArrayLike, level: float
         The period of the condition and of the other one. If all participants had the same order, the effects of
         condition and period are the same, and there is no interval.
     """
-    y, when = np.asarray(differences, dtype=float), np.asarray(periods, dtype=np.int64).reshape(-1, 2)
-    later = np.unique(when)[1:]
-    design = np.column_stack([np.ones(len(y)), *[(when == period) @ [1.0, -1.0] for period in later]])
-    inverse = np.linalg.pinv(design.T @ design)
-    determined = math.isclose(float(inverse[0] @ (design.T @ design)[:, 0]), 1.0, abs_tol=1e-9)
+    y = np.asarray(differences, dtype=float)
+    design, inverse, determined = _of_periods(periods)
     found = inverse @ design.T @ y
     freedom, left = len(y) - int(np.linalg.matrix_rank(design)), float(((y - design @ found) ** 2).sum())
     if not determined or freedom < 1 or left <= 1e-20 * float((y**2).sum()):
@@ -87,6 +86,15 @@ def within_participants(differences: ArrayLike, periods: ArrayLike, level: float
     deviation = math.sqrt(left / freedom)
     effect = float(found[0]) / deviation * _small(freedom) if freedom > 1 else math.nan
     return Comparison.of(float(found[0]), deviation * math.sqrt(inverse[0, 0]), freedom, effect, level)
+
+
+def _of_periods(periods: ArrayLike) -> tuple[Floats, Floats, bool]:
+    """Return the design matrix of a comparison, its inverse information, and whether the difference is determined."""
+    when = np.asarray(periods, dtype=np.int64).reshape(-1, 2)
+    later = np.unique(when)[1:]
+    design = np.column_stack([np.ones(len(when)), *[(when == period) @ [1.0, -1.0] for period in later]])
+    inverse = np.linalg.pinv(design.T @ design)
+    return design, inverse, math.isclose(float(inverse[0] @ (design.T @ design)[:, 0]), 1.0, abs_tol=1e-9)
 
 
 def _small(freedom: int) -> float:
@@ -118,12 +126,19 @@ def detectable(n: int, m: int, power: float = 0.8, level: float = 0.95) -> float
     return math.nan if min(n, m) < 2 else _detectable(n + m - 2, math.sqrt(n * m / (n + m)), power, level)
 
 
-def detectable_within(n: int, power: float = 0.8, level: float = 0.95) -> float:
-    """Return the smallest standardised difference of n pairs that a paired t-test detects with this power.
+def detectable_within(periods: ArrayLike, power: float = 0.8, level: float = 0.95) -> float:
+    """Return the smallest standardised difference that `within_participants` detects with this power.
 
-    The result is NaN for fewer than two pairs.
+    Parameters
+    ----------
+    periods : int array, shape (n, 2)
+        As in `within_participants`. The effects of periods take degrees of freedom from the test. The result is NaN
+        where there is no test.
+    power, level : float
     """
-    return math.nan if n < 2 else _detectable(n - 1, math.sqrt(n), power, level)
+    design, inverse, determined = _of_periods(periods)
+    freedom = len(design) - int(np.linalg.matrix_rank(design))
+    return _detectable(freedom, 1 / math.sqrt(inverse[0, 0]), power, level) if determined and freedom > 0 else math.nan
 
 
 def _detectable(freedom: int, scale: float, power: float, level: float) -> float:

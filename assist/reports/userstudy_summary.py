@@ -144,9 +144,8 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "answers": [
             answer for one in study.questionnaires for item in one.items for answer in _asked(study, one, item, tables)
         ],
-        "detectable": finite(
-            detectable_within(min(smallest)) if study.is_within else detectable(min(smallest), min(smallest))
-        ),
+        "detectable": finite(_detectable_within(study, found[0], tables) if study.is_within
+                             else detectable(min(smallest), min(smallest))),
         "few": [
             name for name, count in zip(names, smallest, strict=True)
             if len(found[0].values[name]) < FEW
@@ -213,16 +212,11 @@ def _flow(study: UserStudy, tables: Tables) -> list[Row]:
 
 
 def _measure(study: UserStudy, measure: Measure, tables: Tables) -> dict[str, Any]:
-    orders = {row["group"] or row["participant"]: row["condition"] for row in tables.participants}
-    periods: dict[tuple[str, str], int] = {}
+    orders = _orders(tables)
+    periods = _periods(study, measure, orders)
     modelled, differences = {}, []
-    if study.is_within:
-        periods = {
-            (who, name): study.orders[orders[who]].index(name) + 1
-            for name, own in measure.values.items() for who in own
-        }  # fmt: skip
-        if measure.name != "completion":
-            modelled = mixed_model(measure.values, periods, orders, study.reference)
+    if study.is_within and measure.name != "completion":
+        modelled = mixed_model(measure.values, periods, orders, study.reference)
     for name in measure.values:
         if name != study.reference and (compared := _compared(study, measure, name, periods)):
             models = {"mixed_model": modelled[name].record()} if name in modelled else {}
@@ -231,6 +225,29 @@ def _measure(study: UserStudy, measure: Measure, tables: Tables) -> dict[str, An
         "measure": measure.name, "label": measure.label, "confirmatory": measure.name in study.confirmatory,
         "cells": _cells(study, measure.values), "differences": differences,
     }  # fmt: skip
+
+
+def _orders(tables: Tables) -> dict[str, str]:
+    """Return the condition or the order of conditions of each unit of analysis."""
+    return {row["group"] or row["participant"]: row["condition"] for row in tables.participants}
+
+
+def _periods(study: UserStudy, measure: Measure, orders: dict[str, str]) -> dict[tuple[str, str], int]:
+    """Return in which period each unit with a value had a condition; empty between participants."""
+    return {
+        (who, name): study.orders[orders[who]].index(name) + 1
+        for name, own in measure.values.items() for who in own
+    } if study.is_within else {}  # fmt: skip
+
+
+def _detectable_within(study: UserStudy, measure: Measure, tables: Tables) -> float:
+    """Return the largest of the differences that the comparisons of a measure detect; NaN if one is undetermined."""
+    periods, reference = _periods(study, measure, _orders(tables)), measure.values[study.reference]
+    each = [
+        detectable_within([(periods[who, name], periods[who, study.reference]) for who in own if who in reference])
+        for name, own in measure.values.items() if name != study.reference
+    ]  # fmt: skip
+    return max(each, default=math.nan) if not any(map(math.isnan, each)) else math.nan
 
 
 def _adjusted(study: UserStudy, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

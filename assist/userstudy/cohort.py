@@ -174,6 +174,8 @@ class Cohort:
             ends = self.study.group.then == "end" and person.group is None
             return facts | ({"status": UNMATCHED, "completion": self._completion()} if ends else {})
         if kind == "acted":
+            if isinstance(event, StudyEvent) and event.stage not in (None, stage.name):
+                raise InapplicableError(f"{person.code} is at {stage.name}, not at {(event.stage or '')[:80]!r}")
             if self.is_over(person):
                 raise InapplicableError("this task is over")
             own = Event("acted", person.code, event.action, event.followed, event.seen)
@@ -191,9 +193,9 @@ class Cohort:
         return {"reason": reason}
 
     def _in_time(self, person: Participant, event: Event) -> None:
-        """Refuse a withdrawal after the study's last day for it."""
+        """Refuse a withdrawal after the study's last day for it, in the time zone of this machine."""
         last, late = self.study.withdraw_until, isinstance(event, StudyEvent) and event.late
-        if person.status == DONE and last is not None and datetime.now(UTC).date() > last and not late:
+        if person.status == DONE and last is not None and datetime.now(UTC).astimezone().date() > last and not late:
             raise InapplicableError(f"data could be withdrawn until {last.isoformat()}")
 
     def _onward(self, person: Participant, event: StudyEvent, n: int, time: float) -> dict[str, Any]:
@@ -441,6 +443,10 @@ class Cohort:
 
     def person(self, person: str) -> dict[str, Any]:
         """Return a participant's view as JSON data: the task, and the progress in the study."""
+        seen = self._seen(person)
+        return seen if self.study.cost_to_go else seen | {"cost_to_go": None}
+
+    def _seen(self, person: str) -> dict[str, Any]:
         who = self.known(person)
         stage = self.stages[who.at]
         seen: dict[str, Any] = {
@@ -484,7 +490,7 @@ class Cohort:
     def entry(self, person: str) -> dict[str, Any]:
         """Return the operator's view of a participant."""
         who = self.known(person)
-        return self.person(person) | {"condition": who.condition, "status": who.status, "simulated": who.simulated}
+        return self._seen(person) | {"condition": who.condition, "status": who.status, "simulated": who.simulated}
 
     def beliefs(self) -> dict[str, bytes]:
         """Return the beliefs about all members of teams that have begun a task, as exact bytes."""

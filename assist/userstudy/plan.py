@@ -127,7 +127,7 @@ class UserStudy:
     code : str or None
         Completion code of all participants; None: a code of their own.
     withdraw_until : date or None
-        Last day (UTC) on which data can be withdrawn after the end; None: no limit.
+        Last day on which data can be withdrawn after the end, in the time zone of the service; None: no limit.
     exclude_failed_checks : int or None
         Number of failed attention checks from which on participants are excluded from the report; None: never.
     confirmatory : tuple of str
@@ -142,6 +142,8 @@ class UserStudy:
         Texts of participants' pages, in the study's language.
     group : Grouping or None
         How participants form groups that share a robot; None if each has a team of their own.
+    cost_to_go : bool
+        Whether participants' views have the cost-to-go, which tells how far they are.
     """
 
     file: Path
@@ -170,6 +172,7 @@ class UserStudy:
     questionnaires: tuple[Questionnaire, ...]
     catalogue: Catalogue
     group: Grouping | None = None
+    cost_to_go: bool = False
 
     @cached_property
     def stages(self) -> tuple[Stage, ...]:

@@ -94,6 +94,7 @@ class FileTable(Struct, forbid_unknown_fields=True):
     simulated: Mates | None = None
     again: Truth = True
     reasons: Truth = False
+    cost_to_go: Truth = False
     replace: Truth = False
     away: Minutes = 10.0
     minutes: Minutes | None = None
@@ -167,7 +168,7 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         setting, _population(file, table.population),
         {"consent": table.consent, "instructions": table.instructions,
          "thanks": table.thanks or words("study.thanks_text")},
-        questionnaires, words, group,
+        questionnaires, words, group, table.cost_to_go,
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ government in the public domain. Answers range from 0 to 100 in steps of 5 and a
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
@@ -27,6 +28,9 @@ of NASA-TLX."""
 
 BEFORE, AFTER, END = "before", "after", "end"
 """When a questionnaire is shown: before practice, after the tasks of each condition, or once at the end."""
+
+NO_TEXT = re.compile(r"[\x00\ud800-\udfff]")
+"""Signs that files and other programs do not take as text: NUL, and halves of signs."""
 
 Answer = int | float | str | list[str] | None
 
@@ -118,7 +122,7 @@ class Item:
 
     def _is_valid(self, answer: Any, longest: int) -> bool:
         if self.form == TEXT:
-            return isinstance(answer, str) and len(answer) <= longest
+            return isinstance(answer, str) and len(answer) <= longest and not NO_TEXT.search(answer)
         if self.form == CHOICE:
             return isinstance(answer, str) and answer in self.options
         if self.form == CHOICES:

@@ -24,7 +24,7 @@ class StudyEvent(Event):
     Attributes
     ----------
     stage : str or None
-        The stage that the participant completes.
+        The stage that the participant completes, or at which they act; another tab may show an earlier one.
     answers : mapping of str, or None
         Answers, if the stage is a questionnaire.
     simulated : bool

@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -96,8 +97,8 @@ COLUMNS: dict[str, dict[str, str]] = {
 EVENTS = {"visited", "onward", "withdrew", "left", "returned", "expired"}
 """Events of the table `events`. Actions have a table of their own."""
 
-FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
-"""How texts begin that spreadsheets evaluate, unless an apostrophe precedes them; or those with one of their own."""
+CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
+"""Signs that are no text; some readers end a file at them. U+FFFD stands for them in CSV."""
 
 
 @dataclass
@@ -158,14 +159,27 @@ def _plain(cell: Any) -> Any:
         return str(cell).lower()
     if isinstance(cell, str):
         # Some readers take a carriage return for the end of a row.
-        text = cell.replace("\r\n", "\n").replace("\r", "\n")
-        return f"'{text}" if FORMULA.match(text) else text
+        text = CONTROL.sub("\ufffd", cell.replace("\r\n", "\n").replace("\r", "\n"))
+        return f"'{text}" if is_formula(text) else text
     return cell
+
+
+def is_formula(text: str) -> bool:
+    """Whether a spreadsheet may evaluate a text, unless an apostrophe precedes it; or the same behind apostrophes.
+
+    Spreadsheets skip blanks and invisible signs, and take full-width signs for the usual ones.
+    """
+    for place, sign in enumerate(text):
+        if sign in "\t\n" and not text[:place].strip("'"):
+            return True
+        if sign != "'" and not sign.isspace() and unicodedata.category(sign) != "Cf":
+            return unicodedata.normalize("NFKC", sign) in ("=", "+", "-", "@", "\u2212")
+    return False
 
 
 def text_of(cell: str) -> str:
     """Return the text of a cell that `written` wrote: without the apostrophe before what looks like a formula."""
-    return cell[1:] if cell.startswith("'") and FORMULA.match(cell) else cell
+    return cell[1:] if cell.startswith("'") and is_formula(cell) else cell
 
 
 def tables(study: UserStudy, journal: Path) -> Tables:

@@ -62,7 +62,10 @@ def make_app(
     _says_what_is_wrong(app)
     for router in (routes.router, metrics.router, websocket.router, page_routes.router, *more):
         app.include_router(router)
-    app.add_middleware(Guard, access=service.access, allowance=allowance, trusted=trusted_proxies)
+    app.add_middleware(
+        Guard, access=service.access, allowance=allowance, trusted=trusted_proxies,
+        texts=service.texts,
+    )  # fmt: skip
     return app
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from fastapi import Depends, HTTPException, Request
 from fastapi.security import HTTPBearer
 
+from ..live.events import name_of
 from .schemas import Problem
 from .service import Service
 from .tokens import Caller
@@ -42,6 +43,7 @@ async def operator(request: Request, _: Annotated[Any, Depends(bearer)] = None) 
 async def own(request: Request, name: str, _: Annotated[Any, Depends(bearer)] = None) -> str:
     """Refuse every caller except the person and the operator."""
     caller: Caller = request.state.caller
+    name = name_of(name)
     if caller.person not in (None, name):
         raise HTTPException(403, "this link belongs to another person")
     if name not in request.app.state.service.views:

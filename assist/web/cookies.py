@@ -11,9 +11,10 @@ import hashlib
 from datetime import timedelta
 from urllib.parse import unquote, urlsplit
 
+from starlette.responses import Response
 from starlette.types import Scope
 
-from .tokens import Caller
+from .tokens import AccessTokens, Caller
 
 KEPT = timedelta(days=30)
 """Time for which a browser keeps a cookie, so that a study can continue in the next week."""
@@ -30,6 +31,14 @@ def subject(caller: Caller) -> str:
 def cookie_of(base: str, who: str) -> str:
     """Return the name of the cookie of a caller at a service; services on other ports share cookies."""
     return f"kitassist-{hashlib.sha256(f'{base} {who}'.encode(errors='replace')).hexdigest()[:16]}"
+
+
+def keep(answer: Response, access: AccessTokens, name: str, value: str) -> None:
+    """Let the browser keep a cookie, which no script reads and which goes to pages of this service only."""
+    answer.set_cookie(
+        name, value, max_age=int(KEPT.total_seconds()), path=f"{access.root}/",
+        secure=access.base.startswith("https:"), httponly=True, samesite="strict",
+    )  # fmt: skip
 
 
 def token_in(scope: Scope, base: str) -> str:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from ..texts.catalogue import Catalogue, catalogue
 from . import cookies
 from .tokens import VISITOR, AccessTokens, Caller
 
@@ -124,9 +125,11 @@ class Guard:
     """
 
     def __init__(
-        self, app: ASGIApp, access: AccessTokens, allowance: Allowance | None = None, trusted: Networks = ()
-    ) -> None:
+        self, app: ASGIApp, access: AccessTokens, allowance: Allowance | None = None, trusted: Networks = (),
+        texts: Catalogue | None = None,
+    ) -> None:  # fmt: skip
         self.app, self._access, self._allowance, self._trusted = app, access, allowance or Allowance(), trusted
+        self._texts = texts or catalogue()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a request or a connection."""
@@ -154,6 +157,10 @@ class Guard:
             return (kept, False) if cookies.is_own_page(scope, self._access.base) else ("", True)
         return token, False
 
+    def _worded(self, detail: str, caller: Caller | None) -> str:
+        """Return a refusal, in the language of the pages for people."""
+        return detail if caller is None or caller.person is None else self._texts.refusal(detail)
+
     def _wait(self, scope: Scope, caller: Caller | None) -> float:
         """Count a request or connection; return the seconds after which it is allowed.
 
@@ -173,10 +180,11 @@ class Guard:
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
         token, foreign = self._token(scope)
         caller = self._access.whose(token) if token else None
-        scope.setdefault("state", {})["caller"] = caller
+        scope.setdefault("state", {}).update(caller=caller, address=address_of(scope, self._trusted))
         wait = self._wait(scope, caller)
         if wait:
-            await refuse(send, 429, "too many requests; try again later", retry_after=math.ceil(wait))
+            said = self._worded("too many requests; try again later", caller)
+            await refuse(send, 429, said, retry_after=math.ceil(wait))
             return
         if foreign:
             await refuse(send, 403, "requests of other sites' pages are refused")
@@ -193,7 +201,7 @@ class Guard:
         length = dict(scope["headers"]).get(b"content-length", b"0")
         body = None if length.isdigit() and int(length) > LARGEST else await _body(receive)
         if body is None:
-            await refuse(send, 413, f"the body is larger than {LARGEST} bytes")
+            await refuse(send, 413, self._worded(f"the body is larger than {LARGEST} bytes", caller))
             return
         unread = [body]
 

@@ -67,12 +67,8 @@ async def session(request: Request, service: Desk) -> Any:
     caller: Caller = request.state.caller
     access = service.access
     answer = plain({"person": caller.person, "operator": caller.person is None})
-    answer.set_cookie(
-        cookies.cookie_of(access.base, cookies.subject(caller)),
-        access.operator if caller.person is None else access.token(caller.person),
-        max_age=int(cookies.KEPT.total_seconds()), path=f"{access.root}/", secure=access.base.startswith("https:"),
-        httponly=True, samesite="strict",
-    )  # fmt: skip
+    token = access.operator if caller.person is None else access.token(caller.person)
+    cookies.keep(answer, access, cookies.cookie_of(access.base, cookies.subject(caller)), token)
     return answer
 
 
@@ -135,7 +131,7 @@ async def act(name: Own, acted: Acted, service: Desk) -> Response:
         "acted", name, acted.action, acted.followed, acted.seq, id=acted.id, likelihoods=acted.likelihoods,
         missed=acted.missed,
     )  # fmt: skip
-    return plain(await service.report(event))
+    return plain(await service.report(event if acted.stage is None else service.at_stage(event, acted.stage)))
 
 
 @router.post("/api/people/{name}/answer", tags=["people"], response_model=Person, responses=WRITE)
@@ -208,7 +204,7 @@ async def names(_: Operator, service: Desk) -> Response:
 async def join(_: Operator, joined: Joined, service: Desk) -> Any:
     """Add a person to the team, or readmit one; return the address of the person's page."""
     seen = await service.report(Event("joined", joined.person, task=joined.task, id=joined.id))
-    return plain({**seen, "join": service.access.join_url(joined.person)})
+    return plain({**seen, "join": service.access.join_url(seen["person"])})
 
 
 @router.delete("/api/team/people/{name}", tags=["operator"], response_model=Person, responses=WRITE)

@@ -34,6 +34,10 @@ class Acted(_Body):
     seq: int | None = Field(
         None, ge=0, description="`seq` of the view on which the person acted; later suggestions are taken as unseen."
     )
+    stage: str | None = Field(
+        None, max_length=120,
+        description="In a user study, the stage of the view; 409 if the participant is at another one by now.",
+    )  # fmt: skip
 
 
 class Answered(_Body):
@@ -131,7 +135,10 @@ class GoalAnswer(BaseModel):
 
 
 class Person(BaseModel):
-    """A person's view. `seq` increases with every change; `cost_to_go` is null in a dead end."""
+    """A person's view. `seq` increases with every change.
+
+    `cost_to_go` is null in a dead end, and for participants unless the study shows it.
+    """
 
     person: str
     task: str
@@ -252,6 +259,9 @@ class Team(BaseModel):
     time: float
     paused: bool
     fault: str | None
+    problems: list[str] = Field(
+        default_factory=list, description="What keeps events from being saved or delivered, as in `/api/health`."
+    )
     tasks: list[str]
     robot: Robot
     robots: list[Robot] = Field(default_factory=list)

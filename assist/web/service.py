@@ -25,7 +25,7 @@ from typing import Any, Protocol, cast
 
 from ..explain.explanation import Explanation
 from ..live.event_sourced import Explains, Outlook
-from ..live.events import AbsentError, Event
+from ..live.events import AbsentError, Event, InvalidError
 from ..live.live_task import InapplicableError
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
@@ -270,6 +270,16 @@ class Service:
             self.measures.acted(before, event.action, answer)
         return answer
 
+    def at_stage(self, event: Event, stage: str) -> Event:  # noqa: ARG002  a user study needs it
+        """Return an action as it was taken at a stage of a user study.
+
+        Raises
+        ------
+        InvalidError
+            This is no user study.
+        """
+        raise InvalidError(f"stage {stage[:80]!r}: expected none outside of a user study")
+
     def _may_answer(self, event: Event | Erasure) -> bool:
         """Return whether an event is an action of a person who can have seen what was suggested."""
         if not isinstance(event, Event) or event.kind != "acted":
@@ -383,6 +393,7 @@ class Service:
         now = self.outlook
         rest = {"seq": now.events, "paused": now.paused, "robot": now.robot, "log": now.recent}
         rest |= {"time": round(self.session.now(), 3), "fault": now.fault, "tasks": list(self.session.tasks)}
+        rest["problems"] = self.unready()
         if len(now.robots) > 1:
             rest["robots"] = now.robots
         entries = found | self._entries

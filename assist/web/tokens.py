@@ -122,6 +122,15 @@ class AccessTokens:
         """Return whether this is the signature of a text."""
         return hmac.compare_digest(self.signature(text).encode(), signature.encode(errors="replace"))
 
+    def signed(self, what: str, text: str) -> str:
+        """Return a text with its signature, for one use (`what`)."""
+        return f"{text}.{self.signature(f'{what} {text}')}"
+
+    def signed_in(self, what: str, signed: str) -> str | None:
+        """Return the text that `signed` returned this for; None if it is not signed, or for another use."""
+        text, _, signature = signed.rpartition(".")
+        return text if text and self.is_signed(f"{what} {text}", signature) else None
+
     def join_url(self, person: str) -> str:
         """Return the address of a person's page."""
         return f"{self.base}/join/{quote(person, safe='')}#{self.token(person)}"

@@ -13,12 +13,27 @@ const noted = () => {
 };
 
 test("the token of a link becomes a cookie and leaves the address", async () => {
-  const { ask, asked } = await open("/join/ann%20b#secret?");
+  const { ask, asked } = await open("/join/ann%20b#secret).");
   await until(() => !location.hash);
   assert.deepEqual(asked.map((one) => one.path), ["/api/session", "/api/me"]);
-  assert.equal(asked[0].headers.Authorization, "Bearer secret?");
+  assert.equal(asked[0].headers.Authorization, "Bearer secret"); // a full stop that was copied is no part of it
   await ask("/api/me");
   assert.deepEqual(asked[2].headers, { "Kitassist-Caller": "person%20ann%20b" });
+});
+
+test("parameters may stand before the token or behind it, and stay in the address", async () => {
+  const token = "t".repeat(32);
+  for (const link of [`/study?participant=7&signature=s#${token}`, `/study#${token}?participant=7&signature=s`, `/study#${token}&participant=7&signature=s`,
+    `/study?participant=7#${token}?signature=s`, `/study#${token}%3Fparticipant=7&signature=s`, `/study#${token}x?participant=7&signature=s`]) {
+    const { asked, parameters } = await open(link);
+    assert.deepEqual([parameters.get("participant"), parameters.get("signature")], ["7", "s"], link);
+    await until(() => !location.hash);
+    assert.equal(asked[0].headers.Authorization, `Bearer ${token}`);
+    assert.equal(location.search, "?participant=7&signature=s", link);
+  }
+  const { parameters } = await open(`/study?withdraw#${token}`);
+  await until(() => !location.hash);
+  assert.deepEqual([parameters.has("withdraw"), location.search], [true, "?withdraw"]);
 });
 
 test("without cookies the page goes on with the token", async () => {

@@ -1,7 +1,7 @@
 // Connection to the service: a socket that reconnects, and requests that are repeated under the same id until they are
 // answered, even after the page was reloaded.
 
-import { at, keep, recall, sentence, text, wait } from "./page.js";
+import { at, behind, keep, recall, sentence, text, wait } from "./page.js";
 
 const root = new URL("../", import.meta.url); // address of the service, under any path
 const parts = location.pathname.slice(root.pathname.length).split("/").filter(Boolean);
@@ -14,8 +14,13 @@ const subject = conducts ? "operator" : `person ${person || "?"}`;
 /** Names what this browser stores for the page. */
 export const place = `${root.pathname} ${subject}`;
 
+const [secret, appended] = behind(location.hash);
+
 // The token of the link, behind # or, in links of earlier versions, at the end of the path; null if there is a cookie.
-let token = location.hash.slice(1) || parts[depth] || null;
+let token = secret || parts[depth] || null;
+
+/** The parameters of the link, before the token or behind it. */
+export const parameters = new URLSearchParams([...new URLSearchParams(location.search), ...appended]);
 
 /** What names the caller: the token, or the cookie that is used in its place. @type {() => Record<string, string>} */
 const credentials = () => (token === null ? { "Kitassist-Caller": encodeURIComponent(subject) } : { Authorization: `Bearer ${token}` });
@@ -28,10 +33,16 @@ async function exchange() {
     const set = await fetch(address("/api/session"), { method: "POST", headers: credentials(), signal: AbortSignal.timeout(SILENCE) });
     if (!set.ok || !(await fetch(address("/api/me"), { headers: own, signal: AbortSignal.timeout(SILENCE) })).ok) return;
     token = null;
-    history.replaceState(history.state, "", address(`/${parts.slice(0, depth).join("/")}`) + location.search);
+    history.replaceState(history.state, "", address(`/${parts.slice(0, depth).join("/")}`) + search());
   } catch {
     // the service cannot be reached: the token stays
   }
+}
+
+/** The parameters as a part of an address. */
+function search() {
+  const all = parameters.toString().replaceAll("=&", "&").replace(/=$/, "");
+  return all && `?${all}`;
 }
 
 const SLOWEST = 3000; // milliseconds between two attempts to connect
@@ -85,6 +96,9 @@ export const askJson = async (path, options) => (await ask(path, options)).json(
 
 /** Whether an error is temporary, so that the request may succeed later. */
 export const passes = (error) => !(error instanceof Refused) || error.status > 500 || [408, 425, 429].includes(error.status);
+
+/** Why something is not sent yet: what the service says, or that it cannot be reached. */
+export const unsent = (error) => (error instanceof Refused ? text("page.not_saved", { why: sentence(error.message) }) : text("page.not_sent"));
 
 export function newId() {
   const bytes = crypto.getRandomValues(new Uint8Array(12));

@@ -1,7 +1,7 @@
 // The operator's page: people's progress, the beliefs about them, the robot, and the log.
 
 import { Channel, LONG, Refused, ask, askJson, newId, pathOf } from "./connection.js";
-import { all, at, clock, complain, element, focused } from "./page.js";
+import { all, at, clock, complain, element, focused, report, sentence } from "./page.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const WIDTH = 300;
@@ -14,7 +14,7 @@ const links = {};
 const one = (value) => (Math.abs(value) < 0.05 ? "0" : value.toFixed(1).replace(/\.0$/, ""));
 const two = (value) => (Math.abs(value) < 0.005 ? "0" : String(Number(value.toPrecision(2))));
 const spread = (mean, ends) => `${mean.toFixed(2)} (${ends.map((end) => end.toFixed(2)).join(" to ")})`;
-const plain = (action) => (action ? action.slice(1, -1) : "");
+const plain = (action) => action?.replace(/^\(|\)$/g, "") ?? "";
 
 function shape(name, attributes) {
   const made = document.createElementNS(SVG, name);
@@ -181,9 +181,7 @@ function show() {
   at("pause").setAttribute("aria-pressed", String(team.paused));
   at("robot-title").textContent = robots.length > 1 ? "The robots" : "The robot";
   at("robots").replaceChildren(...robots.flatMap((robot, index) => robotOf(robot, robots.length > 1 ? `Robot ${index + 1}` : "")));
-  const fault = team.fault ? `The policy failed, so nothing is suggested: ${team.fault}` : "";
-  if (at("fault").textContent !== fault) at("fault").textContent = fault; // so that screen readers announce it once
-  at("fault").hidden = !fault;
+  report([...(team.problems ?? []).map(sentence), ...(team.fault ? [`The policy failed, so nothing is suggested: ${team.fault}`] : [])]);
   showTasks();
   keepingFocus(() => at("people").replaceChildren(...there.map(card)));
   at("log").replaceChildren(...[...(team.log ?? [])].reverse().map((event) =>

@@ -69,6 +69,22 @@ export function forget(beginning) {
   }
 }
 
+/**
+ * The token behind the # of a link, and the parameters that were appended to it, as recruiting services do; signs that a
+ * copy has added are left out.
+ * @type {(hash: string) => [string, URLSearchParams]}
+ */
+export function behind(hash) {
+  const [, token, more] = /** @type {string[]} */ (/^#?([\w-]{0,32})(.*)$/s.exec(hash));
+  let rest = more;
+  try {
+    rest = decodeURIComponent(more);
+  } catch {
+    // no such encoding: as it is
+  }
+  return [token, new URLSearchParams(/[?&](.*)$/s.exec(rest)?.[1] ?? "")];
+}
+
 /** Minutes and seconds. */
 export const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 
@@ -86,6 +102,13 @@ export function element(name, attributes = {}, ...children) {
   }
   made.append(...children.filter((child) => child !== null));
   return made;
+}
+
+/** Show what keeps the service from its work, once, so that screen readers announce it once. @type {(faults: string[]) => void} */
+export function report(faults) {
+  const words = faults.join(" ");
+  if (at("fault").textContent !== words) at("fault").textContent = words;
+  at("fault").hidden = !words;
 }
 
 /** Show what is wrong, or nothing more. */

@@ -1,6 +1,6 @@
 // A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
-import { Outbox, askJson, follow, passes, pageOf, pathOf, person, place } from "./connection.js";
+import { Outbox, askJson, follow, passes, pageOf, pathOf, person, place, unsent } from "./connection.js";
 import { all, at, clock, complain, element, figure, first, focused, keep, language, recall, sentence, single, text } from "./page.js";
 
 const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
@@ -17,8 +17,9 @@ let questioned = null; // the question that is shown, with the step at which it 
 
 // Texts.
 
-const words = (action) => drawn?.words[action] ?? action.slice(1, -1).replace(" ", ": ").replaceAll(" ", ", ").replace(":,", ":");
-const objectsOf = (action) => action.slice(1, -1).split(" ").slice(1);
+const plain = (action) => action.replace(/^\(|\)$/g, "");
+const words = (action) => drawn?.words[action] ?? plain(action).replace(" ", ": ").replaceAll(" ", ", ").replace(":,", ":");
+const objectsOf = (action) => plain(action).split(" ").slice(1);
 
 function say(words) {
   at("said").textContent = "";
@@ -80,7 +81,7 @@ function show() {
 function showStudy(study) {
   if (!study) return;
   if (!["practice", "task"].includes(study.kind)) {
-    location.replace(pageOf("part"));
+    location.replace(pageOf("part", study.kind === "gone" ? "?away" : "")); // without "away", who comes back returns
     return;
   }
   at("person").textContent = text(study.kind === "practice" ? "task.practice" : "task.title");
@@ -216,7 +217,7 @@ function showActions() {
 function showEnd() {
   const over = view.study?.over ?? false; // whether a study's task has ended, finished or not
   const ended = view.finished || over;
-  const stuck = !ended && view.cost_to_go === null;
+  const stuck = !ended && !view.study && view.cost_to_go === null; // in a study, such a task is over
   const key = probably() ? "task.probably" : view.finished ? "task.reached" : "task.ended";
   const reached = text(key, { n: view.steps });
   if (ended && (at("done").hidden || at("done-text").textContent !== reached)) {
@@ -331,7 +332,8 @@ function act(action) {
   closeMenu(within);
   chosen = [];
   complain(null);
-  if (outbox.send(pathOf(person, "/actions"), { action, followed, seq: view.seq })) show();
+  const stage = view.study?.stage; // another tab may be further
+  if (outbox.send(pathOf(person, "/actions"), { action, followed, seq: view.seq, ...(stage ? { stage } : {}) })) show();
 }
 
 const outbox = new Outbox("actions", {
@@ -347,9 +349,9 @@ const outbox = new Outbox("actions", {
     show();
     refresh();
   },
-  waiting() {
+  waiting(error) {
     refusals += 1;
-    if (refusals > 1) complain(text("page.not_sent"));
+    if (refusals > 1) complain(unsent(error));
   },
 });
 

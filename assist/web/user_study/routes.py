@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +18,7 @@ from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
 from ...userstudy.questionnaires import Item
 from ...userstudy.study_events import StudyEvent
+from .. import cookies
 from ..authorization import READ, WRITE, Operator, Own, refusals
 from ..page_routes import page, page_of, piece
 from ..routes import plain
@@ -25,6 +27,8 @@ from ..tokens import VISITOR, Caller
 from .service import ForgedError, StudyService
 
 PAGES = Path(__file__).parent / "pages"
+SEAT = "seat"
+"""Names the cookie by which a browser is recognised that has joined."""
 
 router = APIRouter()
 
@@ -58,7 +62,7 @@ class Links(BaseModel):
 
 
 class Withdrawal(BaseModel):
-    """A participant's withdrawal code, the address at which it is entered, and the last day (UTC) for it."""
+    """A participant's withdrawal code, the address at which it is entered, and the last day for it."""
 
     code: str
     address: str
@@ -183,14 +187,20 @@ async def visit(request: Request, coming: Visit, study: Study) -> Any:
         raise HTTPException(403, "this link is for visitors; participants have joined already")
     if coming.simulated and not study.rehearsal:
         raise HTTPException(403, "simulated participants are admitted in a rehearsal only")
+    kept = cookies.cookie_of(study.access.base, SEAT)
     try:
-        seen = await study.visit(coming.id, key=coming.key, signature=coming.signature, simulated=coming.simulated)
+        seen = await study.visit(
+            coming.id, key=coming.key, signature=coming.signature, simulated=coming.simulated,
+            before=study.access.signed_in(SEAT, request.cookies.get(kept, "")),
+        )  # fmt: skip
     except ForgedError as error:
         raise HTTPException(403, str(error)) from None
     code = seen["person"]
     part = study.access.join_url(code).removeprefix(study.access.base).replace("/join/", "/part/", 1)
     now = json.loads(study.views[code])  # may be later than the answer
-    return plain({"person": code, "part": part, "study": now["study"]})
+    answer = plain({"person": code, "part": part, "study": now["study"]})
+    cookies.keep(answer, study.access, kept, study.access.signed(SEAT, code))
+    return answer
 
 
 @router.post("/api/study/links", tags=["study"], response_model=Links, responses=refusals(403, 422))
@@ -235,6 +245,10 @@ async def withdraw_by_code(request: Request, given: Withdrawn, study: Study) -> 
     """Withdraw a participant's data by the withdrawal code, with the join link's token, also after the end."""
     if request.state.caller.person not in (None, VISITOR):
         raise HTTPException(403, "this link is for visitors; participants withdraw on their own page")
+    if wait := study.guesses.wait(request.state.address):
+        seconds = math.ceil(wait)
+        said = f"too many withdrawal codes were tried; try again in {seconds} seconds"
+        raise HTTPException(429, said, {"retry-after": str(seconds)})
     await study.withdraw(given.code)
     return plain({"done": True})
 

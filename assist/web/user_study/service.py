@@ -6,17 +6,19 @@ import asyncio
 import hashlib
 import hmac
 import json
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-from ...live.events import AbsentError, Event
+from ...live.events import AbsentError, Event, InvalidError
 from ...live.live_task import InapplicableError
-from ...userstudy.codes import spelled
+from ...userstudy.codes import identifier, spelled
 from ...userstudy.cohort import Cohort
 from ...userstudy.participants import HERE
 from ...userstudy.plan import WAITING
 from ...userstudy.session import StudySession
 from ...userstudy.study_events import FullError, StudyEvent
+from ..request_limits import Allowance
 from ..service import Service, Watcher
 from ..tokens import VISITOR, AccessTokens, secret_in
 
@@ -28,13 +30,22 @@ CODES_KEY = "codes.key"
 """File of the key that leads from ids of browsers and of other systems to codes, which nothing else connects."""
 
 
+SIGNED = "signed"
+"""Empty file in the folder of a study for which signed links were made; it then admits nobody without one."""
+
+
 class ForgedError(ValueError):
     """A participant's link is not signed, or not with this signature."""
 
 
-def participant_url(access: AccessTokens, participant: str) -> str:
-    """Return the join link of a participant whom another system identifies, signed, for any device."""
-    query = {"participant": participant, "signature": access.signature(PARTICIPANT + participant)}
+def participant_url(access: AccessTokens, participant: str, folder: Path) -> str:
+    """Return the join link of a participant whom another system identifies, signed, for any device.
+
+    From then on, the study in the folder admits new participants by signed links only.
+    """
+    (folder / SIGNED).touch()
+    named = identifier(participant)
+    query = {"participant": named, "signature": access.signature(PARTICIPANT + named)}
     return f"{access.base}/study?{urlencode(query)}#{access.token(VISITOR)}"
 
 
@@ -71,6 +82,7 @@ class StudyService(Service):
         self.study, self.folder, self.ticks, self.rehearsal = session.study, session.folder, ticks, rehearsal
         self._held: StudySession = session
         self._look_every = look_every
+        self.guesses = Allowance(rate=1 / 30, burst=20)  # withdrawal codes that each network address may try
         self._heard: dict[str, float] = {}  # when a participant who is not connected was last heard of
         access.token(VISITOR)
         # Studies that began with an earlier version have no file for this key.
@@ -122,16 +134,31 @@ class StudyService(Service):
         if json.loads(self.views[code])["study"]["kind"] not in ("withdrew", "declined"):
             await self.report(StudyEvent("withdrew", code))
 
+    def at_stage(self, event: Event, stage: str) -> Event:
+        """Return an action as it was taken at a stage; another tab of the participant may be further."""
+        return StudyEvent(**vars(event), stage=stage)
+
     def code(self, visit: str) -> str:
         """Return the participant code for a browser's id. The code is always the same and does not reveal the id."""
         return f"P-{spelled(int.from_bytes(_digest(self._codes_key, visit)[:8], 'big'), 6)}"
 
     def participant_url(self, participant: str) -> str:
         """Return the join link of a participant whom another system identifies, signed, for any device."""
-        return participant_url(self.access, participant)
+        return participant_url(self.access, participant, self.folder)
+
+    def is_under_way(self, code: str | None) -> bool:
+        """Whether this is the code of a participant who takes part at present."""
+        ended = ("thanks", "unmatched", "withdrew", "declined", "gone", "full")
+        return code is not None and code in self.views and json.loads(self.views[code])["study"]["kind"] not in ended
 
     async def visit(
-        self, visit: str, *, key: str | None = None, signature: str | None = None, simulated: bool = False
+        self,
+        visit: str,
+        *,
+        key: str | None = None,
+        signature: str | None = None,
+        simulated: bool = False,
+        before: str | None = None,
     ) -> dict[str, Any]:
         """Admit a participant, or readmit one; neither the id nor the key is stored.
 
@@ -139,21 +166,32 @@ class StudyService(Service):
         ----------
         visit : str
             An id that the browser has drawn, which is secret; or `PARTICIPANT` and the id of another system,
-            which others may know.
+            which others may know. Ids that differ in blanks around them or in invisible signs are the same.
         key : str, optional
             A key that the browser has drawn. It is required for the id of another system without a signature; the
             participant is then readmitted from this browser only.
         signature : str, optional
             The signature of the id. The participant is then readmitted from any device.
         simulated : bool
+        before : str, optional
+            Code of the participant as whom the same browser has joined. While this participant takes part, there is no
+            further place for the browser, unless another one has a signed link.
 
         Raises
         ------
         ForgedError
-            The signature is wrong, or there is neither a signature nor a key.
+            The signature is wrong, or there is neither a signature nor a key, or the study has signed links and this
+            is none.
+        InvalidError
+            There is nothing behind `PARTICIPANT`.
         InapplicableError
-            The participant has joined on another device.
+            The participant has joined on another device, or another one in this browser has not finished.
         """
+        if visit.startswith(PARTICIPANT):
+            named = identifier(visit.removeprefix(PARTICIPANT))
+            if not named:
+                raise InvalidError("participant: expected an ID of letters, digits or signs")
+            visit = PARTICIPANT + named
         code, once = self.code(visit), visit
         if signature is not None:
             if not self.access.is_signed(visit, signature):
@@ -161,6 +199,12 @@ class StudyService(Service):
             if code in self.views:
                 found: dict[str, Any] = json.loads(self.views[code])
                 return found
+        elif before not in (None, code) and self.is_under_way(before):
+            if visit.startswith(PARTICIPANT):
+                raise InapplicableError("another participant has begun in this browser and has not finished")
+            return dict(json.loads(self.views[before or ""]))
+        elif code not in self.views and not simulated and (self.folder / SIGNED).exists():
+            raise ForgedError("this study admits participants by links of their own; use the complete link")
         elif visit.startswith(PARTICIPANT):
             if key is None:
                 raise ForgedError("expected a signed link, or the key of a browser")
@@ -204,8 +248,9 @@ class StudyService(Service):
                 continue
             stage = cohort.stages[person.at]
             away = 0.0 if self.connected(code) else now - self._heard.setdefault(code, now)
-            # Who waits for a group has to be there when it begins; half a minute suffices for a reload.
-            if away > 60 * (min(study.away, 0.5) if stage.kind == WAITING else study.away):
+            holds = study.participants is not None and person.condition is None and stage.kind != WAITING
+            forgotten = holds and session_now - person.acted > 180 * study.away  # a tab that is open, and left alone
+            if forgotten or away > 60 * self._patience(stage.kind):
                 found.append(Event("left", code))
             elif study.group is not None and stage.kind == WAITING:
                 late = session_now - person.entered > 60 * study.group.wait
@@ -222,6 +267,17 @@ class StudyService(Service):
                     idle.add((person.group, stage.period))
                     found.append(Event("elapsed", code))
         return found
+
+    def _patience(self, kind: str) -> float:
+        """Return the minutes without a page after which a participant at such a stage counts as dropped out.
+
+        Who waits for a group has to be there when it begins, and who has not consented keeps a place from others; half
+        a minute, or a whole one, suffices for a reload.
+        """
+        away = self.study.away
+        if kind == WAITING:
+            return min(away, 0.5)
+        return min(away, 1.0) if kind == "consent" and self.study.participants is not None else away
 
     # The experimenter's view.
 
@@ -246,7 +302,7 @@ class StudyService(Service):
         return {
             "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.places.taken,
             "stages": [stage.name for stage in cohort.stages], "participants": people, "events": cohort.count,
-            "fault": cohort.fault, "design": study.design,
+            "fault": cohort.fault, "problems": self.unready(), "design": study.design,
             "conditions": [
                 {
                     "name": name, "policy": " > ".join(policies[one] for one in order), "counting": counts[name],

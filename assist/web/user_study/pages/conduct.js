@@ -1,7 +1,7 @@
 // The experimenter's page: participants and their progress, dropouts, the sizes of conditions, and the export.
 
 import { LONG, Refused, ask, askJson } from "../../pages/connection.js";
-import { all, at, clock, complain, focused } from "../../pages/page.js";
+import { all, at, clock, complain, focused, report, sentence } from "../../pages/page.js";
 
 const BETWEEN = 2000; // milliseconds between two updates
 const LEFT = ["gone", "declined", "full", "unmatched"];
@@ -76,9 +76,7 @@ function excluder(code, excluded) {
 function show(study) {
   const { participants, stages, conditions } = study;
   at("title").textContent = document.title = study.title;
-  const fault = study.fault === null ? "" : `A policy failed: ${study.fault}`;
-  if (at("fault").textContent !== fault) at("fault").textContent = fault; // so that screen readers announce it once
-  at("fault").hidden = !fault;
+  report([...study.problems.map(sentence), ...(study.fault === null ? [] : [`A policy failed: ${study.fault}`])]);
   const here = participants.filter((one) => one.status === "here").length;
   const done = participants.filter((one) => one.status === "done").length;
   at("count").textContent = `${participants.length} joined, ${here} present, ${done} completed${study.places === null ? "" : `, ${study.taken} of ${study.places} places taken`}`;

@@ -1,6 +1,6 @@
 // A participant's page: consent, instructions, questionnaires and the end. It redirects to the page of tasks.
 
-import { Outbox, askJson, follow, passes, pageOf, person, place } from "../../pages/connection.js";
+import { Outbox, askJson, follow, passes, pageOf, person, place, unsent } from "../../pages/connection.js";
 import { all, at, complain, element, forget, keep, language, recall, sentence, text } from "../../pages/page.js";
 import { Questions } from "./questions.js";
 
@@ -74,8 +74,20 @@ function ends(study, heading = text("study.thanks"), words = form.texts.thanks) 
   at("body").append(element("p", { class: "code" }, element("label", { for: "code" }, text("study.code")), code, copy), element("p", {}, text("study.close")));
   askJson(own("withdrawal")).then(({ code, address: place, until }) => {
     const day = until === null ? "" : new Date(until).toLocaleDateString(language, { dateStyle: "long", timeZone: "UTC" });
-    at("body").append(element("p", { class: "hint", id: "withdrawal" }, text(day ? "study.later_until" : "study.later", { day, code, address: place })));
+    const link = element("a", { href: place }, place); // the text names the address for those who write it down
+    const words = text(day ? "study.later_until" : "study.later", { day, code, address: "\n" }).split("\n");
+    at("body").append(element("p", { class: "hint", id: "withdrawal" }, words[0], link, ...words.slice(1)));
   }).catch(() => {}); // the page works without it
+}
+
+/** A page whose button lets the participant return. */
+function again(heading, words, word) {
+  plain(heading, words);
+  at("form").append(buttons([word, null]));
+  at("form").onsubmit = (event) => {
+    event.preventDefault();
+    send("return", {});
+  };
 }
 
 const STAGES = {
@@ -90,18 +102,13 @@ const STAGES = {
     forget(`kitassist draft ${place} `);
     plain(text("study.left"), text("study.left_text"));
   },
-  gone: () => {
-    plain(text("study.returned"), text("study.returned_text"));
-    send("return", {});
-  },
-  full: () => {
-    plain(text("study.full"), text("study.full_text"));
-    at("form").append(buttons([text("study.try_again"), null]));
-    at("form").onsubmit = (event) => {
-      event.preventDefault();
+  gone: (study, opened) => {
+    if (opened) {
+      plain(text("study.returned"), text("study.returned_text"));
       send("return", {});
-    };
+    } else again(text("study.returned"), text("study.away_text"), text("page.continue")); // nobody may be there
   },
+  full: () => again(text("study.full"), text("study.full_text"), text("study.try_again")),
 };
 
 const key = (study) => `${study.kind} ${study.stage}`;
@@ -152,7 +159,7 @@ function build(study, now) {
     at("leaving-title").focus();
     return;
   }
-  STAGES[study.kind](study);
+  STAGES[study.kind](study, first && !new URLSearchParams(location.search).has("away"));
   scrollTo(0, 0);
   if (!first) at("stage-title").focus({ preventScroll: true });
 }
@@ -178,8 +185,8 @@ const outbox = new Outbox("part", {
     if (error.status !== 409 || path === own("withdraw")) complain(sentence(error.message));
     show();
   },
-  waiting() {
-    complain(text("page.not_sent"));
+  waiting(error) {
+    complain(unsent(error));
   },
 });
 

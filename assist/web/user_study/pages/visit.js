@@ -1,14 +1,14 @@
 // The page of the join link: each browser becomes one participant, always the same one.
 
-import { Refused, address, askJson, newId, passes, place } from "../../pages/connection.js";
+import { Refused, address, askJson, newId, parameters, passes, place } from "../../pages/connection.js";
 import { at, keep, recall, sentence, text, wait } from "../../pages/page.js";
 
 const KEY = `kitassist visit ${place}`;
 
 /** Participants sent by another system bring its id. With a signature they are the same participant on every device. */
 function sent() {
-  const id = new URLSearchParams(location.search).get("participant");
-  return id ? `participant ${id}`.slice(0, 128) : null;
+  const id = parameters.get("participant");
+  return id ? `participant ${id}` : null;
 }
 
 /** The key of this browser, without which nobody else can use an id that is not signed. */
@@ -24,7 +24,7 @@ function browserKey() {
 
 function bodyOf(id) {
   if (id !== sent()) return { id };
-  const signature = new URLSearchParams(location.search).get("signature");
+  const signature = parameters.get("signature");
   return signature ? { id, signature } : { id, key: browserKey() };
 }
 
@@ -107,5 +107,5 @@ addEventListener("pageshow", (event) => event.persisted && location.reload());
 askJson("/api/study/form").then((form) => {
   at("title").textContent = document.title = form.title;
 }).catch(() => {});
-if (new URLSearchParams(location.search).has("withdraw")) withdraws();
+if (parameters.has("withdraw")) withdraws();
 else begin();
