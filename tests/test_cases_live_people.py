@@ -12,7 +12,7 @@ import pytest
 from conftest import kit
 from hypothesis import given
 from hypothesis import strategies as st
-from sessions import SETTING
+from sessions import EASY, SETTING
 from test_live_web import Web
 from test_mqtt import SETTINGS, Broker, Here, broker, settings_file
 
@@ -23,8 +23,9 @@ from assist.live.events import Event, InvalidError, is_name, name_of
 from assist.live.store import JournalError
 from assist.people.action_names import in_pddl
 from assist.team.settings import Setting
+from assist.web.server import ServedTeam
 from planner import Table
-from planner.system.errors import InputFileError
+from planner.system.errors import InputFileError, ResultsExistError
 
 __all__ = ["broker"]
 NAMES = [
@@ -198,6 +199,32 @@ def test_what_keeps_events_from_being_saved_is_shown_to_the_operator(
         assert problems == ["events cannot be saved: No space left on device at the last attempt"]
         assert web.ask("POST", "/api/team/people", None, json={"person": "eve"}).status_code == 200
         assert web.ask("GET", "/api/team", None).json()["problems"] == []
+
+
+def test_a_session_goes_on_with_as_many_people_as_it_began_with(tiny: Table, tmp_path: Path) -> None:
+    """Whoever was added, removed or erased later; a mistyped number is refused, and nothing is changed."""
+
+    def served(humans: int) -> Session:
+        people = {f"person-{number}": "tiny" for number in range(1, humans + 1)}
+        options: Any = {"policy": "attention", "setting": Setting(), "population": EASY, "distance": None}
+        options |= {"simulated": (), "pace": 3.0, "seed": 0, "tick": 2.0}
+        team = ServedTeam({"tiny": tiny}, tmp_path, people, **options)
+        return team.session()
+
+    session = served(3)
+    session.join("eve")
+    session.leave("person-2")
+    session.close()
+    for humans in (1, 2, 4, 30):
+        with pytest.raises(ResultsExistError, match=f"began with 3 people, not {humans}; expected --humans 3"):
+            served(humans)
+    session = served(3)
+    assert session.people == ("person-1", "person-3", "eve")
+    session.erase("person-3", "as asked")
+    session.close()
+    served(3).close()
+    with pytest.raises(ResultsExistError):
+        served(5)
 
 
 def test_an_event_carries_a_persons_name_in_one_form() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import sys
 from pathlib import Path
 
@@ -42,15 +43,15 @@ def study_prepare(file: Path, data: Path, links: Path | None, public_url: str | 
         fail(str(error), ExitCode.USAGE)
     if public_url is None:
         raise click.UsageError("--links: expected --public-url URL as well, with which the links begin")
-    from ..userstudy.tables import written
     from ..web.tokens import AccessTokens
     from ..web.user_study.service import participant_url
 
     ids = _ids(links)
     data.mkdir(parents=True, exist_ok=True)
     access = AccessTokens.kept(data / "secret", public_url)
-    rows = ({"participant": one, "link": participant_url(access, one, data)} for one in ids)
-    sys.stdout.write(written(("participant", "link"), rows))
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(("participant", "link"))
+    writer.writerows((one, participant_url(access, one, data)) for one in ids)
 
 
 def _ids(file: Path, longest: int = 100) -> list[str]:

@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -36,7 +37,7 @@ from ..team.state import TeamPolicy
 from .advice import Advice
 from .course import Course
 from .event_sourced import EventSourced, Outlook
-from .events import LONGEST_REASON, AbsentError, Event, InvalidError, name_of
+from .events import LONGEST_REASON, VACANT, AbsentError, Event, InvalidError, name_of
 from .header import header_of, require_same
 from .live_task import InapplicableError, UnknownError
 from .people_store import PeopleStore, model_of
@@ -466,6 +467,12 @@ class Session:
             course = self._course
             robots = tuple(course.robot(number) for number in range(1, 1 + len(course.advices)))
             return Outlook(course.count, course.paused, robots[0], list(course.recent), course.fault, robots)
+
+    def began_with(self) -> list[str | None]:
+        """Return the people who joined before anything else happened; None for those whose records were erased."""
+        with self.lock:
+            first = takewhile(lambda record: record["event"] in ("joined", VACANT), self._store)
+            return [record["person"] if record["event"] == "joined" else None for record in first]
 
     def fault(self) -> str | None:
         """Return why events cannot be saved now, as far as it is known; None if they can."""

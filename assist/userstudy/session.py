@@ -144,9 +144,8 @@ class StudySession(Session):
         self._remains = False
 
     def _remove(self, person: str, label: str, reason: str) -> Tombstone:
-        stone = super()._remove(person, label, reason)
-        self._remove_derived()
-        return stone
+        self._remove_derived()  # first: if it fails, nothing is removed, and all of it is tried again
+        return super()._remove(person, label, reason)
 
     def _remove_derived(self) -> None:
         """Remove the export and the report in the folder, which have the data of everybody at that time."""

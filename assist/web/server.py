@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import errno
 import logging
+import re
 import signal
 import socket
 from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
@@ -20,6 +21,7 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from planner import CostToGo
+from planner.system.errors import ResultsExistError
 
 from ..live.events import AbsentError, Event
 from ..live.live_task import InapplicableError
@@ -38,6 +40,9 @@ from .app import make_app
 from .request_limits import LARGEST, Networks
 from .service import Bridge, BusyError, Service
 from .tokens import AccessTokens
+
+SEAT = re.compile(r"(person|simulated)-\d+")
+"""Names of the people with whom a session begins."""
 
 JOURNAL = "journal.sqlite"
 """Name of a session's file in its folder."""
@@ -266,7 +271,23 @@ class ServedTeam:
                 if isinstance(outcome, Exception):
                     session.close()
                     raise outcome
+        try:
+            self._require_same_people(session)
+        except BaseException:
+            session.close()
+            raise
         return session
+
+    def _require_same_people(self, session: Session) -> None:
+        """Refuse a session that began with another number of people; who was added or removed later does not matter."""
+        began = session.began_with()
+        known = sum(name is not None and SEAT.fullmatch(name) is not None for name in began)
+        erased = sum(name is None for name in began)
+        if not known <= len(self.people) <= known + erased:
+            raise ResultsExistError(
+                f"{self.folder / JOURNAL}: the session there began with {known + erased} people, not "
+                f"{len(self.people)}; expected --humans {known + erased}, or another folder"
+            )
 
     def seats(self) -> SimulatedSeats:
         """Draw the simulated people."""
