@@ -18,11 +18,15 @@ from pathlib import Path
 from typing import NoReturn
 
 from .declarations import Names, Symbol, Typed, meant, parameters, refuse, shown
+from .numeric_expressions import DURATION, Number, number
 from .s_expressions import Expression, Place
 
 COMPARISONS = frozenset({"<", ">", "<=", ">="})
 CONDITIONS = ("and", "or", "not", "imply", "forall", "exists")
-EFFECTS = ("and", "not", "when", "forall", "increase")
+CHANGES = ("increase", "decrease", "assign", "scale-up", "scale-down")
+EFFECTS = ("and", "not", "when", "forall", *CHANGES)
+TIMES = {"at": ("start", "end"), "over": ("all",)}
+"""Words of `(at start ...)`, `(at end ...)` and `(over all ...)`."""
 
 LARGEST_COST = 10**12
 """Largest cost of an action. Costs-to-go are 64-bit integers, and are reported as floats, which are exact up to 2^53.
@@ -40,7 +44,7 @@ class Cost:
     function: tuple[str, ...]
     place: Place
 
-    def of(self, bound: Mapping[str, str], values: Mapping[tuple[str, ...], int]) -> int | None:
+    def of(self, bound: Mapping[str, str], values: Mapping[tuple[str, ...], Number]) -> Number | None:
         """Return the cost of a ground action; None if the function has no value for its arguments.
 
         `bound` maps parameters to objects; `values` maps a function's name and arguments to its value.
@@ -70,7 +74,8 @@ class Formulas:
     """Reader of the formulas of one file.
 
     `derived` holds the place of the first rule of each derived predicate. `unions` is filled with a name for each set
-    of types of an `(either ...)`.
+    of types of an `(either ...)`. `numeric` becomes true with the first formula beyond classical planning with costs.
+    `?duration` may be used where `in_time` is true.
     """
 
     def __init__(self, file: Path, names: Names, derived: Mapping[str, Place], unions: dict[tuple[str, ...], str]):
@@ -78,6 +83,8 @@ class Formulas:
         self.names = names
         self.derived = derived
         self.unions = unions
+        self.numeric = False
+        self.in_time = False
         self._used: set[str] = set()
         self._bound: set[str] = set()
 
@@ -158,20 +165,65 @@ class Formulas:
             body = self.condition(parts[1], inner)
             return listed(formula.parts[0], variables, body) if variables.parts else body
         if head in COMPARISONS or (head == "=" and any(self._is_number(part) for part in parts)):
-            self.refuse(formula, f"numeric conditions are not supported: {shown(formula)}")
+            self._expect(formula, 2, f"({head} NUMBER NUMBER)")
+            self.numeric = True
+            sides = (self.expression(part, scope) for part in parts)
+            return Expression("", (formula.parts[0], *sides), formula.place)
         if head == "=":
             self._expect(formula, 2, "(= TERM TERM)")
             return listed(formula.parts[0], *(self._term(part, scope)[0] for part in parts))
         return self.atom(formula, scope, CONDITIONS)
 
     def _is_number(self, part: Expression) -> bool:
-        return bool(part.parts) or (whole_number(part) is not None and part.word not in self.names.objects)
+        if part.word == DURATION:
+            return self.in_time
+        return bool(part.parts) or (number(part.word) is not None and part.word not in self.names.objects)
+
+    def expression(self, part: Expression, scope: Scope) -> Expression:
+        """Check a numeric expression, and return it in normalised form."""
+        if part.word == DURATION and DURATION not in scope:
+            if not self.in_time:
+                self.refuse(part, f"{DURATION} is known in durative actions only")
+            return part
+        if part.word == "#t":
+            self.refuse(part, "continuous effects (#t) are not supported; write the whole change (at end ...)")
+        if part.word:
+            if number(part.word) is not None:
+                return part
+            known = self.names.functions.keys() | {"total-cost"}
+            near = f"; write ({part})" if part.word in known else "; expected a number or (FUNCTION ARGUMENT ...)"
+            self.refuse(part, f"'{part}' is no number{near}")
+        head, given = part.head, part.parts[1:]
+        if head in ("+", "-", "*", "/"):
+            fewest, most = {"-": (1, 2), "/": (2, 2)}.get(head, (1, len(given)))
+            if not max(fewest, 1) <= len(given) <= most:
+                self.refuse(part, f"'{shown(part)}': '{head}' expects two numbers; expected ({head} NUMBER NUMBER)")
+            return Expression("", (part.parts[0], *(self.expression(each, scope) for each in given)), part.place)
+        return self._function(part, scope)
+
+    def _function(self, part: Expression, scope: Scope) -> Expression:
+        """Check a function with its arguments."""
+        function = self.names.functions.get(part.head)
+        if function is None and part.head == "total-cost":
+            function = Symbol("total-cost", (), part.place)
+        if function is None and part.head in self.names.predicates:
+            self.refuse(part, f"'{part.head}' is a predicate, and a number is expected here")
+        if function is None and not part.head:
+            self.refuse(part, f"'{shown(part)}' is no number; expected a number or (FUNCTION ARGUMENT ...)")
+        if function is None:
+            near = meant(part.head, {*self.names.functions, "+", "-", "*", "/"})
+            self.refuse(part, f"no such function '{part.head}' in (:functions ...){near}")
+        return Expression("", (part.parts[0], *self.arguments(part, function, scope)), part.place)
 
     def atom(self, formula: Expression, scope: Scope, besides: Iterable[str] = ()) -> Expression:
         """Check a predicate with its arguments, and return it in normalised form."""
         symbol = self.names.predicates.get(formula.head)
         if symbol is None and formula.head == "preference":
-            self.refuse(formula, "preferences are not supported")
+            self.refuse(formula, "preferences are not supported; write what must hold as a plain condition")
+        if symbol is None and formula.head in self.names.functions:
+            self.refuse(
+                formula, f"'{formula.head}' is a function, and a condition is expected; write (>= {shown(formula)} 1)"
+            )
         if symbol is None:
             near = meant(formula.head, {*self.names.predicates, *besides})
             self.refuse(formula, f"unknown predicate '{formula.head}'{near}")
@@ -186,6 +238,8 @@ class Formulas:
         if (known := self.names.objects.get(part.word)) is not None:
             return part, known
         what = "variable" if part.word.startswith("?") else "object"
+        if number(part.word) is not None:
+            self.refuse(part, f"'{part}' is a number, and the name of an object is expected here")
         near = meant(part.word, scope if what == "variable" else self.names.objects)
         self.refuse(part, f"unknown {what} '{part}'{near}")
 
@@ -213,7 +267,7 @@ class Formulas:
     def effect(self, formula: Expression, scope: Scope, action: str, costs: list[Cost]) -> Expression:
         """Check an effect, and return it in normalised form; its cost is appended to `costs`."""
         found = self._effect(formula, scope, action, costs, "")
-        return listed(word("and"), found) if found.head == "increase" else found
+        return listed(word("and"), found) if found.head in CHANGES else found
 
     def _effect(self, formula: Expression, scope: Scope, action: str, costs: list[Cost], within: str) -> Expression:
         self._headed(formula, "effect", EFFECTS)
@@ -232,8 +286,10 @@ class Formulas:
             self._expect(formula, 2, "(when CONDITION EFFECT)")
             condition = self.condition(parts[0], scope)
             return _when(condition, self._effect(parts[1], scope, action, costs, "when"))
-        if head in ("increase", "decrease", "assign", "scale-up", "scale-down"):
-            written, cost = self._cost(formula, scope, action, within)
+        if head in CHANGES:
+            if not self._is_cost(formula, within):
+                return self._change(formula, scope, action)
+            written, cost = self._cost(formula, scope, action)
             if costs:
                 other = costs[0].place.line
                 self.refuse(formula, f"action '{action}' has two costs, on line {other} as well; expected one")
@@ -254,27 +310,124 @@ class Formulas:
             self.refuse(formula, f"action '{action}' changes '{changed.head}', which is derived (line {rule.line})")
         return listed(formula.parts[0], atom) if head == "not" else atom
 
-    def _cost(self, formula: Expression, scope: Scope, action: str, within: str) -> tuple[Expression, Cost]:
-        parts = formula.parts[1:]
-        changed = parts[0].head or str(parts[0]) if parts else "nothing"
-        if formula.head != "increase" or changed != "total-cost":
+    def _is_cost(self, formula: Expression, within: str) -> bool:
+        """Whether a change of a number is the cost of a plain action: a whole number, a function, or a faulty word."""
+        if formula.head != "increase" or within or self.in_time or len(formula.parts) != 3:
+            return False
+        changed, amount = formula.parts[1:]
+        if str(changed) not in ("(total-cost)", "total-cost"):
+            return False
+        if amount.word:
+            return number(amount.word) is None or whole_number(amount) is not None
+        return amount.head not in ("+", "-", "*", "/", "total-cost") or str(amount.head) == "total-cost"
+
+    def _change(self, formula: Expression, scope: Scope, action: str) -> Expression:
+        """Check an effect that changes a number."""
+        self.numeric = True
+        self._expect(formula, 2, f"({formula.head} (FUNCTION ARGUMENT ...) NUMBER)")
+        changed, amount = formula.parts[1:]
+        if not changed.parts:
+            near = f"; write ({changed})" if changed.word in {*self.names.functions, "total-cost"} else ""
+            self.refuse(changed, f"action '{action}' changes '{changed}', which is no (FUNCTION ARGUMENT ...){near}")
+        if changed.head == "total-cost" and formula.head != "increase":
+            self.refuse(formula, f"action '{action}': costs only grow; expected (increase (total-cost) NUMBER)")
+        if changed.head in ("+", "-", "*", "/"):
+            self.refuse(changed, f"action '{action}' changes '{shown(changed)}'; expected (FUNCTION ARGUMENT ...)")
+        both = self._function(changed, scope), self.expression(amount, scope)
+        return Expression("", (formula.parts[0], *both), formula.place)
+
+    def timed_condition(self, formula: Expression, scope: Scope, action: str) -> Expression:
+        """Check the condition of a durative action. Each part of it stands in `(at start ...)` or its siblings."""
+        self._headed(formula, "condition", ("at start", "over all", "at end"))
+        head, parts = formula.head, formula.parts[1:]
+        if self._has_time(formula, action):
+            return listed(*formula.parts[:2], self.condition(formula.parts[2], scope))
+        if not head:
+            return listed(word("and"))
+        if head in ("and", "or"):
+            return listed(formula.parts[0], *(self.timed_condition(part, scope, action) for part in parts))
+        if head in ("forall", "exists"):
+            self._expect(formula, 2, f"({head} (?VARIABLE - TYPE ...) CONDITION)")
+            variables, inner = self._quantified(parts[0], scope)
+            body = self.timed_condition(parts[1], inner, action)
+            return listed(formula.parts[0], variables, body) if variables.parts else body
+        if head == "preference":
+            self.refuse(formula, "preferences are not supported; write what must hold as a plain condition")
+        self.refuse(
+            formula, f"durative action '{action}': '{shown(formula)}' has no time; expected (at start CONDITION), "
+            "(over all CONDITION) or (at end CONDITION)",
+        )  # fmt: skip
+
+    def timed_effect(self, formula: Expression, scope: Scope, action: str) -> Expression:
+        """Check the effect of a durative action. Each part of it stands in `(at start ...)` or `(at end ...)`."""
+        self._headed(formula, "effect", ("at start", "at end"))
+        head, parts = formula.head, formula.parts[1:]
+        if self._has_time(formula, action):
+            if head == "over":
+                self.refuse(formula, f"durative action '{action}': effects happen (at start ...) or (at end ...)")
+            return listed(*formula.parts[:2], self._effect(formula.parts[2], scope, action, [], ""))
+        if not head:
+            return listed(word("and"))
+        if head == "and":
+            return listed(formula.parts[0], *(self.timed_effect(part, scope, action) for part in parts))
+        if head == "forall":
+            self._expect(formula, 2, "(forall (?VARIABLE - TYPE ...) EFFECT)")
+            variables, inner = self._quantified(parts[0], scope)
+            body = self.timed_effect(parts[1], inner, action)
+            return listed(formula.parts[0], variables, body) if variables.parts else body
+        if head == "when":
+            self._expect(formula, 2, "(when CONDITION EFFECT)")
+            condition = self.timed_condition(parts[0], scope, action)
+            return listed(formula.parts[0], condition, self.timed_effect(parts[1], scope, action))
+        if any(each.word == "#t" for each in formula.walk()):
+            self.refuse(formula, "continuous effects (#t) are not supported; write the whole change (at end ...)")
+        self.refuse(
+            formula,
+            f"durative action '{action}': '{shown(formula)}' has no time; expected (at start EFFECT) or (at end EFFECT)",
+        )
+
+    def _has_time(self, formula: Expression, action: str) -> bool:
+        """Whether a formula is `(at start ...)`, `(over all ...)` or `(at end ...)`."""
+        if formula.head not in TIMES or len(formula.parts) < 2:
+            return False
+        when, inner = formula.parts[1], formula.parts[2:]
+        if when.word in TIMES[formula.head] and len(inner) == 1 and not inner[0].word:
+            return True
+        if formula.head in self.names.predicates and not any(each.parts for each in formula.parts[1:]):
+            return False
+        near = meant(when.word, TIMES[formula.head])
+        self.refuse(
+            formula, f"durative action '{action}': '{shown(formula)}' is no time with one formula{near}; "
+            "expected (at start ...), (over all ...) or (at end ...)",
+        )  # fmt: skip
+
+    def duration(self, formula: Expression, scope: Scope, action: str) -> Expression:
+        """Check a constraint on the duration, and return it in normalised form, `?duration` on the left."""
+        head = formula.head
+        if not formula.word and not head:
+            return listed(word("and"))
+        if head == "and":
+            return listed(formula.parts[0], *(self.duration(part, scope, action) for part in formula.parts[1:]))
+        if head == "at" and self._has_time(formula, action):
+            return listed(*formula.parts[:2], self.duration(formula.parts[2], scope, action))
+        if head not in ("=", "<=", ">=") or len(formula.parts) != 3 or formula.parts[1].word != DURATION:
             self.refuse(
-                formula,
-                f"numeric fluents are not supported: action '{action}' changes '{changed}' "
-                f"({formula.head}); only (increase (total-cost) ...) may be used",
-            )
-        if within == "when":
-            self.refuse(formula, f"action '{action}' has a conditional cost; costs depend on arguments only")
-        if within:
-            self.refuse(formula, f"action '{action}' has a cost within (forall ...); expected it outside, once")
-        if len(parts) != 2 or not parts[0].parts:
+                formula, f"durative action '{action}': '{shown(formula)}' is no duration; "
+                f"expected (= {DURATION} NUMBER), or <= and >= in place of =",
+            )  # fmt: skip
+        amount = self.expression(formula.parts[2], scope)
+        if any(each.word == DURATION for each in amount.walk()):
+            self.refuse(formula, f"durative action '{action}': the duration is stated by itself")
+        return Expression("", (*formula.parts[:2], amount), formula.place)
+
+    def _cost(self, formula: Expression, scope: Scope, action: str) -> tuple[Expression, Cost]:
+        parts = formula.parts[1:]
+        if not parts[0].parts:
             self.refuse(formula, f"action '{action}': expected (increase (total-cost) COST)")
-        if len(parts[0].parts) > 1:
-            self.refuse(formula, f"'total-cost' takes 0 arguments, not {len(parts[0].parts) - 1}")
         amount = parts[1]
         written = self._amount(amount, scope, action)
         cost = Cost(whole_number(written), tuple(written.words), formula.place)
-        return listed(formula.parts[0], parts[0], written), cost
+        return Expression("", (formula.parts[0], parts[0], written), formula.place), cost
 
     def limited(self, at: Expression, number: int) -> None:
         """Refuse a cost above `LARGEST_COST`."""
@@ -286,14 +439,8 @@ class Formulas:
         if (number := whole_number(amount)) is not None:
             self.limited(amount, number)
             return word(str(number))
-        if re.fullmatch(r"-[\d.]+", amount.word) or (amount.head == "-" and len(amount.parts) == 2):
-            self.refuse(amount, f"action '{action}' costs '{amount}'; costs may not be negative")
         if not amount.head:
-            self.refuse(
-                amount, f"action '{action}' costs '{amount}'; expected a whole number, or (FUNCTION ARGUMENT ...)"
-            )
-        if amount.head in ("+", "-", "*", "/"):
-            self.refuse(amount, f"action '{action}' costs a sum or product, which is not supported: {shown(amount)}")
+            self.refuse(amount, f"action '{action}' costs '{amount}'; expected a number, or (FUNCTION ARGUMENT ...)")
         function = self.names.functions.get(amount.head)
         if amount.head == "total-cost":
             self.refuse(amount, f"action '{action}' costs '{amount}', which changes; expected another function")

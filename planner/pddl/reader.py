@@ -12,8 +12,9 @@ from pathlib import Path
 
 from . import declarations, instance_finder, instances, supported_fragment
 from .declarations import Names, Symbol, Typed, Types, meant, refuse, shown
-from .formulas import Cost, Formulas, listed, whole_number, word
+from .formulas import LARGEST_COST, Cost, Formulas, listed, whole_number, word
 from .instances import Instance
+from .numeric_expressions import DURATION, Number, number
 from .s_expressions import Expression, Place
 
 TOTAL_COST = ("total-cost",)
@@ -29,6 +30,21 @@ class Action:
     precondition: Expression
     effect: Expression
     cost: Cost | None
+    place: Place
+
+
+@dataclass(frozen=True)
+class DurativeAction:
+    """A durative action. `duration` is a conjunction of constraints on `?duration`.
+
+    The parts of the condition and the effect stand in `(at start ...)`, `(over all ...)` or `(at end ...)`.
+    """
+
+    name: str
+    parameters: tuple[Typed, ...]
+    duration: Expression
+    condition: Expression
+    effect: Expression
     place: Place
 
 
@@ -50,11 +66,11 @@ class Domain:
     constants: Mapping[str, Typed]
     predicates: Mapping[str, Symbol]
     functions: Mapping[str, Symbol]
-    entries: tuple[Action | Rule, ...]
+    entries: tuple[Action | DurativeAction | Rule, ...]
 
     @property
     def actions(self) -> dict[str, Action]:
-        """The actions by name."""
+        """The actions without durations by name."""
         return {each.name: each for each in self.entries if isinstance(each, Action)}
 
     @property
@@ -65,7 +81,7 @@ class Domain:
 
 @dataclass(frozen=True)
 class Problem:
-    """A problem. `metric` and `init` are the places of (:metric minimize (total-cost)) and of the initial state."""
+    """A problem. `metric` and `init` are the places of the metric and of the initial state."""
 
     name: str
     requirements: tuple[Expression, ...]
@@ -73,21 +89,27 @@ class Problem:
     """Objects, without the domain's constants."""
     facts: Mapping[tuple[str, ...], Place]
     """Facts that hold in the initial state (predicate and arguments), with their places."""
-    values: Mapping[tuple[str, ...], int]
+    values: Mapping[tuple[str, ...], Number]
     """Values of the functions, by name and arguments."""
     goal: Expression
     metric: Place | None
     init: Place
+    minimized: Expression | None = None
+    """What the metric minimizes; None stands for `(total-cost)` where there is a metric."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """The content of the two files of an instance; `unions` names the type that replaces each `(either ...)`."""
+    """The content of the two files of an instance; `unions` names the type that replaces each `(either ...)`.
+
+    `numeric` is true if there is more than classical planning with whole costs: durations, or numbers that matter.
+    """
 
     instance: Instance
     domain: Domain
     problem: Problem
     unions: Mapping[tuple[str, ...], str] = field(default_factory=dict)
+    numeric: bool = False
 
     @property
     def has_costs(self) -> bool:
@@ -126,10 +148,12 @@ def read(instance: Instance) -> Reading:
     )
     supported_fragment.check(instance, domain, problem)
     unions: dict[tuple[str, ...], str] = {}
-    known, derived = _domain(instance.domain, domain, unions)
-    reading = Reading(instance, known, _problem(instance, problem, known, derived, unions), unions)
-    for action in known.actions.values():
-        _check_repeated(reading, action)
+    known, derived, numeric = _domain(instance.domain, domain, unions)
+    asked, numbers = _problem(instance, problem, known, derived, unions)
+    reading = Reading(instance, known, asked, unions, numeric or numbers)
+    if not reading.numeric:
+        for action in known.actions.values():
+            _check_repeated(reading, action)
     return reading
 
 
@@ -160,7 +184,10 @@ def _parts(whole: Expression, head: str) -> tuple[Expression, ...]:
     return () if section is None else section.parts[1:]
 
 
-def _domain(file: Path, whole: Expression, unions: dict[tuple[str, ...], str]) -> tuple[Domain, dict[str, Place]]:
+def _domain(
+    file: Path, whole: Expression, unions: dict[tuple[str, ...], str]
+) -> tuple[Domain, dict[str, Place], bool]:
+    """Read the domain. Return it, its derived predicates, and whether it is more than classical."""
     types = declarations.types(file, whole.section(":types"))
     constants = declarations.objects(file, whole.section(":constants"), types, {}, "")
     predicates = declarations.predicates(file, whole.section(":predicates"), types)
@@ -170,11 +197,12 @@ def _domain(file: Path, whole: Expression, unions: dict[tuple[str, ...], str]) -
         if part.head == ":derived" and len(part.parts) > 1:
             derived.setdefault(part.parts[1].head, part.place)
     formulas = Formulas(file, Names(types, predicates, functions, constants), derived, unions)
-    entries: list[Action | Rule] = []
+    entries: list[Action | DurativeAction | Rule] = []
     places: dict[str, Place] = {}
     for part in whole.parts:
-        if part.head == ":action":
-            action = _action(file, part, formulas)
+        if part.head in (":action", ":durative-action"):
+            read = _action if part.head == ":action" else _durative_action
+            action = read(file, part, formulas)
             if (other := places.get(action.name)) is not None:
                 refuse(file, part.parts[1], f"'{action.name}' is defined twice, on line {other.line} as well")
             places[action.name] = action.place
@@ -183,13 +211,17 @@ def _domain(file: Path, whole: Expression, unions: dict[tuple[str, ...], str]) -
             entries.append(_rule(file, part, formulas))
     name = _parts(whole, "domain")[0].word
     domain = Domain(name, _parts(whole, ":requirements"), types, constants, predicates, functions, tuple(entries))
-    return domain, derived
+    return domain, derived, formulas.numeric
 
 
-def _action(file: Path, part: Expression, formulas: Formulas) -> Action:
+def _sections(
+    file: Path, part: Expression, sections: tuple[str, ...], formulas: Formulas
+) -> tuple[dict[str, Expression], tuple[Typed, ...]]:
+    """Read the sections of an action by their heads, and its parameters."""
     if len(part.parts) < 2 or not part.parts[1].word or part.parts[1].word.startswith((":", "?")):
-        refuse(file, part, "expected (:action NAME :parameters (...) :precondition ... :effect ...)")
-    title, sections = part.parts[1], (":parameters", ":precondition", ":effect")
+        layout = " ".join(f"{section} ..." for section in sections[1:])
+        refuse(file, part, f"expected ({part.head} NAME :parameters (...) {layout})")
+    title = part.parts[1]
     found: dict[str, Expression] = {}
     words = iter(part.parts[2:])
     for key in words:
@@ -210,6 +242,12 @@ def _action(file: Path, part: Expression, formulas: Formulas) -> Action:
     if listing is not None and listing.word:
         refuse(file, listing, f"parameters of action '{title}': expected (?VARIABLE - TYPE ...), not '{listing}'")
     parameters = declarations.parameters(file, () if listing is None else listing.parts, formulas.names.types)
+    return found, parameters
+
+
+def _action(file: Path, part: Expression, formulas: Formulas) -> Action:
+    found, parameters = _sections(file, part, (":parameters", ":precondition", ":effect"), formulas)
+    title = part.parts[1]
     scope = formulas.scope(parameters, part)
     formulas.variables(parameters)  # for their types
     empty = listed(word("and"))
@@ -217,6 +255,25 @@ def _action(file: Path, part: Expression, formulas: Formulas) -> Action:
     costs: list[Cost] = []
     effect = formulas.effect(found[":effect"], scope, title.word, costs)
     return Action(title.word, parameters, precondition, effect, costs[0] if costs else None, title.place)
+
+
+def _durative_action(file: Path, part: Expression, formulas: Formulas) -> DurativeAction:
+    sections = (":parameters", ":duration", ":condition", ":effect")
+    found, parameters = _sections(file, part, sections, formulas)
+    title = part.parts[1]
+    if ":duration" not in found:
+        refuse(file, part, f"durative action '{title}' has no :duration; expected :duration (= {DURATION} NUMBER)")
+    if (own := next((each for each in parameters if each.name == DURATION), None)) is not None:
+        refuse(file, own.place, f"{DURATION} is the duration of action '{title}', and cannot be a parameter")
+    scope = formulas.scope(parameters, part)
+    formulas.variables(parameters)  # for their types
+    formulas.numeric = True
+    duration = formulas.duration(found[":duration"], scope, title.word)
+    formulas.in_time = True
+    condition = formulas.timed_condition(found.get(":condition", listed(word("and"))), scope, title.word)
+    effect = formulas.timed_effect(found[":effect"], scope, title.word)
+    formulas.in_time = False
+    return DurativeAction(title.word, parameters, duration, condition, effect, title.place)
 
 
 def _rule(file: Path, part: Expression, formulas: Formulas) -> Rule:
@@ -237,7 +294,8 @@ def _problem(
     domain: Domain,
     derived: Mapping[str, Place],
     unions: dict[tuple[str, ...], str],
-) -> Problem:
+) -> tuple[Problem, bool]:
+    """Read the problem. Return it, and whether it is more than classical."""
     file = instance.problem
     objects = declarations.objects(
         file, whole.section(":objects"), domain.types, domain.constants, str(instance.domain)
@@ -252,9 +310,8 @@ def _problem(
     facts, values = _init(file, init, formulas)
     if len(goal.parts) != 2 or not goal.parts[1].parts:
         refuse(file, goal, "expected (:goal CONDITION), and one condition")
-    if metric is not None and str(metric) != "(:metric minimize (total-cost))":
-        refuse(file, metric, "the only supported metric is (:metric minimize (total-cost))")
-    return Problem(
+    minimized = None if metric is None else _minimized(file, metric, formulas)
+    asked = Problem(
         name=_parts(whole, "problem")[0].word,
         requirements=_parts(whole, ":requirements"),
         objects=objects,
@@ -263,16 +320,45 @@ def _problem(
         goal=formulas.condition(goal.parts[1], formulas.scope((), goal)),
         metric=None if metric is None else metric.place,
         init=init.place,
+        minimized=minimized,
     )
+    return asked, formulas.numeric or minimized is not None
+
+
+def _minimized(file: Path, metric: Expression, formulas: Formulas) -> Expression | None:
+    """Read what is minimized; None stands for the sum of costs, `(total-cost)`."""
+    expected = "expected (:metric minimize EXPRESSION), such as (total-cost) or (total-time)"
+    if len(metric.parts) != 3:
+        refuse(file, metric, expected)
+    way, what = metric.parts[1:]
+    if way.word == "maximize":
+        refuse(file, way, "metric maximize is not supported: costs are minimized; write what it costs to go without")
+    if way.word != "minimize":
+        refuse(file, way, f"'{shown(way)}' is no direction of a metric{meant(way.word, ('minimize',))}; {expected}")
+    if any(each.word == "is-violated" for each in what.walk()):
+        refuse(file, what, "preferences are not supported; write what must hold as a plain goal")
+    if str(what) in ("(total-cost)", "total-cost"):
+        return None
+
+    def named(part: Expression) -> Expression:
+        if part.word in ("total-time", "total-cost") or (part.word and part.word in formulas.names.functions):
+            return Expression("", (part,), part.place)
+        if part.head == "total-time" and len(part.parts) == 1 and "total-time" not in formulas.names.functions:
+            return part
+        if part.head in ("+", "-", "*", "/"):
+            return Expression("", (part.parts[0], *map(named, part.parts[1:])), part.place)
+        return formulas.expression(part, {})
+
+    return named(what)
 
 
 def _init(
     file: Path, init: Expression, formulas: Formulas
-) -> tuple[dict[tuple[str, ...], Place], dict[tuple[str, ...], int]]:
+) -> tuple[dict[tuple[str, ...], Place], dict[tuple[str, ...], Number]]:
     """Read the initial state: the facts that hold, with their places, and the values of functions."""
     facts: dict[tuple[str, ...], Place] = {}
     absent: dict[tuple[str, ...], Place] = {}
-    values: dict[tuple[str, ...], int] = {}
+    values: dict[tuple[str, ...], Number] = {}
     places: dict[tuple[str, ...], Place] = {}
     for fact in init.parts[1:]:
         if fact.word or not fact.parts:
@@ -280,7 +366,7 @@ def _init(
         if fact.head in ("and", "or", "forall", "exists", "when", "imply"):
             refuse(file, fact, f"({fact.head} ...) is not expected in (:init ...): list the facts one by one")
         if fact.head == "at" and len(fact.parts) == 3 and fact.parts[2].parts:
-            refuse(file, fact, f"timed initial literals are not supported: {fact}")
+            refuse(file, fact, f"timed initial literals are not supported: {fact}; state what holds from the start")
         if fact.head == "=":
             of, value = _value(file, fact, formulas)
             if values.setdefault(of, value) != value:
@@ -301,20 +387,22 @@ def _init(
     return facts, values
 
 
-def _value(file: Path, fact: Expression, formulas: Formulas) -> tuple[tuple[str, ...], int]:
+def _value(file: Path, fact: Expression, formulas: Formulas) -> tuple[tuple[str, ...], Number]:
     """Read `(= (FUNCTION OBJECT ...) NUMBER)`."""
     parts = fact.parts[1:]
     if len(parts) != 2 or not parts[0].parts:
         refuse(file, fact, f"'{shown(fact)}': expected (= (FUNCTION OBJECT ...) NUMBER)")
-    of, number = parts
+    of, written = parts
     function = formulas.names.functions.get(of.head)
     if function is None and of.head != "total-cost":
         refuse(file, of, f"no such function '{of.head}' in (:functions ...){meant(of.head, formulas.names.functions)}")
     arguments: Iterable[Expression] = formulas.arguments(of, function, {}) if function is not None else of.parts[1:]
-    value = whole_number(number)
+    value: Number | None = whole_number(written)
+    if value is None or value > LARGEST_COST:
+        value = number(written.word)
+        formulas.numeric = True
     if value is None:
-        refuse(file, number, f"'{shown(number)}' is not a cost; expected a whole number of 0 or more")
-    formulas.limited(number, value)
+        refuse(file, written, f"'{shown(written)}' is no number; expected a number such as 3, 2.5 or -1")
     if of.head == "total-cost" and (value or len(of.parts) > 1):
         refuse(file, fact, "the sum of costs begins with 0: expected (= (total-cost) 0)")
     return (of.head, *(part.word for part in arguments)), value

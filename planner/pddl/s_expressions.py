@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 SECTIONS = {
-    ":requirements", ":types", ":constants", ":predicates", ":functions", ":action", ":derived",
+    ":requirements", ":types", ":constants", ":predicates", ":functions", ":action", ":durative-action", ":derived",
     ":domain", ":objects", ":init", ":goal", ":metric",
 }  # fmt: skip
 

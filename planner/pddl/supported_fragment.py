@@ -1,7 +1,7 @@
 """The supported fragment of PDDL: the sections and requirements that the two files may have.
 
-Fast Downward's translator grounds classical planning with action costs. Everything else is refused here, with its
-place. `docs/planning.md` lists what is supported.
+Fast Downward's translator grounds classical planning with action costs, to which `compiling` reduces numbers and
+durations. Everything else is refused here, with its place. `docs/planning.md` lists what is supported.
 """
 
 from __future__ import annotations
@@ -22,20 +22,17 @@ REQUIREMENTS = (
 )  # fmt: skip
 """Requirements that Fast Downward's translator accepts."""
 
-NUMERIC = "numeric fluents; for action costs write :action-costs"
+NUMERIC = (":fluents", ":numeric-fluents", ":durative-actions", ":duration-inequalities")
+"""Requirements for numbers and durations, which are compiled away."""
+
 OUTSIDE = {
-    ":durative-action": "durative actions",
     ":constraints": "trajectory constraints",
     ":process": "processes",
     ":event": "events",
     ":task": "hierarchical tasks",
     ":method": "hierarchical tasks",
     ":htn": "hierarchical tasks",
-    ":fluents": NUMERIC,
-    ":numeric-fluents": NUMERIC,
     ":object-fluents": "object fluents",
-    ":durative-actions": "durative actions",
-    ":duration-inequalities": "durative actions",
     ":continuous-effects": "continuous effects",
     ":timed-initial-literals": "timed initial literals",
     ":timed-effects": "timed effects",
@@ -53,6 +50,14 @@ OUTSIDE = {
 }
 """Sections and requirements of other PDDL dialects, which are not supported, with the name of the feature."""
 
+CLASSICAL = "write actions with conditions and effects"
+INSTEAD = {
+    "processes": "write a durative action with the whole change at its end",
+    "events": "write their effects into the actions that cause them",
+    "trajectory constraints": "write them as conditions of actions, or as goals",
+}
+"""What to write instead of some of these features."""
+
 
 def check(instance: Instance, domain: Expression, problem: Expression) -> None:
     """Check both files of an instance: that their names match, and that their sections and requirements are supported.
@@ -61,7 +66,7 @@ def check(instance: Instance, domain: Expression, problem: Expression) -> None:
     """
     _check_names(instance, domain, problem)
     counts = Counter(each.word for whole in (domain, problem) for each in whole.walk() if each.word.endswith("-"))
-    of_domains = (":requirements", ":types", ":constants", ":predicates", ":functions", ":derived", ":action")
+    of_domains = (":requirements", ":types", ":constants", ":predicates", ":functions", ":derived", ":action", ":durative-action")
     of_problems = (":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
     for file, whole, sections in ((instance.domain, domain, of_domains), (instance.problem, problem, of_problems)):
         _check_hyphens(file, whole, counts)
@@ -114,11 +119,11 @@ def _check_sections(file: Path, whole: Expression, sections: tuple[str, ...]) ->
     seen: dict[str, int] = {}
     for part in whole.parts[2:]:
         if part.head in OUTSIDE:
-            refuse(file, part, f"{OUTSIDE[part.head]} ({part.head}) are not supported; write classical PDDL")
+            refuse(file, part, f"{OUTSIDE[part.head]} ({part.head}) are not supported; {INSTEAD.get(OUTSIDE[part.head], CLASSICAL)}")
         if part.head not in sections:
             shown = part.word or f"({part.head}"
             refuse(file, part, f"'{shown}' is not expected here{meant(part.head, sections)}")
-        if part.head in seen and part.head not in (":action", ":derived"):
+        if part.head in seen and part.head not in (":action", ":durative-action", ":derived"):
             refuse(file, part, f"a second ({part.head}; the first is on line {seen[part.head]}")
         seen[part.head] = part.place.line
 
@@ -128,6 +133,6 @@ def _check_requirements(file: Path, whole: Expression) -> None:
     for requirement in () if wanted is None else wanted.parts[1:]:
         if requirement.word in OUTSIDE:
             refuse(file, requirement, f"{requirement} is not supported: {OUTSIDE[requirement.word]}")
-        if requirement.word not in REQUIREMENTS:
-            near = meant(requirement.word, REQUIREMENTS)
+        if requirement.word not in REQUIREMENTS and requirement.word not in NUMERIC:
+            near = meant(requirement.word, REQUIREMENTS + NUMERIC)
             refuse(file, requirement, f"unknown requirement '{requirement}'{near}")

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from itertools import groupby
 
 from .declarations import OBJECT, Symbol, Typed
-from .reader import TOTAL_COST, Action, Reading, Rule
+from .reader import TOTAL_COST, Action, DurativeAction, Reading, Rule
 
 
 def domain(reading: Reading, *, list_object: bool = False) -> str:
