@@ -85,3 +85,62 @@ def terms_of(expression: Expression) -> list[Expression]:
     if expression.head in OPERATIONS:
         return [each for part in expression.parts[1:] for each in terms_of(part)]
     return [expression]
+
+
+def linear(
+    expression: Expression, static: Callable[[Expression], bool]
+) -> tuple[dict[str, tuple[Expression, Number]], Expression] | None:
+    """Return an expression as a sum: terms that change with constant factors, by their text, and a static rest.
+
+    Returns None if it is not such a sum. `static` says whether an expression reads nothing that changes.
+    """
+    zero = Expression("0")
+    if static(expression):
+        return {}, expression
+    head, parts = expression.head, expression.parts[1:]
+    if head not in OPERATIONS:
+        return {str(expression): (expression, 1)}, zero
+    if head in ("*", "/"):
+        varying = [part for part in parts if not static(part)]
+        factors = [number(part.word) for part in parts if part is not varying[0]]
+        if len(varying) > 1 or None in factors or (head == "/" and (varying[0] is not parts[0] or 0 in factors)):
+            return None
+        factor = applied(head, [1, *(each for each in factors if each is not None)])
+        inner = linear(varying[0], static)
+        if inner is None:
+            return None
+        rest = inner[1] if inner[1] == zero else Expression("", (Expression("*"), _word(factor), inner[1]))
+        return {text: (term, factor * by) for text, (term, by) in inner[0].items()}, rest
+    sides = [linear(part, static) for part in parts]
+    found: dict[str, tuple[Expression, Number]] = {}
+    rests = []
+    for place, side in enumerate(sides):
+        if side is None:
+            return None
+        sign = -1 if head == "-" and (place > 0 or len(sides) == 1) else 1
+        for text, (term, factor) in side[0].items():
+            found[text] = term, found.get(text, (term, 0))[1] + sign * factor
+        if side[1] != zero:
+            rests.append(side[1] if sign == 1 else Expression("", (Expression("-"), side[1])))
+    rest = zero if not rests else rests[0] if len(rests) == 1 else Expression("", (Expression("+"), *rests))
+    return {text: each for text, each in found.items() if each[1]}, rest
+
+
+def _word(value: Number) -> Expression:
+    if value.denominator == 1:
+        return Expression(str(value))
+    return Expression("", (Expression("/"), Expression(str(value.numerator)), Expression(str(value.denominator))))
+
+
+def as_shown(value: Number) -> str:
+    """Return a number as text: a decimal where it ends, else a fraction."""
+    rest = value.denominator
+    for prime in (2, 5):
+        while rest % prime == 0:
+            rest //= prime
+    if rest > 1 or value.denominator > 10**9:
+        return str(value)
+    digits = 0
+    while value * 10**digits % 1:
+        digits += 1
+    return f"{float(value):.{digits}f}" if digits else str(int(value))

@@ -1,0 +1,232 @@
+"""What no action changes: objects by type, facts and values, and the objects that satisfy conditions on them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+
+from .conditions import COMPLEMENT, FALSE, TRUE, conjunction, conjuncts, disjunction, free_variables, variables_of
+from .formulas import listed
+from .numeric_expressions import OPERATIONS, Number, NoValueError, compared, number, terms_of, value_of
+from .reader import Reading
+from .s_expressions import Expression
+
+LARGEST_JOIN = 2_000_000
+"""Largest number of combinations of objects that are enumerated for one action."""
+
+
+class TooManyError(ValueError):
+    """More combinations of objects or values than are enumerated."""
+
+
+class Statics:
+    """The static part of an instance.
+
+    `predicates` and `functions` are those that no action changes and no rule derives.
+    """
+
+    def __init__(self, reading: Reading, predicates: Iterable[str], functions: Iterable[str]) -> None:
+        types = reading.domain.types
+        self.objects = {
+            name: each.kinds[0] for name, each in {**reading.domain.constants, **reading.problem.objects}.items()
+        }
+        self._named = {union: kinds for kinds, union in reading.unions.items()}
+        self._types = types
+        self._of_kind: dict[str, tuple[str, ...]] = {}
+        self.facts: dict[str, set[tuple[str, ...]]] = {name: set() for name in predicates}
+        for name, *arguments in reading.problem.facts:
+            if name in self.facts:
+                self.facts[name].add(tuple(arguments))
+        self.values: dict[str, dict[tuple[str, ...], Number]] = {name: {} for name in functions}
+        for (name, *arguments), value in reading.problem.values.items():
+            if name in self.values:
+                self.values[name][tuple(arguments)] = value
+
+    def of_kind(self, kind: str) -> tuple[str, ...]:
+        """Return the objects of a type, or of a union of types."""
+        if kind not in self._of_kind:
+            kinds = self._named.get(kind, (kind,))
+            self._of_kind[kind] = tuple(
+                name for name, own in self.objects.items() if self._types.fits(own, kinds)
+            )  # fmt: skip
+        return self._of_kind[kind]
+
+    def is_static(self, expression: Expression) -> bool:
+        """Whether a numeric expression reads static functions only."""
+        return all(term.head in self.values for term in terms_of(expression))
+
+    def value(self, expression: Expression, bound: Mapping[str, str]) -> Number:
+        """Return the value of a static expression; raise `NoValueError` or `ZeroDivisionError` if it has none."""
+
+        def term(each: Expression) -> Number:
+            arguments = tuple(bound.get(part.word, part.word) for part in each.parts[1:])
+            try:
+                return self.values[each.head][arguments]
+            except KeyError:
+                raise NoValueError(str(each)) from None
+
+        return value_of(expression, term)
+
+    def bindings(
+        self, variables: Mapping[str, str], conditions: Iterable[Expression], terms: Iterable[Expression] = ()
+    ) -> list[tuple[str, ...]]:
+        """Return the objects for variables, with their types, that satisfy conditions as far as these are static.
+
+        Conditions on other variables too are only used in so far as some object may satisfy them. The static `terms`
+        must have a value. More than `LARGEST_JOIN` combinations raise a `TooManyError`.
+        """
+        relations, filters = [], []
+        for condition in conditions:
+            if condition.head in self.facts:
+                relations.append(_relation(condition, self.facts[condition.head], variables))
+            elif free_variables(condition).keys() <= variables.keys():
+                filters.append(condition)
+        for term in terms:
+            relations.append(_relation(term, self.values[term.head].keys(), variables))
+        kinds = {name: set(self.of_kind(kind)) for name, kind in variables.items()}
+        kept = []
+        for names, rows in relations:
+            rows = {row for row in rows if all(word in kinds[name] for name, word in zip(names, row, strict=True))}
+            if not rows:
+                return []
+            if names:
+                kept.append((names, rows))
+        return self._joined(variables, kept, filters)
+
+    def _joined(
+        self,
+        variables: Mapping[str, str],
+        relations: list[tuple[tuple[str, ...], set[tuple[str, ...]]]],
+        filters: list[Expression],
+    ) -> list[tuple[str, ...]]:
+        names: tuple[str, ...] = ()
+        found: list[tuple[str, ...]] = [()]
+        waiting = list(relations)
+        while waiting or len(names) < len(variables):
+            if waiting:
+                waiting.sort(key=lambda each: (-len(set(each[0]) & set(names)), len(each[1])))
+                columns, rows = waiting.pop(0)
+            else:
+                free = min((n for n in variables if n not in names), key=lambda n: len(self.of_kind(variables[n])))
+                columns, rows = (free,), {(word,) for word in self.of_kind(variables[free])}
+            shared = [n for n, name in enumerate(columns) if name in names]
+            new = [n for n, name in enumerate(columns) if name not in names]
+            at = [names.index(columns[n]) for n in shared]
+            index: dict[tuple[str, ...], list[tuple[str, ...]]] = defaultdict(list)
+            for row in rows:
+                index[tuple(row[n] for n in shared)].append(tuple(row[n] for n in new))
+            longer = []
+            for before in found:
+                for after in index.get(tuple(before[n] for n in at), ()):
+                    longer.append(before + after)
+                if len(longer) > LARGEST_JOIN:
+                    raise TooManyError
+            names += tuple(columns[n] for n in new)
+            known = set(names)
+            ready = [each for each in filters if free_variables(each).keys() <= known]
+            filters = [each for each in filters if each not in ready]
+            if ready:
+                longer = [
+                    row for row in longer
+                    if all(self.simplified(each, dict(zip(names, row, strict=True))) != FALSE for each in ready)
+                ]  # fmt: skip
+            found = longer
+        order = [names.index(name) for name in variables]
+        return sorted(tuple(row[n] for n in order) for row in found)
+
+    def simplified(self, condition: Expression, bound: Mapping[str, str]) -> Expression:
+        """Return a condition with variables replaced by objects, and its static parts by what they are."""
+        head, parts = condition.head, condition.parts[1:]
+        if head in ("and", "or"):
+            inner = (self.simplified(part, bound) for part in parts)
+            return conjunction(inner) if head == "and" else disjunction(inner)
+        if head == "not":
+            inside = self.simplified(parts[0], bound)
+            return {TRUE: FALSE, FALSE: TRUE}.get(inside) or listed(condition.parts[0], inside)
+        if head == "failed":
+            inside = self.simplified(parts[0], bound)
+            return {TRUE: FALSE, FALSE: TRUE}.get(inside) or listed(condition.parts[0], inside)
+        if head in ("forall", "exists"):
+            body = self.simplified(parts[1], bound)
+            return body if body in (TRUE, FALSE) else listed(condition.parts[0], parts[0], body)
+        if head in COMPLEMENT:
+            return self._compared(condition, bound)
+        words = tuple(bound.get(part.word, part.word) for part in parts)
+        if head == "=" and words[0] == words[1]:
+            return TRUE
+        if not any(word.startswith("?") for word in words):
+            if head == "=":
+                return FALSE
+            if head in self.facts:
+                return TRUE if words in self.facts[head] else FALSE
+        return listed(condition.parts[0], *(Expression(word) for word in words))
+
+    def _compared(self, comparison: Expression, bound: Mapping[str, str]) -> Expression:
+        sides = comparison.parts[1:]
+        if all(map(self.is_static, sides)) and not (free_variables(comparison).keys() - bound.keys()):
+            try:
+                left, right = (self.value(side, bound) for side in sides)
+            except (NoValueError, ZeroDivisionError):
+                return FALSE
+            return TRUE if compared(comparison.head, left, right) else FALSE
+        return comparison._replace(parts=(comparison.parts[0], *(bound_terms(side, bound) for side in sides)))
+
+    def expanded(self, condition: Expression) -> Expression:
+        """Return a condition whose quantifiers around comparisons of numbers are written out for all objects."""
+        head, parts = condition.head, condition.parts[1:]
+        if head in ("and", "or"):
+            inner = (self.expanded(part) for part in parts)
+            return conjunction(inner) if head == "and" else disjunction(inner)
+        if head not in ("forall", "exists") or not any(each.head in COMPLEMENT for each in parts[1].walk()):
+            return condition
+        body = self.expanded(parts[1])
+        variables = variables_of(parts[0])
+        rows = self.bindings(variables, conjuncts(body) if head == "exists" else ())
+        if len(rows) * max(len(conjuncts(body)), 1) > 20_000:  # conditions: more would not be grounded
+            raise TooManyError
+        each = (self.simplified(body, dict(zip(variables, row, strict=True))) for row in rows)
+        return conjunction(each) if head == "forall" else disjunction(each)
+
+
+def bound_terms(expression: Expression, bound: Mapping[str, str]) -> Expression:
+    """Return a numeric expression with the arguments of its functions replaced."""
+    if expression.word:
+        return expression
+    if expression.head in OPERATIONS:
+        return expression._replace(
+            parts=(expression.parts[0], *(bound_terms(part, bound) for part in expression.parts[1:]))
+        )
+    words = (part._replace(word=bound.get(part.word, part.word)) for part in expression.parts[1:])
+    return expression._replace(parts=(expression.parts[0], *words))
+
+
+def _relation(
+    atom: Expression, rows: Iterable[Sequence[str]], variables: Mapping[str, str]
+) -> tuple[tuple[str, ...], set[tuple[str, ...]]]:
+    """Return the variables of an atom, and the objects for them for which one of the rows satisfies it."""
+    words = [part.word for part in atom.parts[1:]]
+    names = tuple(dict.fromkeys(word for word in words if word in variables))
+    found = set()
+    for row in rows:
+        bound: dict[str, str] = {}
+        for word, value in zip(words, row, strict=True):
+            if word.startswith("?"):
+                if bound.setdefault(word, value) != value:
+                    break
+            elif word != value:
+                break
+        else:
+            found.add(tuple(bound[name] for name in names))
+    return names, found
+
+
+def literal_number(expression: Expression) -> Number | None:
+    """Return the number that an expression is whatever the objects are; None if it reads a function."""
+    if expression.word:
+        return number(expression.word)
+    if terms_of(expression):
+        return None
+    try:
+        return value_of(expression, lambda _: 0)
+    except (ZeroDivisionError, NoValueError):
+        return None
