@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 
+from . import numeric_compiler
+from .numeric_compiler import MOST_VALUES
 from .reader import Reading
 
 
@@ -43,6 +45,12 @@ class Compilation:
     notes: tuple[str, ...] = ()
 
 
-def compiled(reading: Reading) -> Compilation:
-    """Return the compilation of an instance; a classical instance is its own."""
-    return Compilation(reading)
+def compiled(reading: Reading, *, most_values: int = MOST_VALUES) -> Compilation:
+    """Return the compilation of an instance; a classical instance is its own.
+
+    A fluent may have `most_values` values. What cannot be compiled raises a `PDDLError`, which says why.
+    """
+    if not reading.numeric:
+        return Compilation(reading)
+    found = numeric_compiler.classical(reading, most_values)
+    return Compilation(found.reading, found.unit, found.actions, found.numbers, found.compiled, found.notes)

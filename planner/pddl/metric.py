@@ -29,7 +29,7 @@ class Metric:
     `weights` are those of functions with their arguments. `notes` say what was assumed.
     """
 
-    plain: int
+    plain: Number
     time: Number
     weights: Mapping[tuple[str, ...], Number]
     notes: tuple[str, ...] = ()
@@ -66,7 +66,7 @@ def of_reading(reading: Reading, changing: frozenset[str]) -> Metric:
             weights[term] = weight
     if time and not durative:
         notes = ("no durative actions: each action takes a time of 1",)
-        return Metric(1, 0, weights, notes) if time == 1 and not weights else Metric(0, time, weights, notes)
+        return Metric(time, 0, weights, notes)
     return Metric(0, time, weights)
 
 

@@ -109,7 +109,7 @@ def linear(
         inner = linear(varying[0], static)
         if inner is None:
             return None
-        rest = inner[1] if inner[1] == zero else Expression("", (Expression("*"), _word(factor), inner[1]))
+        rest = inner[1] if inner[1] == zero else Expression("", (Expression("*"), word_of(factor), inner[1]))
         return {text: (term, factor * by) for text, (term, by) in inner[0].items()}, rest
     sides = [linear(part, static) for part in parts]
     found: dict[str, tuple[Expression, Number]] = {}
@@ -123,10 +123,11 @@ def linear(
         if side[1] != zero:
             rests.append(side[1] if sign == 1 else Expression("", (Expression("-"), side[1])))
     rest = zero if not rests else rests[0] if len(rests) == 1 else Expression("", (Expression("+"), *rests))
-    return {text: each for text, each in found.items() if each[1]}, rest
+    return found, rest
 
 
-def _word(value: Number) -> Expression:
+def word_of(value: Number) -> Expression:
+    """Return a number as an expression."""
     if value.denominator == 1:
         return Expression(str(value))
     return Expression("", (Expression("/"), Expression(str(value.numerator)), Expression(str(value.denominator))))

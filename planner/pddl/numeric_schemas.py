@@ -7,11 +7,11 @@ there is one schema in which they are, and one in which they are not; likewise f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from . import durative, schemas
+from . import schemas
 from .conditions import (
     FALSE, TRUE, comparisons, conjunction, conjuncts, free_variables, unsatisfied,
 )  # fmt: skip
@@ -19,11 +19,11 @@ from .declarations import refuse
 from .durative import Schema, bound_in, key, merged, total, unified
 from .formulas import listed, word
 from .metric import Metric
-from .numeric_expressions import terms_of
+from .numeric_expressions import terms_of, word_of
 from .reader import Reading
 from .s_expressions import Expression
-from .schemas import END, START, Change, TimedSchema, reads_duration
-from .static_facts import Statics, TooManyError
+from .schemas import END, START, Change, TimedSchema
+from .static_facts import Statics, TooManyError, literal_number
 
 MOST_VARIANTS = 128
 """Largest number of schemas into which one action is divided."""
@@ -111,13 +111,12 @@ class Preparation:
         timed = self._without_dead(timed)
         found = []
         try:
-            timed = self._written_out(timed)
-            for variant in self._distinct(timed):
-                schema = merged(self.file, variant, self.derived)
-                schema = self._without_quantifiers(schema)
-                for each in self._decided(schema):
-                    if each.precondition != FALSE:
-                        found.append(self._costed(each))
+            timed = self._without_quantifiers(self._written_out(timed))
+            for started in self._started(timed):
+                for variant in self._distinct(started):
+                    for each in self._decided(merged(self.file, variant, self.derived)):
+                        if each.precondition != FALSE:
+                            found.append(self._costed(each))
         except TooManyError:
             refuse(self.file, timed.place, f"action '{timed.name}' has too many combinations of objects in conditions "
                    "or changes of numbers; expected fewer objects, or fewer terms in one action")  # fmt: skip
@@ -144,8 +143,8 @@ class Preparation:
                 changes.append((time, before, change))
                 continue
             simple = (
-                not change.grows and self.statics.is_static(change.amount) and heads.count(change.term.head) == 1
-                and not reads_duration(change.amount) and change.term.head not in self.metric.functions
+                not change.grows and literal_number(change.amount) is not None and heads.count(change.term.head) == 1
+                and change.term.head not in self.metric.functions
             )  # fmt: skip
             if simple and (timed.durations is None or time == END):
                 changes.append((time, before, change))
@@ -231,15 +230,50 @@ class Preparation:
                 ]
         return [term for term in found if not any(part.word == "" for part in term.parts)]
 
-    def _without_quantifiers(self, schema: Schema) -> Schema:
+    def _without_quantifiers(self, timed: TimedSchema) -> TimedSchema:
         """Return the schema with comparisons under quantifiers written out for all objects."""
         expanded = self.statics.expanded
         return replace(
-            schema,
-            precondition=expanded(schema.precondition),
-            literals=tuple(replace(each, condition=expanded(each.condition)) for each in schema.literals),
-            changes=tuple(replace(each, condition=expanded(each.condition)) for each in schema.changes),
+            timed,
+            conditions=tuple((time, expanded(each)) for time, each in timed.conditions),
+            literals=tuple(
+                (time, expanded(before), replace(each, condition=expanded(each.condition)))
+                for time, before, each in timed.literals
+            ),
+            changes=tuple(
+                (time, expanded(before), replace(each, condition=expanded(each.condition)))
+                for time, before, each in timed.changes
+            ),
         )
+
+    @staticmethod
+    def _started(timed: TimedSchema) -> Iterator[TimedSchema]:
+        """Yield schemas in which the changes at the start of a durative action have no conditions."""
+        waiting = [timed]
+        while waiting:
+            schema = waiting.pop()
+            conditions = [
+                conjunction((before, change.condition)) for time, before, change in schema.changes
+                if schema.durations is not None and time == START and not change.variables
+            ]  # fmt: skip
+            condition = next((each for each in conditions if each != TRUE), None)
+            if condition is None:
+                yield schema
+                continue
+            alike = [
+                time == START and str(conjunction((before, change.condition))) == str(condition)
+                for time, before, change in schema.changes
+            ]  # fmt: skip
+            both = list(zip(alike, schema.changes, strict=True))
+            true = tuple(
+                (time, TRUE, replace(change, condition=TRUE)) if same else (time, before, change)
+                for same, (time, before, change) in both
+            )
+            false = tuple(each for same, each in both if not same)
+            if len(waiting) > MOST_VARIANTS:
+                raise TooManyError
+            waiting.append(replace(schema.with_condition(unsatisfied(condition)), changes=false))
+            waiting.append(replace(schema.with_condition(condition), changes=true))
 
     def _decided(self, schema: Schema) -> Iterator[Schema]:
         """Yield schemas without conditional changes, apart from assignments of static values."""
@@ -292,9 +326,7 @@ class Preparation:
             if self.metric.time:
                 parts.append(_times(self.metric.time, schema.duration))
         elif self.metric.plain:
-            parts.append(word(str(self.metric.plain)))
-        elif self.metric.time and self.timeless:
-            parts.append(word(str(self.metric.time)))
+            parts.append(word_of(self.metric.plain))
         for change in schema.changes:
             if change.term.head not in self.metric.functions:
                 continue
@@ -317,21 +349,6 @@ class Preparation:
         kept = tuple(change for change in schema.changes if change.term.head not in self.roles.costs)
         return Costed(replace(schema, changes=kept), total(parts))
 
-    timeless = False
-    """Whether no action has a duration."""
-
 
 def _times(weight: object, amount: Expression) -> Expression:
     return amount if weight == 1 else listed(word("*"), word_of(weight), amount)
-
-
-def word_of(value: object) -> Expression:
-    """Return a number as an expression."""
-    numerator, denominator = value.numerator, value.denominator  # type: ignore[attr-defined]
-    if denominator == 1:
-        return word(str(numerator))
-    return listed(word("/"), word(str(numerator)), word(str(denominator)))
-
-
-Leaf = Callable[[Expression], Expression]
-__all__ = ["Costed", "Preparation", "Roles", "changing", "durative", "roles"]

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from .conditions import COMPLEMENT, FALSE, TRUE, conjunction, conjuncts, disjunction, free_variables, variables_of
 from .formulas import listed
-from .numeric_expressions import OPERATIONS, Number, NoValueError, compared, number, terms_of, value_of
+from .numeric_expressions import OPERATIONS, Number, NoValueError, compared, number, terms_of, value_of, word_of
 from .reader import Reading
 from .s_expressions import Expression
 
@@ -66,6 +66,18 @@ class Statics:
                 raise NoValueError(str(each)) from None
 
         return value_of(expression, term)
+
+    def evaluated(self, expression: Expression, bound: Mapping[str, str]) -> Expression:
+        """Return an expression with objects for all its variables, and its static parts computed.
+
+        If one of these has no value, this raises a `NoValueError` or a `ZeroDivisionError`.
+        """
+        if self.is_static(expression):
+            return word_of(self.value(expression, bound))
+        if expression.head in OPERATIONS:
+            parts = (self.evaluated(part, bound) for part in expression.parts[1:])
+            return expression._replace(parts=(expression.parts[0], *parts))
+        return bound_terms(expression, bound)
 
     def bindings(
         self, variables: Mapping[str, str], conditions: Iterable[Expression], terms: Iterable[Expression] = ()
@@ -163,13 +175,15 @@ class Statics:
 
     def _compared(self, comparison: Expression, bound: Mapping[str, str]) -> Expression:
         sides = comparison.parts[1:]
-        if all(map(self.is_static, sides)) and not (free_variables(comparison).keys() - bound.keys()):
-            try:
+        if free_variables(comparison).keys() - bound.keys():
+            return comparison._replace(parts=(comparison.parts[0], *(bound_terms(side, bound) for side in sides)))
+        try:
+            if all(map(self.is_static, sides)):
                 left, right = (self.value(side, bound) for side in sides)
-            except (NoValueError, ZeroDivisionError):
-                return FALSE
-            return TRUE if compared(comparison.head, left, right) else FALSE
-        return comparison._replace(parts=(comparison.parts[0], *(bound_terms(side, bound) for side in sides)))
+                return TRUE if compared(comparison.head, left, right) else FALSE
+            return comparison._replace(parts=(comparison.parts[0], *(self.evaluated(side, bound) for side in sides)))
+        except (NoValueError, ZeroDivisionError):
+            return FALSE
 
     def expanded(self, condition: Expression) -> Expression:
         """Return a condition whose quantifiers around comparisons of numbers are written out for all objects."""

@@ -12,12 +12,12 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from .conditions import COMPLEMENT, FALSE, TRUE, comparisons, conjunction, conjuncts, free_variables
+from .conditions import COMPLEMENT, FALSE, comparisons, conjunction, conjuncts, free_variables
 from .durative import Schema, key
 from .numeric_expressions import Number, NoValueError, compared, terms_of, value_of
 from .s_expressions import Expression
 from .schemas import Change
-from .static_facts import Statics, bound_terms, literal_number
+from .static_facts import Statics, literal_number
 
 Fluent = tuple[str, ...]
 """A function that changes, with its objects."""
@@ -110,7 +110,7 @@ def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -
                 continue
             fluent = tuple(bound.get(word, word) for word in key(change.term))
             try:
-                amount = evaluated(statics, change.amount, bound)
+                amount = statics.evaluated(change.amount, bound)
             except (NoValueError, ZeroDivisionError):
                 continue
             one = GroundChange(schema.name, fluent, amount, change.grows, guard)
@@ -125,18 +125,6 @@ def _rows(
     plain = [each for each in conditions if not any(True for _ in comparisons(each)) or each.head in COMPLEMENT]
     for row in statics.bindings(variables, plain, terms):
         yield dict(zip(variables, row, strict=True))
-
-
-def evaluated(statics: Statics, expression: Expression, bound: Mapping[str, str]) -> Expression:
-    """Return an expression with objects for its variables, and its static parts computed."""
-    from .numeric_schemas import word_of
-
-    if statics.is_static(expression):
-        return word_of(statics.value(expression, bound))
-    if expression.head in ("+", "-", "*", "/"):
-        parts = (evaluated(statics, part, bound) for part in expression.parts[1:])
-        return expression._replace(parts=(expression.parts[0], *parts))
-    return bound_terms(expression, bound)
 
 
 def possible(condition: Expression, known: Mapping[str, Value]) -> bool:
@@ -293,6 +281,3 @@ def initial_values(
     for fluent in more:
         found.setdefault(fluent, 0 if fluent == ("total-cost",) else None)
     return found
-
-
-__all__ = ["TRUE", "GroundChange", "Saturation", "ValueSets"]

@@ -1,0 +1,331 @@
+"""The compiler of numbers and durations: from the reading of an instance to a classical one.
+
+Each step is a module: actions in parts (`schemas`), without times (`durative`), with what is kept of their numbers
+(`numeric_schemas`, `metric`), the values of each number (`value_sets`, `saturation`, `value_ranges`), and their encoding
+as facts (`numeric_encoding`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+from . import metric, numeric_encoding, numeric_schemas, schemas, value_ranges
+from .conditions import FALSE, TRUE, is_numeric, normal_form
+from .declarations import OBJECT, Symbol, Typed, Types, refuse
+from .formulas import LARGEST_COST, Cost, listed, word
+from .metric import Metric
+from .numeric_encoding import EncodedAction, Encoder, Scope
+from .numeric_expressions import Number, as_shown
+from .numeric_schemas import Costed, Preparation, Roles
+from .reader import Action, Domain, DurativeAction, Problem, Reading, Rule
+from .s_expressions import Expression
+from .saturation import Read, reads, saturations
+from .static_facts import Statics, TooManyError
+from .supported_fragment import REQUIREMENTS
+from .value_sets import Fluent, GroundChange, ground_changes, initial_values
+
+MOST_VALUES = 1_000
+"""Largest number of values of one fluent, unless stated otherwise."""
+
+
+@dataclass(frozen=True)
+class Classical:
+    """A classical reading, and what it has from the files; see `Compilation`."""
+
+    reading: Reading
+    unit: Fraction
+    actions: Mapping[str, tuple[str, int]]
+    numbers: Mapping[str, tuple[str, Mapping[str, str]]]
+    compiled: Mapping[str, int]
+    notes: tuple[str, ...]
+
+
+def classical(reading: Reading, most_values: int = MOST_VALUES) -> Classical:
+    """Return an instance without numbers and durations. What cannot be compiled raises a `PDDLError`."""
+    return _Compiler(reading, most_values).result()
+
+
+class _Compiler:
+    """The state of one compilation."""
+
+    def __init__(self, reading: Reading, most_values: int) -> None:
+        self.reading = reading
+        self.file = reading.instance.domain
+        self.most_values = most_values
+        self.objects = {**reading.domain.constants, **reading.problem.objects}
+
+    def result(self) -> Classical:
+        """Compile the reading."""
+        reading = self.reading
+        timed = schemas.of_reading(reading)
+        goal = normal_form(reading.problem.goal, self.objects)
+        rules = [(rule, normal_form(rule.condition, self.objects)) for rule in reading.domain.rules]
+        changing = numeric_schemas.changing(timed)
+        what = metric.of_reading(reading, changing)
+        roles = numeric_schemas.roles(reading, timed, goal, (condition for _, condition in rules), what)
+        changed_facts = frozenset(each.atom.head for schema in timed for _, _, each in schema.literals)
+        derived = _derived(rules, changed_facts)
+        statics = Statics(
+            reading,
+            reading.domain.predicates.keys() - changed_facts - {rule.head.name for rule, _ in rules},
+            ({*reading.domain.functions, "total-cost"}) - changing,
+        )
+        self._add_weights(statics, what)
+        try:
+            goal = statics.simplified(statics.expanded(goal), {})
+            rules = [(rule, statics.expanded(condition)) for rule, condition in rules]
+        except TooManyError:
+            refuse(reading.instance.problem, None, "the goal compares too many numbers within (forall ...); expected "
+                   "fewer objects")  # fmt: skip
+        preparation = Preparation(reading, statics, roles, what, derived)
+        costed = [each for schema in timed for each in preparation.prepared(schema)]
+        encoder = self._encoder(statics, roles, costed, goal, rules)
+        actions = []
+        for each in costed:
+            try:
+                action = numeric_encoding.encoded(encoder, each, self._kinds(each.schema.parameters))
+            except TooManyError:
+                refuse(self.file, each.schema.place, f"action '{each.schema.name}' has too many combinations of objects "
+                       "in its numbers; expected fewer objects, or fewer of them in one expression")  # fmt: skip
+            if action is not None:
+                actions.append(action)
+        return self._assembled(encoder, actions, goal, rules, what)
+
+    def _add_weights(self, statics: Statics, what: Metric) -> None:
+        """Add a static function with the weight of each fluent of the metric."""
+        for name in what.functions:
+            table = {words[1:]: weight for words, weight in what.weights.items() if words[0] == name}
+            symbol = self.reading.domain.functions.get(name)
+            if symbol is None or () in table:
+                continue
+            kinds = {f"?{n}": self._kind(each.kinds) for n, each in enumerate(symbol.parameters)}
+            every: dict[tuple[str, ...], Number] = dict.fromkeys(statics.bindings(kinds, ()), 0)
+            statics.values[f"weight of {name}"] = {**every, **table}
+
+    def _kind(self, kinds: tuple[str, ...]) -> str:
+        kept = self.reading.domain.types.reduced(kinds)
+        return kept[0] if len(kept) == 1 else self.reading.unions[kept]
+
+    def _kinds(self, variables: Iterable[Typed]) -> dict[str, str]:
+        return {each.name: self._kind(each.kinds) for each in variables}
+
+    def _encoder(
+        self, statics: Statics, roles: Roles, costed: list[Costed], goal: Expression,
+        rules: list[tuple[Rule, Expression]],
+    ) -> Encoder:  # fmt: skip
+        """Return the encoder, with the values of each fluent."""
+        changes: list[GroundChange] = []
+        compared: list[Read] = list(reads(goal, {}))
+        for rule, condition in rules:
+            compared += reads(condition, self._kinds(rule.head.parameters))
+        for each in costed:
+            kinds = self._kinds(each.schema.parameters)
+            try:
+                changes += ground_changes(statics, each.schema, kinds)
+            except TooManyError:
+                refuse(self.file, each.schema.place, f"action '{each.schema.name}' changes numbers for too many "
+                       "combinations of objects; expected fewer objects")  # fmt: skip
+            top = (each.schema.precondition,)
+            compared += reads(each.schema.precondition, kinds, top)
+            for literal in each.schema.literals:
+                compared += reads(literal.condition, {**kinds, **literal.variables}, top)
+            for change in each.schema.changes:
+                compared += reads(change.condition, {**kinds, **change.variables}, top)
+        values = self.reading.problem.values
+        initial = initial_values(roles.kept, values, (each.fluent for each in changes))
+        limits = saturations(statics, roles.kept, costed, compared, changes, initial)
+        sets = value_ranges.value_sets(
+            self.reading, statics, costed, changes, initial, limits, self.most_values,
+            {each.name: self._kinds(each.parameters) for each in self._signatures()},
+        )  # fmt: skip
+        domain = self.reading.domain
+        taken = {*self.objects, *domain.predicates, *domain.functions, *domain.types.parents, OBJECT,
+                 *self.reading.unions.values(), *(entry.name for entry in domain.entries if not isinstance(entry, Rule))}  # fmt: skip
+        kinds_of = {name: tuple(self._kinds(s.parameters).values()) for name, s in domain.functions.items()}
+        return Encoder(self.file, statics, sets, limits, roles.kept, taken, kinds_of)
+
+    def _signatures(self) -> list[Action | DurativeAction]:
+        return [entry for entry in self.reading.domain.entries if not isinstance(entry, Rule)]
+
+    def _assembled(
+        self, encoder: Encoder, actions: list[EncodedAction], goal: Expression, rules: list[tuple[Rule, Expression]],
+        what: Metric,
+    ) -> Classical:  # fmt: skip
+        """Return the classical reading of encoded actions."""
+        domain, problem = self.reading.domain, self.reading.problem
+        root = _Root(self.reading, encoder.fresh("object-of-file"))
+        every = [cost for action in actions for cost in action.costs.values()]
+        unit = metric.unit(every)
+        self._check_costs(actions, unit)
+        entries: list[Action | DurativeAction | Rule] = []
+        names: dict[str, tuple[str, int]] = {}
+        functions: dict[str, Symbol] = {}
+        values: dict[tuple[str, ...], Number] = {}
+        used: set[str] = set()
+        for action in actions:
+            schema = action.schema
+            name = schema.name if schema.name not in used else encoder.fresh(f"{schema.name}-{len(entries)}")
+            used.add(name)
+            if name != schema.name or len(action.parameters) > len(schema.parameters):
+                names[name] = schema.name, len(schema.parameters)
+            costs = {row: int(cost / unit) for row, cost in action.costs.items()}
+            if len(set(costs.values())) == 1:
+                cost = Cost(next(iter(costs.values())), (), schema.place)
+                amount = word(str(cost.number))
+            else:
+                function = encoder.fresh(f"cost-of-{name}")
+                variables = tuple(Typed(f"?x{n}", (OBJECT,), schema.place) for n in range(len(action.cost_variables)))
+                functions[function] = Symbol(function, variables, schema.place)
+                values.update({(function, *row): value for row, value in costs.items()})
+                cost = Cost(None, (function, *action.cost_variables), schema.place)
+                amount = listed(*map(word, cost.function))
+            increase = listed(word("increase"), listed(word("total-cost")), amount)
+            effect = listed(word("and"), *map(root.formula, action.effect), increase)
+            parameters = tuple(root.typed(each) for each in action.parameters)
+            entries.append(
+                Action(name, parameters, root.formula(action.precondition), effect, cost, schema.place)
+            )  # fmt: skip
+        place = problem.init
+        predicates = {name: root.symbol(each) for name, each in domain.predicates.items()}
+        for name in encoder.names:
+            declared = domain.functions.get(name) or Symbol(name, (), place)
+            symbol = numeric_encoding.value_symbol(encoder, declared)
+            predicates[symbol.name] = root.symbol(symbol)
+        for rule, condition in rules:
+            scope = Scope(encoder, self._kinds(rule.head.parameters), (), "", rule.head.place)
+            entries.append(Rule(root.symbol(rule.head), root.formula(scope.formula(condition))))
+        wanted, conditions = numeric_encoding.goal(encoder, goal, place)
+        for name, condition in conditions:
+            head = Symbol(name, (), place)
+            predicates[name] = head
+            entries.append(Rule(head, root.formula(condition)))
+        never = Symbol(encoder.fresh("never"), (), place)
+        text = _without_false(root.formula(wanted), never.name)
+        entries = [_replaced(entry, never.name) for entry in entries]
+        if any(_mentions(entry, never.name) for entry in entries) or _mentions_text(text, never.name):
+            predicates[never.name] = never
+        for each in numeric_encoding.relation_symbols(encoder, place):
+            predicates[each.name] = each
+        facts = dict(problem.facts)
+        facts.update(dict.fromkeys(encoder.symbol_facts(), place))
+        objects = {name: root.typed(each) for name, each in self.objects.items()}  # in the domain, whose rules name them
+        objects.update({name: Typed(name, (encoder.value_type,), place) for name in encoder.objects.values()})
+        requirements = tuple(each for each in domain.requirements if each.word in REQUIREMENTS)
+        compiled_domain = Domain(
+            domain.name, requirements, root.types(encoder.value_type),
+            objects, predicates, functions, tuple(entries),
+        )  # fmt: skip
+        asked = Problem(
+            problem.name, tuple(each for each in problem.requirements if each.word in REQUIREMENTS), {}, facts,
+            values, text, problem.metric or place, problem.init,
+        )  # fmt: skip
+        reading = Reading(self.reading.instance, compiled_domain, asked, root.unions)
+        shown = {
+            predicate: (name, {each: encoder.shown[each] for each in encoder.objects.values()})
+            for name, predicate in encoder.names.items()
+        }  # fmt: skip
+        durations = sum(isinstance(entry, DurativeAction) for entry in domain.entries)
+        notes = [*what.notes, *self._notes()]
+        return Classical(
+            reading, unit, names, shown, {"durations": durations, "numbers": len(encoder.names)}, tuple(notes)
+        )  # fmt: skip
+
+    def _notes(self) -> list[str]:
+        """Return what is said of durations that are free."""
+        free = [
+            entry.name for entry in self.reading.domain.entries
+            if isinstance(entry, DurativeAction) and "(= ?duration" not in str(entry.duration)
+        ]  # fmt: skip
+        return [f"the least duration is taken for {', '.join(free)}"] if free else []
+
+    def _check_costs(self, actions: list[EncodedAction], unit: Fraction) -> None:
+        for action in actions:
+            largest = max(action.costs.values())
+            if largest / unit > LARGEST_COST:
+                scale = "" if unit == 1 else f" of {as_shown(unit)}, the unit in which all costs are whole numbers"
+                refuse(self.file, action.schema.place, f"action '{action.schema.name}' costs {as_shown(largest)}, more "
+                       f"than {LARGEST_COST} units{scale}; expected smaller costs, or fewer decimals")  # fmt: skip
+
+
+def _derived(rules: Iterable[tuple[Rule, Expression]], changed: frozenset[str]) -> frozenset[str]:
+    """Return the derived predicates that depend on facts that actions change."""
+    found = {rule.head.name for rule, condition in rules if is_numeric(condition)}
+    size = -1
+    while size != len(found):
+        size = len(found)
+        for rule, condition in rules:
+            heads = {each.head for each in condition.walk()}
+            if heads & (changed | found):
+                found.add(rule.head.name)
+    return frozenset(found)
+
+
+class _Root:
+    """A type for all objects of the files, beside that of the values."""
+
+    def __init__(self, reading: Reading, name: str) -> None:
+        self.name = name
+        self.reading = reading
+        self.unions = {tuple(self.kind(each) for each in kinds): union for kinds, union in reading.unions.items()}
+
+    def kind(self, kind: str) -> str:
+        """Return the type that stands for a type of the files."""
+        return self.name if kind == OBJECT else kind
+
+    def typed(self, each: Typed) -> Typed:
+        """Return an object or a variable with the type that stands for its own."""
+        return replace(each, kinds=tuple(map(self.kind, each.kinds)))
+
+    def symbol(self, symbol: Symbol) -> Symbol:
+        """Return a predicate with the types that stand for its own."""
+        return replace(symbol, parameters=tuple(map(self.typed, symbol.parameters)))
+
+    def types(self, values: str) -> Types:
+        """Return the types with this one and that of the values."""
+        before = self.reading.domain.types
+        parents = {name: tuple(map(self.kind, above)) for name, above in before.parents.items() if name != OBJECT}
+        return Types({OBJECT: (), self.name: (OBJECT,), values: (OBJECT,), **parents}, before.places)
+
+    def formula(self, formula: Expression) -> Expression:
+        """Return a formula whose quantified variables have the types that stand for their own."""
+        if formula.word or not formula.parts:
+            return formula
+        if formula.head in ("forall", "exists"):
+            words = [part.word for part in formula.parts[1].parts]
+            words[2::3] = map(self.kind, words[2::3])
+            return listed(formula.parts[0], listed(*map(word, words)), *map(self.formula, formula.parts[2:]))
+        return formula._replace(parts=tuple(map(self.formula, formula.parts)))
+
+
+def _without_false(formula: Expression, never: str) -> Expression:
+    """Return a formula in which the empty disjunction is a fact that never holds."""
+    if formula == FALSE:
+        return listed(word(never))
+    if formula.word or not formula.parts:
+        return formula
+    return formula._replace(parts=tuple(_without_false(part, never) for part in formula.parts))
+
+
+def _replaced(entry: Action | DurativeAction | Rule, never: str) -> Action | DurativeAction | Rule:
+    if isinstance(entry, Rule):
+        return replace(entry, condition=_without_false(entry.condition, never))
+    assert isinstance(entry, Action)
+    return replace(
+        entry, precondition=_without_false(entry.precondition, never), effect=_without_false(entry.effect, never)
+    )
+
+
+def _mentions(entry: Action | DurativeAction | Rule, name: str) -> bool:
+    if isinstance(entry, Rule):
+        return _mentions_text(entry.condition, name)
+    assert isinstance(entry, Action)
+    return _mentions_text(entry.precondition, name) or _mentions_text(entry.effect, name)
+
+
+def _mentions_text(formula: Expression, name: str) -> bool:
+    return any(each.head == name for each in formula.walk())
+
+
+__all__ = ["Classical", "Fluent", "TRUE", "classical"]
