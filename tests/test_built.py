@@ -14,7 +14,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     from unified_planning.model import Fluent, InstantaneousAction, Problem
     from unified_planning.model.metrics import MinimizeActionCosts
-    from unified_planning.shortcuts import BoolType, Int, IntType, Minus, UserType
+    from unified_planning.shortcuts import BoolType, Equals, Int, IntType, Minus, Plus, UserType
 
 
 def tour() -> Problem:
@@ -65,6 +65,10 @@ def test_what_is_not_classical_is_refused_in_one_line() -> None:
     refuel = InstantaneousAction("refuel")
     refuel.add_effect(fuel, Minus(fuel, 1))
     problem.add_action(refuel)
-    with pytest.raises(PDDLError, match=r"^Tour: .*numeric") as error:
+    burn = InstantaneousAction("burn")
+    burn.add_effect(fuel, Plus(fuel, 2))
+    problem.add_action(burn)
+    problem.add_goal(Equals(fuel, 1))
+    with pytest.raises(PDDLError, match=r"^Tour: \(fuel\) grows without a limit \(burn\)") as error:
         load(problem)
     assert "\n" not in str(error.value)

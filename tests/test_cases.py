@@ -65,8 +65,6 @@ CASES = {
         (("part bin - object", "part bin - object tray - bin bin"),), go="3) (increase (total-cost) 4",
         said="domain.pddl:7: action 'go' has two costs",
     ),
-    "a cost that is a sum": Case(go="(+ (far ?a ?b) 1)", said="domain.pddl:7: action 'go' costs a sum or product"),
-    "a cost that is a product": Case(go="(* (far ?a ?b) 2)", said="domain.pddl:7: action 'go' costs a sum or product"),
     "lines that end in CR": Case(ends="\r", cost=7),
     "lines that end in CR and LF": Case(ends="\r\n", cost=7),
     "a space of no width": Case((("(here shelf)", "\u200b(here shelf)"),), said="p.pddl:3: zero width space"),

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ..pddl.declarations import Typed, refuse
+from ..pddl.numeric_expressions import Number
 from ..pddl.reader import Action, Reading
 from .task import Task
 
@@ -48,7 +49,7 @@ def _check_arguments(
         refuse(reading.instance.domain, action.place, f"{TRANSLATOR} has {ground}, with other arguments than declared")
 
 
-def _cost(reading: Reading, action: Action, arguments: Sequence[str]) -> int | None:
+def _cost(reading: Reading, action: Action, arguments: Sequence[str]) -> Number | None:
     if reading.problem.metric is None:
         return 1
     if action.cost is None:

@@ -15,7 +15,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .conditions import (
-    COMPLEMENT, FALSE, TRUE, changed, conjunction, disjunction, quantified, same, substituted, unsatisfied,
+    COMPLEMENT,
+    FALSE,
+    TRUE,
+    changed,
+    conjunction,
+    disjunction,
+    quantified,
+    same,
+    substituted,
+    unsatisfied,
 )  # fmt: skip
 from .declarations import Typed, refuse
 from .formulas import listed, word
@@ -109,9 +118,7 @@ def _exists(variables: Mapping[str, str], body: Expression) -> Expression:
     return quantified("exists", listing, body)
 
 
-def _composed(
-    file: Path, schema: TimedSchema, times: Sequence[str], changes: Sequence[Change]
-) -> Iterable[Change]:
+def _composed(file: Path, schema: TimedSchema, times: Sequence[str], changes: Sequence[Change]) -> Iterable[Change]:
     """Yield the changes of numbers, with one for each term whose number changes twice."""
     groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[tuple[str, Change]]] = {}
     for time, change in zip(times, changes, strict=True):

@@ -222,7 +222,9 @@ class Formulas:
             self.refuse(formula, "preferences are not supported; write what must hold as a plain condition")
         if symbol is None and formula.head in self.names.functions:
             self.refuse(
-                formula, f"'{formula.head}' is a function, and a condition is expected; write (>= {shown(formula)} 1)"
+                formula,
+                f"unknown predicate '{formula.head}': it is a function, which gives a number; "
+                f"expected a comparison such as (>= {shown(formula)} 1)",
             )
         if symbol is None:
             near = meant(formula.head, {*self.names.predicates, *besides})
@@ -318,8 +320,8 @@ class Formulas:
         if str(changed) not in ("(total-cost)", "total-cost"):
             return False
         if amount.word:
-            return number(amount.word) is None or whole_number(amount) is not None
-        return amount.head not in ("+", "-", "*", "/", "total-cost") or str(amount.head) == "total-cost"
+            return whole_number(amount) is not None or (value := number(amount.word)) is None or value < 0
+        return amount.head not in ("+", "-", "*", "/") or (amount.head == "-" and len(amount.parts) == 2)
 
     def _change(self, formula: Expression, scope: Scope, action: str) -> Expression:
         """Check an effect that changes a number."""
@@ -383,7 +385,8 @@ class Formulas:
             self.refuse(formula, "continuous effects (#t) are not supported; write the whole change (at end ...)")
         self.refuse(
             formula,
-            f"durative action '{action}': '{shown(formula)}' has no time; expected (at start EFFECT) or (at end EFFECT)",
+            f"durative action '{action}': '{shown(formula)}' has no time; "
+            "expected (at start EFFECT) or (at end EFFECT)",
         )
 
     def _has_time(self, formula: Expression, action: str) -> bool:
@@ -439,6 +442,8 @@ class Formulas:
         if (number := whole_number(amount)) is not None:
             self.limited(amount, number)
             return word(str(number))
+        if re.fullmatch(r"-[\d.]+", amount.word) or amount.head == "-":
+            self.refuse(amount, f"action '{action}' costs '{amount}'; costs may not be negative")
         if not amount.head:
             self.refuse(amount, f"action '{action}' costs '{amount}'; expected a number, or (FUNCTION ARGUMENT ...)")
         function = self.names.functions.get(amount.head)

@@ -92,8 +92,8 @@ def _linear(reading: Reading, expression: Expression, changing: frozenset[str]) 
     factors = [side for side in sides if set(side) <= {("",)}]
     varying = [side for side in sides if not set(side) <= {("",)}]
     if len(varying) > 1 or (head == "/" and sides[0] not in varying and varying):
-        refuse(reading.instance.problem, expression, f"the metric is not linear: {shown(expression)}; expected a sum of "
-               "functions with constant weights")  # fmt: skip
+        refuse(reading.instance.problem, expression, f"the metric is not linear: {shown(expression)}; expected a sum "
+               "of functions with constant weights")  # fmt: skip
     if head == "/" and not factors[-1].get(("",), 0):
         refuse(reading.instance.problem, expression, f"the metric divides by zero: {shown(expression)}")
     base = varying[0] if varying else factors.pop(0)

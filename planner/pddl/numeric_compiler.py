@@ -1,8 +1,8 @@
 """The compiler of numbers and durations: from the reading of an instance to a classical one.
 
 Each step is a module: actions in parts (`schemas`), without times (`durative`), with what is kept of their numbers
-(`numeric_schemas`, `metric`), the values of each number (`value_sets`, `saturation`, `value_ranges`), and their encoding
-as facts (`numeric_encoding`).
+(`numeric_schemas`, `metric`), the values of each number (`value_sets`, `saturation`, `value_ranges`), and their
+encoding as facts (`numeric_encoding`).
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class _Compiler:
         rules = [(rule, normal_form(rule.condition, self.objects)) for rule in reading.domain.rules]
         changing = numeric_schemas.changing(timed)
         what = metric.of_reading(reading, changing)
-        roles = numeric_schemas.roles(reading, timed, goal, (condition for _, condition in rules), what)
+        roles = numeric_schemas.roles(timed, goal, (condition for _, condition in rules), what)
         changed_facts = frozenset(each.atom.head for schema in timed for _, _, each in schema.literals)
         derived = _derived(rules, changed_facts)
         statics = Statics(
@@ -87,8 +87,8 @@ class _Compiler:
             try:
                 action = numeric_encoding.encoded(encoder, each, self._kinds(each.schema.parameters))
             except TooManyError:
-                refuse(self.file, each.schema.place, f"action '{each.schema.name}' has too many combinations of objects "
-                       "in its numbers; expected fewer objects, or fewer of them in one expression")  # fmt: skip
+                refuse(self.file, each.schema.place, f"action '{each.schema.name}' has too many combinations "
+                       "of objects in its numbers; expected fewer objects, or fewer in one expression")  # fmt: skip
             if action is not None:
                 actions.append(action)
         return self._assembled(encoder, actions, goal, rules, what)
@@ -142,7 +142,7 @@ class _Compiler:
         )  # fmt: skip
         domain = self.reading.domain
         taken = {*self.objects, *domain.predicates, *domain.functions, *domain.types.parents, OBJECT,
-                 *self.reading.unions.values(), *(entry.name for entry in domain.entries if not isinstance(entry, Rule))}  # fmt: skip
+                 *self.reading.unions.values(), *(entry.name for entry in self._signatures())}  # fmt: skip
         kinds_of = {name: tuple(self._kinds(s.parameters).values()) for name, s in domain.functions.items()}
         return Encoder(self.file, statics, sets, limits, roles.kept, taken, kinds_of)
 
@@ -210,7 +210,9 @@ class _Compiler:
             predicates[each.name] = each
         facts = dict(problem.facts)
         facts.update(dict.fromkeys(encoder.symbol_facts(), place))
-        objects = {name: root.typed(each) for name, each in self.objects.items()}  # in the domain, whose rules name them
+        objects = {
+            name: root.typed(each) for name, each in self.objects.items()
+        }  # in the domain, whose rules name them
         objects.update({name: Typed(name, (encoder.value_type,), place) for name in encoder.objects.values()})
         requirements = tuple(each for each in domain.requirements if each.word in REQUIREMENTS)
         compiled_domain = Domain(
@@ -328,4 +330,4 @@ def _mentions_text(formula: Expression, name: str) -> bool:
     return any(each.head == name for each in formula.walk())
 
 
-__all__ = ["Classical", "Fluent", "TRUE", "classical"]
+__all__ = ["TRUE", "Classical", "Fluent", "classical"]

@@ -4,7 +4,7 @@ A function that changes becomes a predicate with one more argument, an object th
 reads a value has it as a further parameter; sums and comparisons are static relations over values. The translator then
 grounds what is reachable only, and finds that each fluent is one variable:
 
-- growth: parameters for the old and the new value, a static relation between them, the old value deleted, the new added;
+- growth: parameters for the old and the new value, a static relation between them; the old is deleted, the new added;
 - assignment of a static value: `(forall (?o) (when (is-f ?o) (and (not (is-f ?o)) (is-f NEW))))`, without parameters;
 - a comparison among other conditions: `(exists (?v) (and (is-f ?v) (RELATION ?v)))`;
 - a fluent without a value: an object of its own, which is in no relation.
@@ -18,16 +18,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .conditions import (
-    COMPLEMENT, FALSE, TRUE, comparisons, conjunction, conjuncts, disjunction, free_variables, is_numeric, variables_of,
+    COMPLEMENT,
+    FALSE,
+    TRUE,
+    comparisons,
+    conjunction,
+    conjuncts,
+    disjunction,
+    free_variables,
+    is_numeric,
+    variables_of,
 )  # fmt: skip
 from .declarations import OBJECT, Symbol, Typed, refuse, shown
 from .durative import Schema, key
 from .formulas import listed, word
-from .numeric_expressions import OPERATIONS, Number, NoValueError, applied, as_shown, compared, linear, terms_of
+from .numeric_expressions import OPERATIONS, NoValueError, Number, applied, as_shown, compared, linear, terms_of
 from .numeric_schemas import Costed
 from .s_expressions import Expression, Place
 from .schemas import Change, Literal
-from .static_facts import Statics, TooManyError, literal_number
+from .static_facts import Statics, literal_number
 from .value_sets import Fluent, Saturation, Value, ValueSets
 
 MOST_ROWS = 300_000
@@ -148,8 +157,8 @@ class Encoder:
 
     def too_many(self, place: Place, what: str) -> None:
         """Refuse a relation with more than `MOST_ROWS` rows."""
-        refuse(self.file, place, f"{what} has more than {MOST_ROWS} combinations of values; expected fewer terms in one "
-               "expression, or fewer values")  # fmt: skip
+        refuse(self.file, place, f"{what} has more than {MOST_ROWS} combinations of values; expected fewer terms in "
+               "one expression, or fewer values")  # fmt: skip
 
 
 class Scope:
@@ -285,11 +294,8 @@ class Scope:
                 result = holds(value, *combination, of) if fluent is not None else holds(value, *combination)
                 if result is None or result is False:
                     continue
-                words = [
-                    self._object(names[n], each, of if n == 0 else None) for n, each in enumerate(combination)
-                ]
-                if result is not True:
-                    assert not isinstance(result, bool)
+                words = [self._object(names[n], each, of if n == 0 else None) for n, each in enumerate(combination)]
+                if not isinstance(result, bool):
                     for after in result:
                         results.add(after)
                         rows.append((*row, *words, self._object(names[-1], after, of)))
@@ -325,7 +331,7 @@ class Scope:
             if literal_number(rest) == 0:
                 return found
             return self._result(rest, [found], [None], lambda value, number: [number + value])
-        sides = [part for part in expression.parts[1:]]
+        sides = expression.parts[1:]
         if expression.head == "-" and len(sides) == 1:
             inner = self.computed(sides[0])
             return self._result(word("0"), [inner], [None], lambda _, number: [-number])
@@ -396,7 +402,7 @@ class Scope:
             return
         listing = list(terms.values())
         if len(listing) == 1:
-            (term, factor), = listing
+            ((term, factor),) = listing
             fluent = term if term.head in self.encoder.special else None
             self.related(
                 rest, [self.value_of(term)], [self.encoder.numbers[term.head]], [term.head],
@@ -507,7 +513,9 @@ class Scope:
             bound = dict(zip(variables, row, strict=True))
             words = tuple(bound.get(each, each) for each in key(term))
             static = self.statics.values.get(term.head)
-            if (static is not None and words[1:] not in static) or (static is None and words not in encoder.sets.values):
+            if (static is not None and words[1:] not in static) or (
+                static is None and words not in encoder.sets.values
+            ):
                 missing.append(row)
         ways = []
         if missing and variables:
@@ -540,10 +548,10 @@ def encoded(encoder: Encoder, costed: Costed, kinds: Mapping[str, str]) -> Encod
     for change in growing:
         old = scope.value_of(change.term)
         effects += _growth(scope, change, old)
-    assigned = []
-    for change in schema.changes:
-        if not change.grows and not change.variables and not encoder.statics.is_static(change.amount):
-            assigned.append((change, _assigned(scope, change)))
+    assigned = [
+        (change, _assigned(scope, change)) for change in schema.changes
+        if not change.grows and not change.variables and not encoder.statics.is_static(change.amount)
+    ]  # fmt: skip
     precondition = []
     for condition in top:
         if condition.head in COMPLEMENT:
@@ -717,33 +725,33 @@ def _costs(scope: Scope, costed: Costed) -> tuple[tuple[str, ...], dict[tuple[st
             variables, rows = scope.static_rows(expression)
             for row, value in rows:
                 if value < 0:
-                    _negative(scope, what, expression, dict(zip(variables, row, strict=True)), value)
+                    _negative(scope, what, dict(zip(variables, row, strict=True)), value)
             if variables and scope.rows(variables, ()) and len(rows) < len(scope.rows(variables, ())):
                 scope.require((row for row, _ in rows), variables)
             elif not rows:
                 return (), {}
             if what == "cost":
                 return variables, dict(rows)
-    value = scope.computed(cost)
+    sums = scope.computed(cost)
     if schema.duration is not None and not scope.statics.is_static(schema.duration):
         scope.compare(listed(word(">="), schema.duration, word("0")))
-    numbers = {scope.encoder.object_of(number): number for number in value.numbers}
-    for number in value.numbers:
+    numbers = {scope.encoder.object_of(number): number for number in sums.numbers}
+    for number in sums.numbers:
         if number < 0:
             refuse(scope.encoder.file, schema.place, f"action '{schema.name}' may cost {as_shown(number)}; expected "
                    "costs of 0 or more for all values of its numbers")  # fmt: skip
-    return (value.variable,), {(name,): number for name, number in numbers.items()}
+    return (sums.variable,), {(name,): number for name, number in numbers.items()}
 
 
-def _negative(scope: Scope, what: str, expression: Expression, bound: Mapping[str, str], value: Number) -> None:
+def _negative(scope: Scope, what: str, bound: Mapping[str, str], value: Number) -> None:
     """Refuse a negative duration or cost of an instance that may be applied."""
     everything = {name: kind for name, kind in scope.kinds.items() if not name.startswith("?value")}
     for row in scope.statics.bindings(everything, scope.conditions):
         whole = dict(zip(everything, row, strict=True))
         if all(whole[name] == bound[name] for name in bound):
             arguments = " ".join((scope.name, *whole.values()))
-            refuse(scope.encoder.file, scope.place, f"({arguments}) has a {what} of {as_shown(value)}; expected a {what} "
-                   "of 0 or more")  # fmt: skip
+            refuse(scope.encoder.file, scope.place, f"({arguments}) has a {what} of {as_shown(value)}; expected "
+                   f"a {what} of 0 or more")  # fmt: skip
 
 
 def goal(encoder: Encoder, condition: Expression, place: Place) -> tuple[Expression, list[tuple[str, Expression]]]:
@@ -762,7 +770,7 @@ def goal(encoder: Encoder, condition: Expression, place: Place) -> tuple[Express
         if len(terms) == 1:
             from .value_sets import possible
 
-            (fluent, term), = terms.items()
+            ((fluent, term),) = terms.items()
             text = f"({' '.join(fluent)})"
             values = encoder.sets.values.get(fluent, {None})
             true = [value for value in values if possible(each, {text: value})]

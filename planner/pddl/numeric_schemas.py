@@ -2,7 +2,7 @@
 
 Functions that nothing reads are left out, and those that only the metric reads become costs. Changes within
 `(forall ...)` are written out for the objects. Where two terms of one function may be the same, and both are changed,
-there is one schema in which they are, and one in which they are not; likewise for the condition of a conditional growth.
+there is one schema in which they are, and one in which they are not; likewise for the condition of a growth.
 """
 
 from __future__ import annotations
@@ -13,13 +13,19 @@ from pathlib import Path
 
 from . import schemas
 from .conditions import (
-    FALSE, TRUE, comparisons, conjunction, conjuncts, free_variables, unsatisfied,
+    FALSE,
+    TRUE,
+    comparisons,
+    conjunction,
+    conjuncts,
+    free_variables,
+    unsatisfied,
 )  # fmt: skip
 from .declarations import refuse
 from .durative import Schema, bound_in, key, merged, total, unified
 from .formulas import listed, word
 from .metric import Metric
-from .numeric_expressions import terms_of, word_of
+from .numeric_expressions import Number, terms_of, word_of
 from .reader import Reading
 from .s_expressions import Expression
 from .schemas import END, START, Change, TimedSchema
@@ -52,8 +58,9 @@ def changing(timed: Iterable[TimedSchema]) -> frozenset[str]:
     return frozenset(change.term.head for schema in timed for _, _, change in schema.changes)
 
 
-def roles(reading: Reading, timed: Iterable[TimedSchema], goal: Expression, rules: Iterable[Expression],
-          metric: Metric) -> Roles:  # fmt: skip
+def roles(
+    timed: Iterable[TimedSchema], goal: Expression, rules: Iterable[Expression], metric: Metric
+) -> Roles:  # fmt: skip
     """Return the roles of the functions that change."""
     every = changing(timed)
     read: set[str] = set()
@@ -114,9 +121,8 @@ class Preparation:
             timed = self._without_quantifiers(self._written_out(timed))
             for started in self._started(timed):
                 for variant in self._distinct(started):
-                    for each in self._decided(merged(self.file, variant, self.derived)):
-                        if each.precondition != FALSE:
-                            found.append(self._costed(each))
+                    decided = self._decided(merged(self.file, variant, self.derived))
+                    found += [self._costed(each) for each in decided if each.precondition != FALSE]
         except TooManyError:
             refuse(self.file, timed.place, f"action '{timed.name}' has too many combinations of objects in conditions "
                    "or changes of numbers; expected fewer objects, or fewer terms in one action")  # fmt: skip
@@ -350,5 +356,5 @@ class Preparation:
         return Costed(replace(schema, changes=kept), total(parts))
 
 
-def _times(weight: object, amount: Expression) -> Expression:
+def _times(weight: Number, amount: Expression) -> Expression:
     return amount if weight == 1 else listed(word("*"), word_of(weight), amount)

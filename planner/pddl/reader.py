@@ -12,7 +12,7 @@ from pathlib import Path
 
 from . import declarations, instance_finder, instances, supported_fragment
 from .declarations import Names, Symbol, Typed, Types, meant, refuse, shown
-from .formulas import LARGEST_COST, Cost, Formulas, listed, whole_number, word
+from .formulas import Cost, Formulas, listed, whole_number, word
 from .instances import Instance
 from .numeric_expressions import DURATION, Number, number
 from .s_expressions import Expression, Place
@@ -184,9 +184,7 @@ def _parts(whole: Expression, head: str) -> tuple[Expression, ...]:
     return () if section is None else section.parts[1:]
 
 
-def _domain(
-    file: Path, whole: Expression, unions: dict[tuple[str, ...], str]
-) -> tuple[Domain, dict[str, Place], bool]:
+def _domain(file: Path, whole: Expression, unions: dict[tuple[str, ...], str]) -> tuple[Domain, dict[str, Place], bool]:
     """Read the domain. Return it, its derived predicates, and whether it is more than classical."""
     types = declarations.types(file, whole.section(":types"))
     constants = declarations.objects(file, whole.section(":constants"), types, {}, "")
@@ -398,9 +396,11 @@ def _value(file: Path, fact: Expression, formulas: Formulas) -> tuple[tuple[str,
         refuse(file, of, f"no such function '{of.head}' in (:functions ...){meant(of.head, formulas.names.functions)}")
     arguments: Iterable[Expression] = formulas.arguments(of, function, {}) if function is not None else of.parts[1:]
     value: Number | None = whole_number(written)
-    if value is None or value > LARGEST_COST:
+    if value is None:
         value = number(written.word)
         formulas.numeric = True
+    else:
+        formulas.limited(written, int(value))
     if value is None:
         refuse(file, written, f"'{shown(written)}' is no number; expected a number such as 3, 2.5 or -1")
     if of.head == "total-cost" and (value or len(of.parts) > 1):

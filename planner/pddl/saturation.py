@@ -15,11 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 
 from .conditions import COMPLEMENT, free_variables, variables_of
 from .durative import key
 from .formulas import listed, word
-from .numeric_expressions import Number, NoValueError, linear, terms_of
+from .numeric_expressions import NoValueError, Number, linear, terms_of, whole
 from .numeric_schemas import Costed
 from .s_expressions import Expression
 from .static_facts import Statics, literal_number
@@ -120,7 +121,7 @@ def _limits(
             bound = dict(zip(variables, row, strict=True))
             fluent = tuple(bound.get(each, each) for each in key(term))
             try:
-                threshold = -statics.value(rest, bound) / factor if factor != 1 else -statics.value(rest, bound)
+                threshold = whole(Fraction(-statics.value(rest, bound)) / factor)
             except (NoValueError, ZeroDivisionError):
                 continue
             cut = (sign * threshold, 0 if closed else 1)

@@ -192,11 +192,25 @@ class _Reader:
 
 def _change(effect: Expression, variables: Mapping[str, str], condition: Expression) -> Change:
     head, term, amount = effect.head, *effect.parts[1:]
+    if head == "assign" and (more := _growth(term, amount)) is not None:
+        return Change(variables, condition, term, more, True, effect.place)
     if head == "decrease":
         amount = listed(word("-"), amount)
     elif head in ("scale-up", "scale-down"):
         amount = listed(word("*" if head == "scale-up" else "/"), term, amount)
     return Change(variables, condition, term, amount, head in ("increase", "decrease"), effect.place)
+
+
+def _growth(term: Expression, amount: Expression) -> Expression | None:
+    """Return by how much a term grows that gets an amount such as `(+ TERM 2)`; None for other amounts."""
+    parts = list(amount.parts[1:])
+    at = next((n for n, part in enumerate(parts) if str(part) == str(term)), None)
+    if amount.head == "+" and at is not None and len(parts) > 1:
+        rest = parts[:at] + parts[at + 1 :]
+        return rest[0] if len(rest) == 1 else listed(word("+"), *rest)
+    if amount.head == "-" and at == 0 and len(parts) == 2:
+        return listed(word("-"), parts[1])
+    return None
 
 
 def renamed(change: Change, bound: Mapping[str, str]) -> Change:

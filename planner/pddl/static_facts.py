@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from .conditions import COMPLEMENT, FALSE, TRUE, conjunction, conjuncts, disjunction, free_variables, variables_of
 from .formulas import listed
-from .numeric_expressions import OPERATIONS, Number, NoValueError, compared, number, terms_of, value_of, word_of
+from .numeric_expressions import OPERATIONS, NoValueError, Number, compared, number, terms_of, value_of, word_of
 from .reader import Reading
 from .s_expressions import Expression
 
@@ -93,8 +93,7 @@ class Statics:
                 relations.append(_relation(condition, self.facts[condition.head], variables))
             elif free_variables(condition).keys() <= variables.keys():
                 filters.append(condition)
-        for term in terms:
-            relations.append(_relation(term, self.values[term.head].keys(), variables))
+        relations += [_relation(term, self.values[term.head].keys(), variables) for term in terms]
         kinds = {name: set(self.of_kind(kind)) for name, kind in variables.items()}
         kept = []
         for names, rows in relations:
@@ -129,8 +128,7 @@ class Statics:
                 index[tuple(row[n] for n in shared)].append(tuple(row[n] for n in new))
             longer = []
             for before in found:
-                for after in index.get(tuple(before[n] for n in at), ()):
-                    longer.append(before + after)
+                longer += [before + after for after in index.get(tuple(before[n] for n in at), ())]
                 if len(longer) > LARGEST_JOIN:
                     raise TooManyError
             names += tuple(columns[n] for n in new)

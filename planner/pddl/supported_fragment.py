@@ -66,7 +66,16 @@ def check(instance: Instance, domain: Expression, problem: Expression) -> None:
     """
     _check_names(instance, domain, problem)
     counts = Counter(each.word for whole in (domain, problem) for each in whole.walk() if each.word.endswith("-"))
-    of_domains = (":requirements", ":types", ":constants", ":predicates", ":functions", ":derived", ":action", ":durative-action")
+    of_domains = (
+        ":requirements",
+        ":types",
+        ":constants",
+        ":predicates",
+        ":functions",
+        ":derived",
+        ":action",
+        ":durative-action",
+    )
     of_problems = (":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
     for file, whole, sections in ((instance.domain, domain, of_domains), (instance.problem, problem, of_problems)):
         _check_hyphens(file, whole, counts)
@@ -119,7 +128,11 @@ def _check_sections(file: Path, whole: Expression, sections: tuple[str, ...]) ->
     seen: dict[str, int] = {}
     for part in whole.parts[2:]:
         if part.head in OUTSIDE:
-            refuse(file, part, f"{OUTSIDE[part.head]} ({part.head}) are not supported; {INSTEAD.get(OUTSIDE[part.head], CLASSICAL)}")
+            refuse(
+                file,
+                part,
+                f"{OUTSIDE[part.head]} ({part.head}) are not supported; {INSTEAD.get(OUTSIDE[part.head], CLASSICAL)}",
+            )
         if part.head not in sections:
             shown = part.word or f"({part.head}"
             refuse(file, part, f"'{shown}' is not expected here{meant(part.head, sections)}")

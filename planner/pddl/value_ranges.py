@@ -27,10 +27,17 @@ from .formulas import listed, word
 from .numeric_expressions import Number, as_shown, linear, terms_of, whole
 from .numeric_schemas import Costed
 from .reader import Reading
-from .s_expressions import Expression
+from .s_expressions import Expression, Place
 from .static_facts import Statics, TooManyError, literal_number
 from .value_sets import (
-    Fluent, GroundChange, Saturation, TooIntricateError, UnboundedError, Value, ValueSets, computed,
+    Fluent,
+    GroundChange,
+    Saturation,
+    TooIntricateError,
+    UnboundedError,
+    Value,
+    ValueSets,
+    computed,
 )  # fmt: skip
 
 Fact = tuple[str, ...]
@@ -71,7 +78,7 @@ def value_sets(
             ranges[each] = proofs.range_of(each)
 
 
-def _place(costed: Iterable[Costed], changes: Iterable[GroundChange], fluent: Fluent | None) -> object:
+def _place(costed: Iterable[Costed], changes: Iterable[GroundChange], fluent: Fluent | None) -> Place | None:
     """Return the place of a schema that changes a fluent."""
     names = [change.schema for change in changes if fluent is None or change.fluent == fluent]
     return next((each.schema.place for each in costed if each.schema.name in names), None)
@@ -86,14 +93,14 @@ def _refuse(
     place = next((c.place for each in costed for c in each.schema.changes if c.term.head == fluent[0]), None)
     low, high = found
     if low is not None and high is not None:
-        refuse(domain, place, f"{shown} has more than {most} values, from {as_shown(low)} to {as_shown(high)}; expected "
-               "fewer, by a smaller capacity or larger steps, or a larger limit of values")  # fmt: skip
+        refuse(domain, place, f"{shown} has more than {most} values, from {as_shown(low)} to {as_shown(high)}; "
+               "expected fewer, by a smaller capacity or larger steps, or a larger limit of values")  # fmt: skip
     ways = {True: set[str](), False: set[str]()}
     for change in changes:
         if change.fluent[0] == fluent[0]:
             amount = literal_number(change.amount) if change.grows else None
             for up in (True, False):
-                if amount is None or (amount > 0) is up and amount:
+                if amount is None or ((amount > 0) is up and amount):
                     ways[up].add(change.schema)
     verbs = [
         f"{verb} without a limit ({', '.join(sorted(ways[up]))})"
@@ -166,7 +173,7 @@ class Proofs:
             self.initial.setdefault(change.fluent, None)
         self.assigned = {change.fluent[0] for change in changes if not change.grows}
         self.varying = {
-            change.fluent[0] for change in changes if change.grows and literal_number(change.amount) is None
+            change.fluent[0] for change in changes if literal_number(change.amount) is None
         }  # fmt: skip
         self.guarded = {fluent: self._by_guards(fluent) for fluent in self.initial}
         self.rows: dict[str, list[Row]] = {}
@@ -288,7 +295,7 @@ class Proofs:
 
     def _potential(self, fluent: Fluent, sign: int) -> Number | None:
         """Return an upper bound of `sign` times a fluent; None if there is no proof."""
-        if fluent[0] in self.varying or self.initial[fluent] is None and fluent[0] not in self.assigned:
+        if fluent[0] in self.varying or (self.initial[fluent] is None and fluent[0] not in self.assigned):
             return None
         rows = self._rows_of(fluent[0])
         features: dict[Fact, None] = {}
@@ -365,9 +372,9 @@ def _solved(proofs: Proofs, fluent: Fluent, sign: int, rows: Sequence[Row], feat
     if left <= 0:
         return None
     result = linprog(
-        objective, A_ub=matrix, b_ub=[float(limit) for _, limit in lines], bounds=[*upper, (None, None)],
+        objective, A_ub=matrix, b_ub=np.array([float(limit) for _, limit in lines]), bounds=[*upper, (None, None)],
         method="highs", options={"time_limit": left},
-    )  # fmt: skip
+    )  # type: ignore[call-overload]  # fmt: skip
     if result.status != 0:
         return None
     for largest in (12, 1_000, 1_000_000):
@@ -386,8 +393,8 @@ def _solved(proofs: Proofs, fluent: Fluent, sign: int, rows: Sequence[Row], feat
                     low, high = proofs.guarded[feature]
                     if (plus and low is None) or (minus and high is None):
                         break
-                    total += (-plus * low if plus and low is not None else 0)
-                    total += (minus * high if minus and high is not None else 0)
+                    total += -plus * low if plus and low is not None else 0
+                    total += minus * high if minus and high is not None else 0
                 else:
                     total += minus
             else:
@@ -434,4 +441,3 @@ def _lines(
         yield after, -sign * row.assigned[fluent]
     else:  # no proof: a constraint that cannot be met
         yield {}, -1
-

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from .conditions import COMPLEMENT, FALSE, comparisons, conjunction, conjuncts, free_variables
 from .durative import Schema, key
-from .numeric_expressions import Number, NoValueError, compared, terms_of, value_of
+from .numeric_expressions import NoValueError, Number, compared, terms_of, value_of
 from .s_expressions import Expression
 from .schemas import Change
 from .static_facts import Statics, literal_number
@@ -176,7 +176,7 @@ class _Rule:
             product = 1
             for each in more:
                 product *= max(sizes.get(each, 1), 1)
-            if set(inner) & set(reads) and product <= MOST_TOGETHER or len(more) == 1:
+            if (set(inner) & set(reads) and product <= MOST_TOGETHER) or len(more) == 1:
                 reads = more
         self.reads: tuple[Fluent, ...] = tuple(reads)
         self.texts = tuple(f"({' '.join(each)})" for each in self.reads)

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from itertools import groupby
 
 from .declarations import OBJECT, Symbol, Typed
+from .numeric_expressions import as_shown
 from .reader import TOTAL_COST, Action, DurativeAction, Reading, Rule
 
 
@@ -23,7 +24,7 @@ def domain(reading: Reading, *, list_object: bool = False) -> str:
         *_section(":constants", _objects(read.constants.values())),
         _list(":predicates", *(_symbol(each, reading) for each in read.predicates.values())),
         *_section(":functions", _functions(reading)),
-        *(_action(each, reading) if isinstance(each, Action) else _rule(each, reading) for each in read.entries),
+        *(_entry(each, reading) for each in read.entries),
     )
 
 
@@ -42,10 +43,10 @@ def problem(reading: Reading) -> str:
         _list(
             ":init",
             *(_list(*atom) for atom in read.facts),
-            *(_list("=", _list(*of), str(value)) for of, value in (begin | dict(read.values)).items()),
+            *(_list("=", _list(*of), as_shown(value)) for of, value in (begin | dict(read.values)).items()),
         ),
         _list(":goal", str(read.goal)),
-        *_section(":metric", [] if read.metric is None else ["minimize", "(total-cost)"]),
+        *_section(":metric", [] if read.metric is None else ["minimize", str(read.minimized or "(total-cost)")]),
     )
 
 
@@ -105,6 +106,22 @@ def _variables(variables: Iterable[Typed], reading: Reading) -> list[str]:
         kinds = reading.domain.types.reduced(each.kinds)
         found.append(f"{each.name} - {reading.unions.get(kinds, kinds[0])}")
     return found
+
+
+def _entry(entry: Action | DurativeAction | Rule, reading: Reading) -> str:
+    if isinstance(entry, Rule):
+        return _rule(entry, reading)
+    return _action(entry, reading) if isinstance(entry, Action) else _durative_action(entry, reading)
+
+
+def _durative_action(action: DurativeAction, reading: Reading) -> str:
+    return _list(
+        ":durative-action", action.name,
+        ":parameters", _list(*_variables(action.parameters, reading)),
+        ":duration", str(action.duration),
+        ":condition", str(action.condition),
+        ":effect", str(action.effect),
+    )  # fmt: skip
 
 
 def _action(action: Action, reading: Reading) -> str:
