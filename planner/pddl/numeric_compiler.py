@@ -162,7 +162,7 @@ class _Compiler:
         entries: list[Action | DurativeAction | Rule] = []
         names: dict[str, tuple[str, int]] = {}
         functions: dict[str, Symbol] = {}
-        values: dict[tuple[str, ...], Number] = {}
+        values: dict[tuple[str, ...], Number] = {("total-cost",): 0}
         used: set[str] = set()
         for action in actions:
             schema = action.schema
