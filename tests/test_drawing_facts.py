@@ -15,15 +15,27 @@ import pytest
 from conftest import DOMAINS
 from PIL import Image
 
-from assist.drawing import Artist, FramesError, draw_frames, draw_strip, episode_frames, plan_frames
+from assist.drawing import (
+    Artist,
+    FramesError,
+    StateError,
+    draw_frames,
+    draw_strip,
+    episode_frames,
+    plan_frames,
+    read_state,
+)
 from assist.drawing.layout import Box, Layout
 from assist.drawing.profile import guess
 from assist.drawing.raster import png
 from assist.drawing.scene import TASK
-from assist.drawing.subject import Atom, Subject
+from assist.drawing.subject import Atom, Subject, words_for
 from assist.drawing.svg import document, draw_layout
 from planner import cost_to_go, load
 from planner.grounding.fast_downward import optimal_plan
+from planner.grounding.shown_names import in_the_files_terms
+from planner.pddl.compilation import Compilation
+from planner.pddl.reader import read
 
 SVG = "{http://www.w3.org/2000/svg}"
 WIDTH = 760
@@ -261,3 +273,51 @@ def test_an_episode_of_many_steps_fits_a_page(packing: Path) -> None:
     assert strip.svg.count('class="ka-step"') == 2 * (len(plan) + 1)
     with pytest.raises(FramesError):
         episode_frames(artist, trace, "7")
+
+
+BINS = """(define (domain bins) (:requirements :typing) (:types bin level)
+  (:predicates (stock-is ?b - bin ?n - level) (done-is ?n - level) (next ?n ?m - level))
+  (:action take :parameters (?b - bin ?n ?m ?d ?e - level)
+   :precondition (and (stock-is ?b ?n) (next ?m ?n) (done-is ?d) (next ?d ?e))
+   :effect (and (not (stock-is ?b ?n)) (stock-is ?b ?m) (not (done-is ?d)) (done-is ?e))))"""
+THREE = """(define (problem three) (:domain bins) (:objects bin-1 bin-2 - bin n0 n1 n2 - level)
+  (:init (stock-is bin-1 n2) (stock-is bin-2 n1) (done-is n0) (next n0 n1) (next n1 n2))
+  (:goal (and (stock-is bin-1 n1) (stock-is bin-2 n0))))"""
+
+
+@pytest.fixture
+def bins(tmp_path: Path) -> Artist:
+    """The artist of a task whose numbers were compiled away, as a grounded task has them, without files."""
+    (tmp_path / "domain.pddl").write_text(BINS)
+    (tmp_path / "three.pddl").write_text(THREE)
+    task, values = load(tmp_path / "three.pddl"), {f"n{n}": str(n) for n in range(3)}
+    reading = read(task.instance)
+    for name in ("domain.pddl", "three.pddl"):
+        (tmp_path / name).unlink()
+    numbers = {"stock-is": ("stock", values), "done-is": ("done", values)}
+    return Artist(in_the_files_terms(task, Compilation(reading, numbers=numbers)))
+
+
+def test_numbers_are_marks_on_their_objects_and_of_the_task(bins: Artist) -> None:
+    assert list(bins.subject.objects)[:2] == ["bin-1", "bin-2"]
+    layout = bins.layouts([bins.subject.initial])[0]
+    marks = {box.node.key: box.node.marks for box, *_ in boxes_in(layout.boxes)}
+    assert (marks["bin-1"], marks["bin-2"], marks[TASK]) == (["stock = 2"], ["stock = 1"], ["done = 0"])
+    assert {box.node.key: box.node.wants for box, *_ in boxes_in(layout.boxes)}["bin-1"] == [("stock = 1", False)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "(= (stock bin-1) 1) (= (stock bin-2) 1) (= (done) 1) (= (weight bin-1) 7)",
+        '["stock(bin-1) = 1", "stock(bin-2) = 1", "done() = 1"]',
+        "stock(bin-1) = 1 stock(bin-2) = 1\ndone() = 1",
+    ],
+)
+def test_numbers_of_a_state_are_read(bins: Artist, tmp_path: Path, text: str) -> None:
+    (tmp_path / "state").write_text(text)
+    values = read_state(tmp_path / "state", bins.subject)
+    assert {"stock bin-1 = 1", "stock bin-2 = 1", "done = 1"} == {words_for(one) for one in bins.subject.facts(values)}
+    (tmp_path / "state").write_text(text.replace("bin-2) = 1", "bin-2) = 9").replace("bin-2) 1", "bin-2) 9"))
+    with pytest.raises(StateError, match=r"stock bin-2 = 9\) is no fact of the task"):
+        read_state(tmp_path / "state", bins.subject)

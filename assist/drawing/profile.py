@@ -37,7 +37,7 @@ from pathlib import Path
 from typing import Any
 
 from ..texts.catalogue import FIRST, TAG, Catalogue, catalogue, languages
-from .subject import Atom, Subject, atom
+from .subject import Atom, Subject, atom, is_number
 
 FILE = "drawing.toml"
 SHAPES = (
@@ -370,7 +370,7 @@ def guess(subject: Subject, texts: Catalogue | None = None) -> Profile:
     votes: Counter[tuple[str, int]] = Counter()
     for variable in subject.task.variables:
         facts = [one for fact in variable.facts if (one := atom(fact)) in subject.changing and one]
-        if len(facts) > 1:
+        if len(facts) > 1 and not any(map(is_number, facts)):
             shared = set.intersection(*(set(fact[1:]) for fact in facts))
             if len(shared) == 1:
                 name = next(iter(shared))
@@ -379,7 +379,7 @@ def guess(subject: Subject, texts: Catalogue | None = None) -> Profile:
     for predicate in sorted({predicate for predicate, _ in votes}):
         first, second = votes[predicate, 1], votes[predicate, 2]
         places[predicate] = Rule(1, "in", 2) if first >= second else Rule(2, "in", 1)
-    unary = sorted({fact[0] for fact in subject.changing if len(fact) == 2})
+    unary = sorted({fact[0] for fact in subject.changing if len(fact) == 2 and not is_number(fact)})
     ends = [places[fact[0]].of(fact) for fact in subject.changing | subject.constant if fact[0] in places]
     moving, places_of = ({subject.objects.get(pair[end]) for pair in ends} for end in (0, 1))
     types = {kind: Look("crate" if kind in moving else "panel") for kind in sorted(filter(None, places_of))}

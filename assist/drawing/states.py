@@ -5,13 +5,13 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from planner.grounding.semantics import derived
 from planner.pddl.s_expressions import Expression, UnbalancedError, parse
 
-from .subject import Atom, Subject, atom
+from .subject import Atom, Subject, atom, is_number
 
 
 class StateError(ValueError):
@@ -24,7 +24,8 @@ def read_state(file: str | Path, subject: Subject) -> list[int]:
     Parameters
     ----------
     file : path
-        Facts as `(contains box-a hammer)` or `contains(box-a, hammer)`: a plain list, an `(:init ...)`, a complete
+        Facts as `(contains box-a hammer)` or `contains(box-a, hammer)`, numbers as `(= (stock bin-1) 3)` or
+        `stock(bin-1) = 3`: a plain list, an `(:init ...)`, a complete
         problem file, or a JSON list of texts. Constant facts may be omitted.
     subject : Subject
 
@@ -40,7 +41,10 @@ def read_state(file: str | Path, subject: Subject) -> list[int]:
         raise StateError(f"{file}: not a text file in UTF-8") from None
     given: dict[Atom, int] = {}
     known = subject.constant | subject.changing
+    changing = {fact[:-1] for fact in subject.changing if is_number(fact)}
     for line, fact in _facts(file, text):
+        if is_number(fact) and fact[:-1] not in changing:
+            continue  # values of functions that do not change do not matter
         if fact not in known:
             shown = {_shown(one): one for one in known}
             near = difflib.get_close_matches(_shown(fact), shown, n=1)
@@ -88,21 +92,32 @@ def _facts(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
 
 def _atoms(file: Path, parts: tuple[Expression, ...]) -> Iterator[tuple[int, Atom]]:
     name: Expression | None = None  # the predicate of a fact in the form name(argument, ...)
-    for part in parts:
+    waiting = list(parts)
+    while waiting:
+        part = waiting.pop(0)
         if part.head == "and":
             yield from _atoms(file, part.parts[1:])
+        elif part.head == "=" and name is None and len(part.parts) == 3 and part.parts[1].parts and part.parts[2].word:
+            yield part.place.line, (*_words(part.parts[1].parts), f"= {part.parts[2].word}")
         elif part.head in ("=", "not") and name is None:
-            continue  # values of functions and negated facts do not matter
+            continue  # negated facts do not matter
         elif name is None and part.word:
             name = part
         elif part.word or not all(one.word for one in part.parts) or (name is None and not part.parts):
             raise StateError(f"{file}:{part.place.line}: {part}; expected a fact, (predicate argument ...)")
         else:
-            words = [*([] if name is None else [name.word]), *(one.word for one in part.parts)]
-            yield part.place.line, tuple(word for word in (word.strip(",") for word in words) if word)
+            words = _words([*([] if name is None else [name]), *part.parts])
+            if name is not None and len(waiting) > 1 and waiting[0].word == "=" and waiting[1].word:
+                words = (*words, f"= {waiting[1].word}".strip(","))
+                del waiting[:2]
+            yield part.place.line, words
             name = None
     if name is not None:
         raise StateError(f"{file}:{name.place.line}: {name}; expected a fact, (predicate argument ...)")
+
+
+def _words(parts: Sequence[Expression]) -> Atom:
+    return tuple(word for word in ((part.word or "").strip(",") for part in parts) if word)
 
 
 def _listed(file: Path, text: str) -> Iterator[tuple[int, Atom]]:

@@ -1,7 +1,8 @@
 """The parts of a task that drawings show: objects, types, the facts of a state, and the goal.
 
-A fact is a tuple of words with the predicate first. Types and parameters are read from the PDDL files. If there are no
-files, or they have changed, only the information of the grounded task is available.
+A fact is a tuple of words with the predicate first; that of a number that changes ends in its value, "= 3". Types and
+parameters are read from the PDDL files. If there are no files, or they have changed, only the information of the
+grounded task is available.
 """
 
 from __future__ import annotations
@@ -174,8 +175,13 @@ class Subject:
 
 def atom(fact: str) -> Atom | None:
     """Return a fact of a grounded task as an atom; None for negated facts and the translator's auxiliary atoms."""
-    found = re.fullmatch(r"Atom (?!new-axiom@)([^(]+)\((.*)\)", fact)
-    return (found[1], *(found[2].split(", ") if found[2] else ())) if found else None
+    found = re.fullmatch(r"Atom (?!new-axiom@)([^(]+)\(([^()]*)\)(?: (= .+))?", fact)
+    return (found[1], *(found[2].split(", ") if found[2] else ()), *filter(None, [found[3]])) if found else None
+
+
+def is_number(fact: Atom) -> bool:
+    """Return whether a fact is the value of a number that changes."""
+    return fact[-1].startswith("= ")
 
 
 def words_for(fact: Atom, without: str | None = None) -> str:
@@ -192,7 +198,7 @@ def _kind(name: str, constant: frozenset[Atom]) -> str:
 
 
 def _named(task: Task, changing: set[Atom]) -> list[str]:
-    words = {word for fact in changing for word in fact[1:]}
+    words = {word for fact in changing for word in (fact[1:-1] if is_number(fact) else fact[1:])}
     return sorted(words | {word for action in task.actions for word in action.strip("()").split()[1:]})
 
 
@@ -205,7 +211,7 @@ def _goal(goal: Expression, task: Task) -> tuple[Wanted, ...]:
             waiting[:0] = part.parts[1:]
             continue
         inner = part.parts[1] if part.head == "not" and len(part.parts) > 1 else part
-        if inner.head in ("and", "or", "not", "imply", "exists", "forall", "="):
+        if inner.head in ("and", "or", "not", "imply", "exists", "forall", "=", "<", "<=", ">", ">="):
             return _grounded_goal(task, str(goal))
         if inner.parts:
             found.append(Wanted(tuple(map(str, inner.parts)), part.head == "not", str(part)))
