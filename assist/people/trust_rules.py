@@ -262,8 +262,9 @@ def outcome_at_disagreement(
 ) -> LogitSteps:
     """Return the rule of a theta that moves by agreement, and at disagreement by the outcome of what was followed.
 
-    The steps were chosen on the data of 813 people who judged cards and dates with advice (docs/people.md). There the
-    outcome was shown after advice that was declined, too; here people see the outcome of what they did.
+    The steps were chosen on the data of 813 people who judged cards and dates with advice, who seem to include all
+    people of docs/results/trust.md; figures on these are no independent evidence for them. There the outcome was shown
+    after advice that was declined, too; here people see the outcome of what they did.
 
     Parameters
     ----------
