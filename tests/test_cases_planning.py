@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -12,10 +14,11 @@ import pytest
 from conftest import KITTING, invoke, write_instance
 
 import planner.costtogo.portfolio
-from planner import LimitError, Limits, Table, instance, load
+from assist.cli.output.solve_records import Answers
+from planner import LimitError, Limits, PDDLError, Table, astar, instance, load
 from planner.batch import solve_instance as solving
 from planner.batch.solve_instance import solve_instance
-from planner.batch.solve_record import SolveOptions
+from planner.batch.solve_record import SWEEPING, SolveOptions
 from planner.costtogo.verification import check_plan
 from planner.grounding import fast_downward
 from planner.pddl import validation_process
@@ -78,8 +81,8 @@ PROBLEM = """(define (problem p) (:domain packing)
 NO_METRIC = ("(:metric minimize (total-cost))", "")
 NO_BEGIN = ("(= (total-cost) 0)", "")
 UNIT = (
-    "line 7 of the domain has an action cost, but the problem has no :metric, so that each action costs 1; "
-    "to use costs, write (:metric minimize (total-cost))"
+    "line 7 of the domain has an action cost, but the problem has no (:metric minimize (total-cost)), "
+    "so that each action costs 1"
 )
 ASSUMED = "the initial state has no (= (total-cost) 0), which is assumed"
 
@@ -196,3 +199,70 @@ def test_what_is_compared_of_a_small_task_does_not_depend_on_time() -> None:
     options = SolveOptions(comparison_share=0.0, comparison_seconds=0.0)
     records = [solve_instance(instance(TINY), options) for _ in range(2)]
     assert [(one["verified"], one["consistent"], one["note"]) for one in records] == [(20, 20, None)] * 2
+
+
+def test_a_folder_is_a_line_for_each_instance_in_order_of_completion(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each line is there when its instance is done, below one header; a note that several share is said once."""
+    record = solve_instance(instance(TINY), SolveOptions(verify=1))
+    names = ["late.pddl", "a/longer/name.pddl", "third.pddl"]
+    records = [{**record, "instance": name, "note": "read by a; so said"} for name in names]
+    answers = Answers(names, as_json=False)
+    answers.first({**records[0], "note": SWEEPING})
+    assert capsys.readouterr() == ("", "")
+    answers.add(records[1])
+    shown = capsys.readouterr()
+    header, line = shown.out.splitlines()
+    assert header.split() == "instance status cost states dead ends largest h* verified seconds".split()
+    assert line.split()[:4] == ["a/longer/name.pddl", "solved", "6", "21"]
+    assert shown.err == "a/longer/name.pddl: read by a; so said\n"
+    answers.add({**records[0], "note": "read by a; only this"})
+    shown = capsys.readouterr()
+    assert len(shown.out.splitlines()) == 1
+    assert len(shown.out.splitlines()[0]) == len(line) == len(header)
+    assert shown.err == "late.pddl: only this\n"
+    answers.add(records[2])
+    assert capsys.readouterr().err == ""
+    answers.show(records)
+    assert capsys.readouterr() == ("", "2 other instances: read by a\n1 other instance: so said\n")
+
+
+def test_lines_come_before_the_last_instance_is_done(tmp_path: Path) -> None:
+    hard = tmp_path / "z.pddl"
+    hard.write_text((KITTING / "ladder-6x12.pddl").read_text())
+    (tmp_path / "a.pddl").write_text(TINY.read_text())
+    (tmp_path / "domain.pddl").write_text((KITTING / "domain.pddl").read_text())
+    command = [Path(sys.executable).with_name("kitassist"), "solve", str(tmp_path), "--verify", "1"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("instance")
+        assert process.stdout.readline().split()[:3] == [str(tmp_path / "a.pddl"), "solved", "6"]
+        assert process.poll() is None
+        process.terminate()
+
+
+def test_a_limit_of_states_is_no_computation_of_all_of_them() -> None:
+    done = invoke("solve", TINY, "--max-states", 1)
+    assert done.stderr == f"{TINY}: solved on demand: more than 1 state\n"
+
+
+@pytest.mark.parametrize("name", ["type@part", "type@object", "@goal-reachable", "new-axiom@0"])
+def test_names_of_fast_downwards_own_are_refused(tmp_path: Path, name: str) -> None:
+    for old in ("(free)", "(far "):
+        texts = [text.replace(old, old.replace(old.strip("( )"), name)) for text in (DOMAIN, PROBLEM)]
+        with pytest.raises(PDDLError, match=f"'{name}' cannot be the name of a .*: Fast Downward has names") as error:
+            load(write_instance(tmp_path, *texts))
+        assert error.value.line in (4, 5)
+
+
+@pytest.mark.parametrize("name", ["dummy", "object", "number", "total-cost", "atom", "val1", "at"])
+def test_other_names_are_names(tmp_path: Path, name: str) -> None:
+    texts = [text.replace("(free)", f"({name})").replace("GO", "2") for text in (DOMAIN, PROBLEM)]
+    task = load(write_instance(tmp_path, *texts))
+    assert astar(task)[0] == 6
+
+
+def test_what_is_nested_too_deep_is_refused_with_its_line(tmp_path: Path) -> None:
+    deep = PROBLEM.replace("(in nut kit)", "(and " * 400 + "(in nut kit)" + ")" * 400)
+    with pytest.raises(PDDLError, match="more than 200 parentheses are open here") as error:
+        load(write_instance(tmp_path, DOMAIN.replace("GO", "2"), deep))
+    assert error.value.line == 5

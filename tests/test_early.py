@@ -238,7 +238,7 @@ def test_an_answer_is_shown_once(capsys: pytest.CaptureFixture[str]) -> None:
     told: Told = []
     record = solve_instance(instance(TINY), SolveOptions(verify=1), tell=lambda *what: told.append(what))
     first = {**record, "states": None, "note": SWEEPING}
-    answers = Answers(alone=True, as_json=False)
+    answers = Answers([str(TINY)], as_json=False)
     answers.first(first)
     answers.first({**record, "note": COMPARING})
     shown = capsys.readouterr()
@@ -248,14 +248,14 @@ def test_an_answer_is_shown_once(capsys: pytest.CaptureFixture[str]) -> None:
     shown = capsys.readouterr()
     assert [line.split()[0] for line in shown.out.splitlines()] == ["instance", str(TINY)]
     assert shown.err == ""
-    answers = Answers(alone=True, as_json=False)
+    answers = Answers([str(TINY)], as_json=False)
     answers.first({**record, "note": COMPARING})
     shown = capsys.readouterr()
     assert (shown.out.splitlines(), shown.err) == (record["plan"], "")
-    for silent in (Answers(alone=True, as_json=True), Answers(alone=False, as_json=False)):
+    for silent in (Answers([str(TINY)], as_json=True), Answers([str(TINY)] * 2, as_json=False)):
         silent.first(first)
         assert capsys.readouterr() == ("", "")
-    answers = Answers(alone=True, as_json=False)
+    answers = Answers([str(TINY)], as_json=False)
     answers.first({**first, "status": "unsolvable", "cost": None, "plan": None})
     assert capsys.readouterr() == ("", f"{TINY}: unsolvable; computing the cost-to-go of all states\n")
 

@@ -55,7 +55,7 @@ def solve(
         found = find_instances(instances, domain)
         if len(found) == 1 and options["time_limit"] is None and options["memory_limit"] is None:
             jobs = 0  # starting a worker takes longer than solving most tasks
-        answers = Answers(alone=len(found) == 1, as_json=as_json)
+        answers = Answers([str(each.problem) for each in found], as_json=as_json)
         try:
             with solving(len(found), answers.add) as (solved, stage):
                 records = solve_batch(

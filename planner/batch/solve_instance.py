@@ -39,6 +39,7 @@ from .solve_record import (
     COMPILING,
     PLANNING,
     SWEEPING,
+    VALIDATING,
     SolveOptions,
     SolveRecord,
     empty_record,
@@ -232,7 +233,11 @@ def _solve(
     phases: _Phases,
     use: Callable[[Table], None] | None,
 ) -> SolveRecord:
+    sweeping = True
+
     def answered(answer: Answer) -> None:
+        if not sweeping:
+            return  # the record follows
         with phases.lock:
             if place is not None and answer[1] is not None and not phases.saved:
                 save_plan(saved_files(place)[1], task, answer[1])
@@ -245,12 +250,14 @@ def _solve(
         swept = _Swept(None, None, None)
         if not task.decided_by_translator:
             swept = _sweep(task, options, phases, early)
+        sweeping = False
         record = _found(task, swept, early, options, phases)
         whole = swept.table if swept.known is swept.table else None
         with phases.lock:
             if place is not None:
                 _save(place, task, whole, record["plan"], phases)
-            phases.tell({**record, "note": _joined(record["note"], COMPARING)}, saved=True)
+            open_end = VALIDATING if swept.table is None else COMPARING
+            phases.tell({**record, "note": _joined(record["note"], open_end)}, saved=True)
         if record["plan"] is not None:
             second.ask(record["plan"])
         if swept.table is not None:

@@ -19,6 +19,7 @@ SolveRecord = dict[str, Any]
 SWEEPING = "solved on demand: the sweep had not ended"
 PLANNING = "A* had not found its plan"
 COMPARING = "the comparison with A* had not ended"
+VALIDATING = "unified-planning had not answered"
 """Notes in the records of unfinished instances."""
 
 

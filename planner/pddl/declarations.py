@@ -226,6 +226,8 @@ def _symbol(file: Path, part: Expression, known: Types, what: str) -> Symbol:
         refuse(file, part, f"'{shown(part)}' declares no {what}; expected ({what.upper()} ?VARIABLE - TYPE ...)")
     if part.head in RESERVED or part.head.startswith(("?", ":")):
         refuse(file, part, f"'{part.head}' cannot be the name of a {what}")
+    if "@" in part.head:  # `type@part`, `new-axiom@0` and others
+        refuse(file, part, f"'{part.head}' cannot be the name of a {what}: Fast Downward has names with '@' of its own")
     found = typed(file, part.parts[1:], "a variable", variables=True, known=known)  # their names have no meaning
     return Symbol(part.head, tuple(found), part.place)
 

@@ -123,11 +123,10 @@ class Reading:
         """What the user should know about the costs. It names no file, since the task may be cached for a copy."""
         costs = [each.cost for each in self.domain.actions.values() if each.cost is not None]
         if self.problem.metric is None:
-            line = costs[0].place.line if costs else 0
-            unused = (
-                f"line {line} of the domain has an action cost, but the problem has no :metric, so that each action "
-            )
-            return (f"{unused}costs 1; to use costs, write (:metric minimize (total-cost))",) if costs else ()
+            if not costs:
+                return ()
+            missing = "the problem has no (:metric minimize (total-cost)), so that each action costs 1"
+            return (f"line {costs[0].place.line} of the domain has an action cost, but {missing}",)
         if not costs:
             return ("the problem minimizes (total-cost), but no action increases it, so that each action costs 0",)
         if TOTAL_COST not in self.problem.values:

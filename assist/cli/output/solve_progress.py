@@ -29,8 +29,6 @@ def solving(
             add(record)
 
         def stage(instance: Instance, what: str, done: int, total: int | None) -> None:
-            from rich import table  # noqa: F401  imported now, while another process solves
-
             if what == COMPILING:
                 say()
             show(what if count == 1 else f"{solved} of {count} solved; {instance}: {what}", done, total)
