@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -212,7 +213,7 @@ def test_a_folder_is_a_line_for_each_instance_in_order_of_completion(capsys: pyt
     answers.add(records[1])
     shown = capsys.readouterr()
     header, line = shown.out.splitlines()
-    assert header.split() == "instance status cost states dead ends largest h* verified seconds".split()
+    assert " ".join(header.split()) == "instance status cost states dead ends largest h* verified seconds"
     assert line.split()[:4] == ["a/longer/name.pddl", "solved", "6", "21"]
     assert shown.err == "a/longer/name.pddl: read by a; so said\n"
     answers.add({**records[0], "note": "read by a; only this"})
@@ -266,3 +267,46 @@ def test_what_is_nested_too_deep_is_refused_with_its_line(tmp_path: Path) -> Non
     with pytest.raises(PDDLError, match="more than 200 parentheses are open here") as error:
         load(write_instance(tmp_path, DOMAIN.replace("GO", "2"), deep))
     assert error.value.line == 5
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no fork that is safe")
+def test_a_kill_for_lack_of_memory_leaves_a_record(tmp_path: Path) -> None:
+    """The fork that solves a single instance is killed while all states are being computed."""
+
+    def forks(process: int) -> list[int]:
+        tasks = Path(f"/proc/{process}/task").iterdir()
+        found = [int(child) for task in tasks for child in (task / "children").read_text().split()]
+        return [child for child in found if b"kitassist" in Path(f"/proc/{child}/cmdline").read_bytes()]
+
+    results = tmp_path / "out" / "results.jsonl"
+    command = [Path(sys.executable).with_name("kitassist"), "solve", KITTING / "ladder-6x12.pddl", "--json"]
+    with subprocess.Popen(
+        [*command, "--out", results.parent], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        while process.poll() is None and not (results.exists() and results.read_text()):
+            time.sleep(0.02)
+        (fork,) = forks(process.pid)
+        os.kill(fork, signal.SIGKILL)
+        printed, said = process.communicate(timeout=60)
+    (record,) = json.loads(printed)
+    assert (record["status"], record["cost"], process.returncode) == ("solved", 24, 0)
+    assert record["note"].endswith("the worker process died with exit code -9, probably out of memory")
+    assert json.loads(results.read_text().splitlines()[-1]) == record
+    assert record["note"] in said
+
+
+def test_a_kill_before_the_first_answer_is_a_limit(tmp_path: Path) -> None:
+    code = f"""
+import os, signal
+from planner import instance
+from planner.batch import solve_batch as batch
+
+def killed(*_, **__):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+batch.solve_instance = killed
+(record,) = batch.solve_batch([instance({str(TINY)!r})], jobs=0)
+print(record["status"], record["error"]["message"])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    assert done.stdout == "limit the worker process died with exit code -9, probably out of memory\n", done.stderr

@@ -49,7 +49,13 @@ if __name__ == "__main__":
     for what, death in found.items():
         assert isinstance(death, WorkerDiedError), (what, death)
     (_, (own, _)), (_, fault) = outcomes(work, ["answers", "fails"], jobs=0)
-    assert own == os.getpid() and repr(fault) == "ValueError('fails')"
+    assert own != os.getpid() and repr(fault) == "ValueError('fails')"
+    ((_, death),) = outcomes(work, ["dies"], jobs=0)
+    assert isinstance(death, WorkerDiedError), death
+    sys.modules["numba"] = None
+    ((_, (own, _)),) = outcomes(work, ["answers"], jobs=0)
+    assert own == os.getpid()
+    del sys.modules["numba"]
     ((_, late),) = outcomes(work, ["waits"], timeout=0.2)
     assert isinstance(late, TimeoutError), late
     assert threading.active_count() == 1

@@ -47,7 +47,7 @@ def solve_batch(
     The folder `out` receives tables, plans and `results.jsonl`, to which each record is added at once. With `resume`,
     its valid records of solved and unsolvable instances are kept, and only the others are run; without it, results in
     the folder raise a `ResultsExistError`. At most `jobs` worker processes share the machine's memory and processors;
-    with `jobs=0`, this process solves the instances, and cannot survive a lack of memory. Instead, the workers of the
+    with `jobs=0`, a fork of this process solves them one after another (`outcomes`). Instead, the workers of the
     Dask `scheduler` at an address can solve the instances. They must see the same files at the same paths, and run one
     thread each.
 

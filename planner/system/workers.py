@@ -9,12 +9,14 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import sys
+import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import closing, contextmanager, nullcontext
 from functools import partial
 from multiprocessing import active_children, get_context, resource_tracker
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from . import processes
 from .errors import MissingExtraError
@@ -49,8 +51,9 @@ def outcomes(
     The work is a module-level function, so that other processes can import it; items and arguments are picklable. It
     is done by `jobs` processes of this machine, each a new interpreter, or by the workers of a Dask `scheduler` at an
     address. These must see the same files at the same paths, and run one thread each. After `timeout` seconds, a
-    process of this machine is stopped, and its item is yielded with a `TimeoutError`. With `jobs=0`, this process does
-    the work, without a timeout.
+    process of this machine is stopped, and its item is yielded with a `TimeoutError`. With `jobs=0`, a fork of this
+    process does the work, without a timeout: it starts at once, and this process survives it. Where a fork is not
+    safe, since this process has other threads or compiled code, it does the work itself.
 
     `hear` is called in a thread with an item and the values that its work reports. The work then receives a `Reporter`
     as an additional last argument. Workers of a cluster do not report.
@@ -58,7 +61,7 @@ def outcomes(
     if scheduler is not None:
         return _on_cluster(work, items, arguments if hear is None else (*arguments, Reporter(None, 0)), scheduler)
     if jobs == 0:
-        return _here(work, items, arguments, hear)
+        return (_in_a_fork if _may_fork() else _here)(work, items, arguments, hear)
     return _in_a_pool(work, items, arguments, jobs, timeout, hear)
 
 
@@ -72,6 +75,70 @@ def _here(
         except Exception as error:  # noqa: BLE001  as in a pool
             outcome = error
         yield item, outcome
+
+
+def _may_fork() -> bool:
+    """Whether a fork of this process can do any work: a fork has no other threads, nor those of compiled code."""
+    return sys.platform == "linux" and threading.active_count() == 1 and "numba" not in sys.modules
+
+
+def _in_a_fork(
+    work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], hear: Callable[..., None] | None
+) -> Generator[tuple[Item, Result | Exception]]:
+    from multiprocessing import Pipe
+
+    listener = Listener(lambda number, *report: None if hear is None else hear(items[number], *report))
+    receiving, sending = Pipe(duplex=False)
+    group = processes.guarded_group()
+    with closing(listener), receiving:
+        child = os.fork()
+        if child == 0:
+            reports = [] if hear is None else [partial(Reporter, listener.pipe)]
+            _work_in_fork(work, items, arguments, reports, group, sending)
+        code = None
+        try:
+            sending.close()
+            with _interrupts_left_to_this_process():
+                listener.start()
+            for item in items:
+                outcome: Any
+                try:
+                    outcome = receiving.recv()
+                except (EOFError, ConnectionResetError):
+                    if code is None:
+                        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+                    outcome = _died(code)
+                yield item, outcome
+        finally:
+            if code is None:
+                os.kill(child, signal.SIGKILL)
+                os.waitpid(child, 0)
+
+
+def _work_in_fork(
+    work: Callable[..., Any],
+    items: Sequence[Any],
+    arguments: Sequence[Any],
+    reports: Sequence[Callable[[int], Reporter]],
+    group: int,
+    sending: Connection,
+) -> NoReturn:
+    """Do all the work in a fork, which ends with the process that it was made of, and leaves interrupts to it."""
+    try:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        processes.join(group)
+        os.environ[UNSHOWN] = "0"
+        for number, item in enumerate(items):
+            outcome: Any
+            try:
+                outcome = _sendable(work(item, *arguments, *(report(number) for report in reports)))
+            except Exception as error:  # noqa: BLE001  as in a pool
+                outcome = error
+            sending.send(outcome)
+    finally:
+        os._exit(1)
 
 
 def _in_a_pool(
