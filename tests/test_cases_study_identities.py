@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import io
 import time
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_userstudy_pages import Web
@@ -18,8 +20,9 @@ from userstudies import PLAN
 from assist.texts import catalogue
 from assist.userstudy.codes import identifier
 from assist.userstudy.tables import is_formula, text_of, written
+from assist.web import request_limits
 from assist.web.request_limits import Allowance
-from assist.web.tokens import VISITOR
+from assist.web.tokens import VISITOR, AccessTokens
 from planner import Table
 
 KEY = {"key": "k" * 24}
@@ -178,6 +181,44 @@ def test_withdrawal_codes_cannot_be_tried_at_will(tiny: Table, tmp_path: Path) -
         assert web.ask("GET", f"/api/people/{ann}", ann).json()["study"]["kind"] == "instructions"
         now[0] = 31.0
         assert tries(code).json() == {"done": True}
+
+
+def test_a_flood_of_joins_is_stopped_and_who_has_joined_goes_on(tiny: Table, tmp_path: Path) -> None:
+    web = Web(tiny, tmp_path)
+    with web.client:
+        now = [0.0]
+        web.service.arrivals = Allowance(rate=1.0, burst=5, clock=lambda: now[0])
+        seats = [web.come(f"flood {number}") for number in range(8)]
+        assert [seat.status_code for seat in seats] == [200] * 5 + [429] * 3
+        assert seats[-1].json()["detail"] == "too many participants join at once; try again in 1 seconds"
+        assert seats[-1].headers["retry-after"] == "1"
+        assert all(web.come("flood 1").json() == seats[1].json() for _ in range(20))  # the page is opened again
+        now[0] = 1.5
+        assert web.come("another").status_code == 200
+        assert web.ask("GET", "/api/study").json()["taken"] == 6
+
+
+def test_a_body_that_does_not_arrive_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(request_limits, "SLOWEST", 0.05)
+    sent: list[Any] = []
+
+    async def app(*_: Any) -> None:
+        raise AssertionError("the request is not complete")
+
+    async def receive() -> Any:
+        await asyncio.sleep(0.03)  # a byte at a time
+        return {"type": "http.request", "body": b"x", "more_body": True}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    access = AccessTokens(b"k" * 32, "http://testserver")
+    headers = [(b"authorization", f"Bearer {access.operator}".encode())]
+    scope = {"type": "http", "path": "/api/team/people", "method": "POST", "headers": headers, "client": ("::1", 1)}
+    asyncio.run(request_limits.Guard(app, access)(scope, receive, send))
+    assert sent[0]["status"] == 408
+    assert b"the body did not arrive within 0.05 seconds" in sent[1]["body"]
+    assert (b"connection", b"close") in sent[0]["headers"]
 
 
 def test_participants_are_not_told_how_far_they_are_unless_the_study_says_so(tiny: Table, tmp_path: Path) -> None:

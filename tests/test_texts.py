@@ -109,6 +109,39 @@ def test_participants_are_refused_in_the_studys_language(tiny: Table, tmp_path: 
         web.onward(ann, "practice")
 
 
+MET = [
+    "the study is full at the moment; places may become free later", "not possible within a user study",
+    "P-2B4C6D is not taking part", "data could be withdrawn until 2027-03-31", "this task is over",
+    "P-2B4C6D is at task tiny, not at 'practice'", "the study is complete", "the task is not finished",
+    "the task begins when the group is complete", "answers: expected none at consent", "acted: not at consent",
+    "P-2B4C6D is at consent; no action is possible there", "explanations are not shown here",
+    "'P-2B4C6D' is not in the study", "'P-2B4C6D' is not in the team", "this link belongs to another person",
+    "only the operator may do this", "requests of other sites' pages are refused", "there is no such page",
+    "this link is for visitors; participants have joined already",
+    "this link is for visitors; participants withdraw on their own page",
+    "there is no such code; expected one like P-2B4C6D-23456789, from the last page",
+    "this participant has joined on another device; continue there",
+    "another participant has begun in this browser and has not finished",
+    "this study admits participants by links of their own; use the complete link",
+    "the link has another participant's signature; use the complete link",
+    "expected a signed link, or the key of a browser", "participant: expected an ID of letters, digits or signs",
+    "too many withdrawal codes were tried; try again in 30 seconds", "too many requests; try again later",
+    "too many participants join at once; try again in 3 seconds", "the body is larger than 65536 bytes",
+    "the body did not arrive within 30 seconds", "No space left on device; nothing was recorded",
+    "answers.rely: expected a whole number from 1 to 7", "12 reports are waiting to be saved; try again later",
+    "the service failed at this request (ZeroDivisionError); see its log",
+    "(fetch box-a) is not applicable; it needs a free platform",
+]  # fmt: skip
+"""What participants can be told."""
+
+
+@pytest.mark.parametrize("language", [one for one in languages() if one != "en"])
+def test_every_refusal_that_participants_meet_has_a_text_of_its_own(language: str) -> None:
+    found = catalogue(language)
+    assert [said for said in MET if found.refusal(said) == found("refusals.other")] == []
+    assert len({found.refusal(said) for said in MET}) >= len(MET) - 1
+
+
 def test_a_language_of_the_studys_own_is_a_file_beside_it(tmp_path: Path) -> None:
     own = tmp_path / "fr.toml"
     own.write_text(catalogue("en").file.read_text(encoding="utf-8").replace('"Workload"', '"Charge"'), encoding="utf-8")

@@ -18,7 +18,8 @@ from .tokens import Caller
 
 SAYS = {
     400: "Malformed request.", 401: "Missing or invalid token.", 403: "The link is another person's.",
-    404: "Unknown person.", 409: "Not possible in the present state.", 413: "Too large.", 422: "Invalid.",
+    404: "Unknown person.", 408: "The body did not arrive in time.", 409: "Not possible in the present state.",
+    413: "Too large.", 422: "Invalid.",
     429: "Too many requests.", 503: "Overloaded, or a state could not be evaluated.",
     507: "The disk is full; nothing was recorded.",
 }  # fmt: skip
@@ -26,7 +27,7 @@ SAYS = {
 
 def refusals(*codes: int) -> dict[int | str, dict[str, Any]]:
     """Return the descriptions of error codes: those that any request may receive, and the given ones."""
-    return {code: {"model": Problem, "description": SAYS[code]} for code in (400, 401, 413, 429, *codes)}
+    return {code: {"model": Problem, "description": SAYS[code]} for code in (400, 401, 408, 413, 429, *codes)}
 
 
 READ, WRITE = refusals(403, 404), refusals(403, 404, 409, 422, 503, 507)

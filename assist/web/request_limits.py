@@ -6,6 +6,7 @@ address to no other server.
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
 import json
 import math
@@ -20,6 +21,9 @@ from .tokens import VISITOR, AccessTokens, Caller
 
 LARGEST = 64 * 1024
 """Largest request body in bytes. Real requests have less than 1 kB; the limit bounds memory under attack."""
+
+SLOWEST = 30.0
+"""Seconds within which a body has to arrive. Slower clients would keep connections for nothing."""
 
 HEADERS = [
     (
@@ -199,7 +203,12 @@ class Guard:
             )
             return
         length = dict(scope["headers"]).get(b"content-length", b"0")
-        body = None if length.isdigit() and int(length) > LARGEST else await _body(receive)
+        try:
+            async with asyncio.timeout(SLOWEST):
+                body = None if length.isdigit() and int(length) > LARGEST else await _body(receive)
+        except TimeoutError:
+            await refuse(send, 408, self._worded(f"the body did not arrive within {SLOWEST:g} seconds", caller))
+            return
         if body is None:
             await refuse(send, 413, self._worded(f"the body is larger than {LARGEST} bytes", caller))
             return
@@ -253,7 +262,7 @@ async def refuse(send: Send, status: int, detail: str, *, retry_after: int | Non
     headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
     if status == 401:
         headers.append((b"www-authenticate", b"Bearer"))
-    if status == 413:
+    if status in (408, 413):
         headers.append((b"connection", b"close"))  # the rest of the body is not read
     if retry_after is not None:
         headers.append((b"retry-after", str(retry_after).encode()))

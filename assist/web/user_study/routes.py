@@ -187,6 +187,8 @@ async def visit(request: Request, coming: Visit, study: Study) -> Any:
         raise HTTPException(403, "this link is for visitors; participants have joined already")
     if coming.simulated and not study.rehearsal:
         raise HTTPException(403, "simulated participants are admitted in a rehearsal only")
+    if not coming.simulated and study.code_of(coming.id) not in study.views:
+        _throttled(study.arrivals.wait(request.state.address), "too many participants join at once")
     kept = cookies.cookie_of(study.access.base, SEAT)
     try:
         seen = await study.visit(
@@ -201,6 +203,13 @@ async def visit(request: Request, coming: Visit, study: Study) -> Any:
     answer = plain({"person": code, "part": part, "study": now["study"]})
     cookies.keep(answer, study.access, kept, study.access.signed(SEAT, code))
     return answer
+
+
+def _throttled(wait: float, what: str) -> None:
+    """Refuse a request that is allowed only after some seconds."""
+    if wait:
+        seconds = str(math.ceil(wait))
+        raise HTTPException(429, f"{what}; try again in {seconds} seconds", {"retry-after": seconds})
 
 
 @router.post("/api/study/links", tags=["study"], response_model=Links, responses=refusals(403, 422))
@@ -245,10 +254,7 @@ async def withdraw_by_code(request: Request, given: Withdrawn, study: Study) -> 
     """Withdraw a participant's data by the withdrawal code, with the join link's token, also after the end."""
     if request.state.caller.person not in (None, VISITOR):
         raise HTTPException(403, "this link is for visitors; participants withdraw on their own page")
-    if wait := study.guesses.wait(request.state.address):
-        seconds = math.ceil(wait)
-        said = f"too many withdrawal codes were tried; try again in {seconds} seconds"
-        raise HTTPException(429, said, {"retry-after": str(seconds)})
+    _throttled(study.guesses.wait(request.state.address), "too many withdrawal codes were tried")
     await study.withdraw(given.code)
     return plain({"done": True})
 

@@ -83,6 +83,7 @@ class StudyService(Service):
         self._held: StudySession = session
         self._look_every = look_every
         self.guesses = Allowance(rate=1 / 30, burst=20)  # withdrawal codes that each network address may try
+        self.arrivals = Allowance(rate=1.0, burst=300)  # new participants of each address, such as a waiting room
         self._heard: dict[str, float] = {}  # when a participant who is not connected was last heard of
         access.token(VISITOR)
         # Studies that began with an earlier version have no file for this key.
@@ -138,6 +139,10 @@ class StudyService(Service):
         """Return an action as it was taken at a stage; another tab of the participant may be further."""
         return StudyEvent(**vars(event), stage=stage)
 
+    def code_of(self, visit: str) -> str:
+        """Return the participant code for an id as a visitor gives it; errors as in `visit`."""
+        return self.code(_in_one_form(visit))
+
     def code(self, visit: str) -> str:
         """Return the participant code for a browser's id. The code is always the same and does not reveal the id."""
         return f"P-{spelled(int.from_bytes(_digest(self._codes_key, visit)[:8], 'big'), 6)}"
@@ -187,11 +192,7 @@ class StudyService(Service):
         InapplicableError
             The participant has joined on another device, or another one in this browser has not finished.
         """
-        if visit.startswith(PARTICIPANT):
-            named = identifier(visit.removeprefix(PARTICIPANT))
-            if not named:
-                raise InvalidError("participant: expected an ID of letters, digits or signs")
-            visit = PARTICIPANT + named
+        visit = _in_one_form(visit)
         code, once = self.code(visit), visit
         if signature is not None:
             if not self.access.is_signed(visit, signature):
@@ -312,6 +313,16 @@ class StudyService(Service):
                 for name, order in study.orders.items()
             ],
         }  # fmt: skip
+
+
+def _in_one_form(visit: str) -> str:
+    """Return an id with that of another system, if there is one, in the form that all its copies have."""
+    if not visit.startswith(PARTICIPANT):
+        return visit
+    named = identifier(visit.removeprefix(PARTICIPANT))
+    if not named:
+        raise InvalidError("participant: expected an ID of letters, digits or signs")
+    return PARTICIPANT + named
 
 
 def _digest(key: bytes, text: str) -> bytes:
