@@ -12,9 +12,10 @@ from fuzz import here
 from studies import write
 
 from assist import Pool, simulate
+from assist.live import TraceReasons
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
-from assist.person import AssistPOMDP, solve
+from assist.person import AssistPOMDP, ObservationModel, solve
 from assist.person.qmdp import QMDP, qmdp
 from assist.reports import study_report
 from assist.reports.study_report import write_report
@@ -113,3 +114,91 @@ def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatc
     )
     assert list(study_report.cost_notes(summary)) == [note]
     assert f"\n\n**Note.** {note}.\n\n" in (out / "report.md").read_text()
+
+
+def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
+    printed = {}
+    for jobs in (1, 2, 3):
+        out, trace = (tmp_path / f"{jobs}-{name}.jsonl" for name in ("out", "trace"))
+        command = ("simulate", TINY, "--humans", 2, "--policy", "priority", "--episodes", 150, "--c-suggest", 0.2)
+        result = invoke(*command, "--jobs", jobs, "--out", out, "--trace", trace)
+        assert result.exit_code == 0, result.stderr
+        printed[jobs] = (result.stdout, out.read_bytes(), trace.read_bytes())
+    assert printed[1] == printed[2] == printed[3]
+    steps = [json.loads(line) for line in printed[1][2].splitlines()]
+    order = [(int(row["episode"].rpartition("-")[2]), row["step"], row["place"]) for row in steps]
+    assert order == sorted(order)
+
+
+@pytest.mark.parametrize(
+    ("setting", "options"),
+    [
+        (Setting(c_suggest=0.1, robots=2), {"goals": "inferred"}),
+        (Setting(c_suggest=0.1, observation=ObservationModel(0.1, 0.1)), {}),
+        (Setting(c_suggest=0.1), {"world": "model"}),
+    ],
+)
+def test_episodes_do_not_depend_on_how_they_are_divided(tiny: Table, setting: Setting, options: dict[str, Any]) -> None:
+    pool = Pool.sample(tiny, 4, seed=1, setting=setting)
+    one, other = (
+        list(simulate(pool, "attention", humans=3, episodes=90, seed=3, jobs=jobs, **options)) for jobs in (1, 4)
+    )
+    assert one == other
+    assert one[70:80] == list(simulate(pool, "attention", humans=3, episodes=range(70, 80), seed=3, **options))
+
+
+def test_phases_have_their_own_names_and_count_what_is_done(tiny: Table) -> None:
+    """People are solved before the simulation, also where only the reasons need it, and no estimate is made early."""
+    told: list[tuple[str, int, int | None]] = []
+    pool = pool_at(tiny, 0.05)
+    reasons, trace = TraceReasons(pool.policies, tiny), list[Any]()
+    options = {"humans": 2, "episodes": 5, "seed": 3, "progress": lambda *what: told.append(what)}
+    simulate(pool, "reactive", trace=trace, reasons=reasons, **options)
+    assert any("explanation" in row for row in trace)
+    what = [*dict.fromkeys(name for name, *_ in told)]
+    assert what == ["solving people's POMDPs", "simulating reactive and explaining its suggestions"]
+    assert [done for name, done, _ in told if name == what[1]] == [0, 1, 2, 3, 4, 5]
+    told.clear()
+    simulate(pool, "none", **options | {"episodes": 100})
+    assert told == [("simulating none", done, 100) for done in (0, 64, 100)]
+
+
+def test_ctrl_c_leaves_the_policies_that_were_simulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In any phase: while people are solved, while another policy is simulated, and while the figure is drawn."""
+    own = tmp_path / "own.py"
+    own.write_text("def stop(team):\n    raise KeyboardInterrupt\n")
+    out, trace, figure = (tmp_path / name for name in ("out.jsonl", "trace.jsonl", "episode.svg"))
+    begin = ("simulate", TINY, "--humans", 2, "--episodes", 70, "--policy")
+    alone = invoke(*begin, "none", "--out", out, "--trace", trace)
+    want = (alone.stdout, out.read_bytes(), trace.read_bytes())
+    said = "interrupted; what was finished by then is shown\n"
+
+    def interrupted(*options: object) -> None:
+        result = invoke(*begin, "none", *options, "--out", out, "--trace", trace)
+        assert (result.exit_code, result.stderr) == (130, said)
+        assert (result.stdout, out.read_bytes(), trace.read_bytes()) == want
+
+    interrupted("--policy", f"{own}:stop")
+    first = invoke(*begin, f"{own}:stop", "--policy", "none")
+    assert (first.exit_code, first.stdout, first.stderr) == (130, "", "interrupted\n")
+
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("assist.simulation.illustration.Illustration.of", stop)
+        interrupted("--figure", figure)
+    assert not figure.exists()
+    monkeypatch.setattr("assist.team.attention.AttentionSwitching.prepare", stop)
+    interrupted("--policy", "attention")
+
+
+def test_ctrl_c_leaves_the_policies_that_were_compared_with_a_bound(tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text("def stop(team):\n    raise KeyboardInterrupt\n")
+    command = ("bound", TINY, "--humans", 2, "--gap", 0.2, "--episodes", 50)
+    result = invoke(*command, "--policy", "none", "--policy", f"{own}:stop")
+    assert (result.exit_code, result.stderr) == (130, "interrupted; what was finished by then is shown\n")
+    assert [line.split()[0] for line in result.stdout.splitlines()[:2]] == ["policy", "none"]
+    nothing = invoke(*command, "--policy", f"{own}:stop")
+    assert (nothing.exit_code, nothing.stdout, nothing.stderr) == (130, "", "interrupted\n")

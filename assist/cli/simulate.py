@@ -9,15 +9,16 @@ import click
 
 from planner.batch.solve_record import versions
 from planner.system import files
+from planner.system.machine import processors
 from planner.system.progress import stages
 
-from .options.common import OUTPUT_FILE, instance_argument, json_option, refuse_unused, separate_files
+from .options.common import JOBS, OUTPUT_FILE, instance_argument, json_option, refuse_unused, separate_files
 from .options.goals import goal_knowledge_option, goal_list_options, question_options, questions_of, several_goals
 from .options.help import command
 from .options.person import observation_options
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
-from .terminal.console import print_json
+from .terminal.console import kept_if_interrupted, print_json
 
 
 @command("simulate kitting/paper --humans 4 --policy none --policy attention")
@@ -39,6 +40,11 @@ from .terminal.console import print_json
     show_default=True,
     help="Steps after which an episode is cut off.",
 )
+@click.option(
+    "--jobs",
+    type=JOBS,
+    help="Number of episodes and people processed at the same time. One for each processor unless given.",
+)
 @observation_options
 @team_options
 @goal_list_options
@@ -47,8 +53,9 @@ from .terminal.console import print_json
 @json_option
 def simulate(
     instance: str, names: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
-    reasons: bool, figure: Path | None, as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...],
-    goal_knowledge: str, miss: float, confusion: float, ask: float | None, ask_error: float, **team: Any,
+    reasons: bool, figure: Path | None, jobs: int | None, as_json: bool, problems: tuple[str, ...],
+    goal_prior: tuple[str, ...], goal_knowledge: str, miss: float, confusion: float, ask: float | None,
+    ask_error: float, **team: Any,
 ) -> None:  # fmt: skip
     """Simulate a team of people and a robot that assists them, and compare policies."""
     from ..live.trace_reasons import TraceReasons
@@ -56,10 +63,12 @@ def simulate(
     from ..plots import style
     from ..plots.episode import episode_figure
     from ..simulation.episode import plain_summary
+    from ..simulation.episodes import Episodes
     from ..simulation.illustration import Illustration
     from ..simulation.pool import MAX_ENUMERATED
     from ..simulation.simulate import simulate as run
     from ..team.plain_setting import plain_setting
+    from ..team.policies import UserPolicy
     from .output.episode_summaries import show_summaries
 
     if not problems:
@@ -80,7 +89,7 @@ def simulate(
         if figure.suffix not in style.FORMATS:
             raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(style.FORMATS)}")
     with policy_errors():
-        policies, results = policies_of(names), []
+        policies, results = policies_of(names), list[Episodes]()
         goals = several_goals(
             instance, problems, goal_prior, domain=team["domain"], max_states=team["max_states"],
             asked=None if ask is None else MAX_ENUMERATED,
@@ -90,14 +99,23 @@ def simulate(
         steps: list[Any] = []
         kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": team["memory_limit"]}
         kept["reasons"] = TraceReasons(made.pool.policies, made.known) if reasons else None
-        for name, policy in policies.items():
-            ready = made.prepared(policy)
-            with stages() as show:
-                kept |= {"episodes": episodes, "name": name, "progress": show}
-                results.append(run(made.pool, ready, **kept, **options))
-        if figure:
-            shown = Illustration.of(made.pool, ready, results[-1], **options)
-            style.save(episode_figure(shown.episode, shown.trace, None if name == "none" else shown.alone), figure)
+        ready = {name: made.prepared(policy) for name, policy in policies.items()}
+        with kept_if_interrupted(lambda: results):
+            for name, policy in ready.items():
+                written = len(steps)
+                try:
+                    with stages() as show:
+                        kept |= {"episodes": episodes, "name": name, "progress": show}
+                        # The user's own policy need not be ready for threads.
+                        kept["jobs"] = 1 if isinstance(policy, UserPolicy) else jobs or processors()
+                        results.append(run(made.pool, policy, **kept, **options))
+                except KeyboardInterrupt:
+                    del steps[written:]  # of a policy that is not shown
+                    raise
+            if figure:
+                shown = Illustration.of(made.pool, policy, results[-1], **options)
+                alone = None if name == "none" else shown.alone
+                style.save(episode_figure(shown.episode, shown.trace, alone), figure)
     if out:
         files.write_records(out, (episode.record() for result in results for episode in result))
     if trace:

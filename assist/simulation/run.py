@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from threading import Event
 from typing import NamedTuple
 
 import numpy as np
@@ -60,12 +60,12 @@ class Run:
         travel: Travel,
         presence: Schedule,
         world: World,
-        progress: Callable[[int], None],
+        over: Event,
         parts: TaskParts,
         goals: GoalKnowledge,
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
-        self.travel, self.presence, self.progress = travel, presence, progress
+        self.travel, self.presence, self.over = travel, presence, over
         shape = (len(numbers), len(travel))
         self.random_numbers, self.on_grid = CommonRandomNumbers(seed, numbers, len(travel)), world == "model"
         # The array is in C order, and all arrays derived from it are, too. They are changed in place through flat
@@ -116,19 +116,16 @@ class Run:
         self.discounted = np.zeros(len(numbers))
 
     def run(self) -> Episodes:
-        """Simulate steps until all people have finished or the limit is reached; return the records."""
-        ended = 0
+        """Simulate steps until all people have finished or the limit is reached; return the records.
+
+        The simulation also ends once the event `over` is set, as the results are not needed any more.
+        """
         for step in range(self.pool.setting.max_steps):
             to_come = ~self.finished & (step < self.presence.leaves)
             running = np.flatnonzero(to_come.any(axis=1))
-            if len(to_come) - len(running) > ended:
-                self.progress(len(to_come) - len(running) - ended)
-                ended = len(to_come) - len(running)
-            if not len(running):
+            if not len(running) or self.over.is_set():
                 break
             self._step(step, running, to_come & (step >= self.presence.joins))
-        if ended < len(self.numbers):
-            self.progress(len(self.numbers) - ended)
         return Episodes(
             policy=self.name, episode=self.numbers, people=self.people, beta=self.beta, theta=self.first_theta,
             sigma=self.sigma, actions=self.actions, costs=self.costs, finished=self.finished, helped=self.helped,

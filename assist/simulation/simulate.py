@@ -9,17 +9,21 @@ depend on how episodes are divided among processes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from threading import Event
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.system.progress import Wanted, adding, shows_progress
+from planner.system.threads import on_threads
 
 from ..people.arguments import Seed, entropy, whole, wholes
+from ..team.attention import AttentionSwitching
 from ..team.policies import prepare
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
@@ -86,16 +90,17 @@ def simulate(
         What the robot knows of people's goals, where each pursues one of several. It infers them from actions, acts on
         the most probable one alone, or knows the goal from the beginning of each episode.
     trace : list, optional
-        A dictionary is appended for every action of every person.
+        A dictionary is appended for every action of every person, episode by episode and step by step.
     reasons : Reasons, optional
         Explains each suggestion in the trace, which takes time; `assist.live.TraceReasons` is one.
     jobs : int
-        Number of threads. They call the policy concurrently; the results do not depend on their number.
+        Number of threads. They call the policy concurrently; the results do not depend on their number. Reasons are
+        given one after another.
     memory_limit_mb : float
         Memory of the records of all episodes, in MB.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes. The stages are the solution of people's
-        problems and the simulation of episodes.
+        problems and the simulation of episodes. Episodes count as done once those simulated with them are done, too.
 
     Returns
     -------
@@ -127,29 +132,50 @@ def simulate(
     together = max(1, PEOPLE_AT_A_TIME // (places * BLOCK)) * BLOCK
     if pool.goals > 1:  # a state on a large task has a row for each goal, and so have its successors
         together = max(1, PEOPLE_AT_A_TIME // (places * pool.goals * 8))
-    jobs = 1 if trace is not None else whole("jobs", jobs, 1)  # a trace has the order of the episodes
-    seed_number, parts = entropy(seed), TaskParts(pool, world)
+    explained = trace is not None and reasons is not None
+    jobs, seed_number, parts = whole("jobs", jobs, 1), entropy(seed), TaskParts(pool, world)
 
     assert callable(progress)
-    chunks = [slice(start, start + together) for start in range(0, count, together)]
-    if hasattr(policy, "prepare"):
-        drawn = (
-            people_drawn(pool, seed_number, [numbers[chunk] for chunk in chunks], places) if teams is None else teams
-        )
-        models = np.unique(pool.model[drawn]).tolist()
-        prepare(policy, [pool.policies[model] for model in models], progress=partial(progress, SOLVING))
-    advance = adding(progress, f"simulating {called}", count)
+    if explained or hasattr(policy, "prepare"):
+        parted = [numbers[start : start + together] for start in range(0, count, together)]
+        drawn = people_drawn(pool, seed_number, parted, places) if teams is None else teams
+        needed = [pool.policies[model] for model in np.unique(pool.model[drawn]).tolist()]
+        if explained:  # reasons compare the values of what the robot can do
+            prepare(AttentionSwitching(), needed, progress=partial(progress, SOLVING), jobs=jobs)
+        prepare(policy, needed, progress=partial(progress, SOLVING), jobs=jobs)
+    over = Event()
 
-    def run(chunk: slice) -> Episodes:
-        made = Run if trace is None else partial(TracedRun, trace=trace, reasons=reasons)
-        return made(
-            pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=seed_number,
-            name=called, travel=travel, presence=presence, world=world, progress=advance, parts=parts,
-            goals=goals,
-        ).run()  # fmt: skip
+    def run(chunk: slice) -> tuple[Episodes, list[Trace]]:
+        options: dict[str, Any] = {
+            "teams": None if teams is None else teams[chunk], "numbers": numbers[chunk], "seed": seed_number,
+            "name": called, "travel": travel, "presence": presence, "world": world, "over": over, "parts": parts,
+            "goals": goals,
+        }  # fmt: skip
+        if trace is None:
+            return Run(pool, policy, **options).run(), []
+        traced = TracedRun(pool, policy, reasons=reasons, **options)
+        return traced.run(), traced.traces
 
-    with ThreadPoolExecutor(jobs) as workers:
-        found = Episodes.joined(list(map(run, chunks) if jobs == 1 else workers.map(run, chunks)))
+    advance = adding(progress, f"simulating {called}" + " and explaining its suggestions" * explained, count)
+    done, size, found = 0, 1 if explained else BLOCK, list[Episodes]()
+    while done < count:
+        threads = 1 if explained else jobs
+        each = min(size, together, math.ceil((count - done) / threads))
+        first = range(done, min(count, done + threads * each), each)
+        for episodes_of, traces in on_threads(run, [slice(at, at + each) for at in first], threads, over):
+            found.append(episodes_of)
+            for own in traces:
+                trace.extend(own)  # type: ignore[union-attr]  # there are none without it
+        ended = min(count, done + threads * each)
+        advance(ended - done)
+        # Small chunks first, to show soon how far the work is. If their sizes depended on the clock, so would what a
+        # user's policy draws from a generator of its own.
+        done, size = ended, size if explained else 2 * size
+    return _with_cost(Episodes.joined(found), pool, policy)
+
+
+def _with_cost(found: Episodes, pool: Pool, policy: TeamPolicy) -> Episodes:
+    """Return episodes with the cost of a suggestion, if the policy weighs it and made none."""
     weighs_costs = getattr(policy, "weighs_costs", False) and not pool.setting.differ  # then there is no single cost
     if not weighs_costs or found.interventions.any() or not found.actions.any():
         return found

@@ -1,4 +1,4 @@
-"""Episodes whose steps are written down, one record for each action of each person."""
+"""Episodes whose steps are written down, one record for each action of each person, episode by episode."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .trace import Reasons, Trace
 
 
 class TracedRun(Run):
-    """A chunk of episodes in progress that appends to a trace; further arguments as in `Run`."""
+    """A chunk of episodes in progress, with the trace of each; further arguments as in `Run`."""
 
-    def __init__(self, *args: Any, trace: Trace, reasons: Reasons | None, **options: Any) -> None:
+    def __init__(self, *args: Any, reasons: Reasons | None, **options: Any) -> None:
         self.keeps_beliefs = reasons is not None
         super().__init__(*args, **options)
-        self.trace, self.reasons = trace, reasons
+        self.reasons, self.traces = reasons, [Trace() for _ in self.numbers]
         self.said: dict[tuple[int, int], dict[str, Any]] = {}
 
     def decided(self, team: TeamState, action: TeamAction, teams: NDArray[np.int64]) -> None:
@@ -45,7 +45,7 @@ class TracedRun(Run):
         self.said.setdefault((team, place), {})["question"] = {"goal": name, "answer": yes, "worth": worth}
 
     def watch(self, taken: StepTaken) -> None:
-        """Append a record for each person who acted."""
+        """Append a record for each person who acted to the trace of their episode."""
         view, executes = taken.view, best_robots(self.pool.setting).execute
         for i in taken.flat:
             e, k = divmod(int(i), self.x.shape[1])
@@ -75,5 +75,5 @@ class TracedRun(Run):
                 **({} if self.goals is None else {"goal": list(choices.goals or ())[self.goals.goal[e, k]]}),
                 **self.said.get((e, k), {}),
             }
-            self.trace.append(row)
+            self.traces[e].append(row)
         self.said.clear()

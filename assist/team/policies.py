@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from planner.system.errors import expected
+from planner.system.progress import adding
+from planner.system.threads import on_threads
 
 from ..people import user_code
 from ..person.policy import Policy
@@ -73,7 +75,7 @@ def named(
 
 
 def prepare(
-    policy: TeamPolicy, policies: Sequence[Policy], *, progress: Callable[[int, int], None] | None = None
+    policy: TeamPolicy, policies: Sequence[Policy], *, progress: Callable[[int, int], None] | None = None, jobs: int = 1
 ) -> None:
     """Compute now the data that a team policy needs about the people of some policies.
 
@@ -84,16 +86,19 @@ def prepare(
     policies : sequence of Policy
     progress : callable, optional
         Called with the numbers of finished and of all policies, at the beginning and after each.
+    jobs : int
+        Number of policies that are processed at a time.
     """
     work = getattr(policy, "prepare", None)
     if work is None:
         return
-    for done, one in enumerate(policies):
-        if progress is not None:
-            progress(done, len(policies))
-        work(one)
-    if progress is not None:
-        progress(len(policies), len(policies))
+    advance = adding(lambda _, done, total: progress and progress(done, total or 0), "", len(policies))
+
+    def one(policy: Policy) -> None:
+        work(policy)
+        advance(1)
+
+    on_threads(one, policies, jobs)
 
 
 @dataclass(frozen=True)
