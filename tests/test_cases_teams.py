@@ -20,10 +20,13 @@ from assist.person.qmdp import QMDP, qmdp
 from assist.reports import study_report
 from assist.reports.study_report import write_report
 from assist.simulation.episode import plain_summary
+from assist.study import cells
 from assist.study.protocol import read
-from assist.study.runner import run_study
+from assist.study.runner import load_study, run_study
 from assist.team import Robot
+from assist.team.policies import UserPolicy
 from assist.team.settings import Setting
+from assist.team.state import PolicyError
 from planner import Table
 
 TINY = str(KITTING / "tiny.pddl")
@@ -202,3 +205,120 @@ def test_ctrl_c_leaves_the_policies_that_were_compared_with_a_bound(tmp_path: Pa
     assert [line.split()[0] for line in result.stdout.splitlines()[:2]] == ["policy", "none"]
     nothing = invoke(*command, "--policy", f"{own}:stop")
     assert (nothing.exit_code, nothing.stdout, nothing.stderr) == (130, "", "interrupted\n")
+
+
+def test_a_study_that_fails_before_its_first_episode_does_not_block_the_corrected_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("assist.study.runner.outcomes", here)
+    monkeypatch.setattr(study_report, "_draw_all", lambda *_: None)
+    own, out = tmp_path / "own.py", tmp_path / "out"
+    own.write_text("def mine(team):\n    return 7\n")
+    text = STUDY.replace("pool = 4", 'pool = 4\npolicies = ["own.py:mine"]').partition("[[conditions]]")[0]
+    command = ("study", "--protocol", write(tmp_path, text), "--out", out, "--repeats", 1)
+    failed = invoke(*command)
+    assert failed.exit_code == 1, failed.output
+    own.write_text("def mine(team):\n    return team.act(team.active.argmax(axis=1), team.first_optimal())\n")
+    cells._own.cache_clear()  # as another process does not have the old one
+    corrected = invoke(*command)
+    assert corrected.exit_code == 0, corrected.output
+    again = invoke(*command)
+    assert (again.exit_code, "exists; resume it, or choose another folder" in again.stderr) == (2, True)
+
+
+def test_a_study_says_that_its_episodes_were_cut_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("assist.study.runner.outcomes", here)
+    monkeypatch.setattr(study_report, "_draw_all", lambda *_: None)
+    for limit, cut in ((7, True), (500, False)):
+        text = STUDY.partition("[[conditions]]")[0].replace("repeats = 2", "repeats = 3")
+        file, out = write(tmp_path, f"{text}\n[setting]\nmax_steps = {limit}\n"), tmp_path / str(limit)
+        result = invoke("study", "--protocol", file, "--out", out)
+        assert result.exit_code == 0, result.output
+        headline = json.loads((out / "summary.json").read_text())["headline"]
+        frame = load_study(out)
+        assert (headline["cut_off"], headline["episodes"]) == (frame["cut_off"].sum(), len(frame))
+        assert (headline["cut_off"] > 0, headline["max_steps"]) == (cut, limit)
+        for policy, own in frame.groupby("policy", observed=True):
+            assert headline["finished"][policy]["mean"] == pytest.approx(own["finished_percent"].mean())
+        assert (headline["finished"]["none"]["mean"] < 100) == cut
+        said = f"somebody had not finished after {limit} steps, or could not any more: savings count until then"
+        assert (said in result.stdout, said in (out / "report.md").read_text()) == (cut, cut)
+
+
+WRONG = """
+import numpy as np
+from assist.team import TeamAction
+
+def one_for_all(team):
+    return team.act(team.active.argmax(axis=1), team.first_optimal())
+
+def chance(team):
+    q = team.q_values()
+    return team.act(np.where(q.max(axis=2).max(axis=1) > 0, 0.5, -1), q.argmax(axis=2))
+
+def too_far(team):
+    return team.act(np.full(team.location.shape, 7), team.first_optimal())
+
+def chosen_one(team):
+    return team.act(np.zeros(team.location.shape, int), team.first_optimal()[:, 0])
+
+def unlike_any(team):
+    return team.act(np.zeros(team.location.shape, int), team.first_optimal() + 99)
+
+def nothing(team):
+    return None
+
+def pair(team):
+    return np.zeros(len(team.x), int), np.zeros(len(team.x), int)
+
+def lists(team):
+    return TeamAction([0] * len(team.x), [0] * len(team.x))
+
+def scalars(team):
+    return TeamAction(0, 0)
+
+def turned(team):
+    return TeamAction(*np.zeros((2, 3, len(team.x)), int))
+
+def halves(team):
+    return TeamAction(*np.full((2, *team.location.shape), 0.5))
+
+def no_array(team):
+    return team.act(None, None)
+"""
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_what_a_policy_of_ones_own_should_return_is_said(robots: int, tiny: Table, tmp_path: Path) -> None:
+    """A policy of the tutorial is for one robot. Every wrong return is one line with the place and the right shape."""
+    (tmp_path / "own.py").write_text(WRONG)
+    pool = Pool.sample(tiny, 3, seed=1, setting=Setting(robots=robots))
+    shape = "(20,)" if robots == 1 else "(20, 2)"
+    each = "each of 20 teams" + " and 2 robots" * (robots == 2)
+    arrays = f"two int arrays of shape {shape}, an entry for each {'team' if robots == 1 else 'robot of each team'}"
+    person = f"expected whole numbers, shape {shape}, one for {each}, -1 for a robot that stays"
+    for name, words in {
+        "one_for_all": person if robots > 1 else None,
+        "chance": person,
+        "too_far": "person 7 in a team of 3: expected 0 to 2, -1 for a robot that stays",
+        "chosen_one": "robot, int64 array of shape (20,): expected whole numbers, shape (20, 3), a robot",
+        "unlike_any": "makes a suggestion that the person's state does not have",
+        "nothing": f"returned NoneType; expected a TeamAction, as team.act(person, robot) gives it: {arrays}",
+        "pair": f"returned tuple; expected a TeamAction, as team.act(person, robot) gives it: {arrays}",
+        "lists": f"chose [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]; expected {arrays}",
+        "scalars": f"chose 0; expected {arrays}",
+        "turned": f"an array of int64, shape (3, 20); expected {arrays}",
+        "halves": f"an array of float64, shape {shape}; expected {arrays}",
+        "no_array": person,
+    }.items():
+        policy = UserPolicy.load(tmp_path / "own.py", name)
+        if words is None:
+            assert simulate(pool, policy, humans=3, episodes=20, seed=0).interventions.any()
+            continue
+        with pytest.raises(PolicyError) as raised:
+            simulate(pool, policy, humans=3, episodes=20, seed=0)
+        assert str(raised.value).startswith(f"{tmp_path / 'own.py'}:")
+        if name == "unlike_any" and robots == 2:  # both robots with one person
+            words = "lets two robots be with one person"
+        assert words in str(raised.value)
+        assert "PolicyError" not in str(raised.value)

@@ -80,11 +80,23 @@ def test_a_line_says_what_is_known_and_nothing_else() -> None:
     assert stage("cost-to-go", 3000, 4000, 6) == "cost-to-go, 6 s: 3,000 of 4,000, about 2 s left"
 
 
+def test_what_was_done_before_says_nothing_about_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A resumed run has 90 of 100 at once; its next one after 10 s makes 90 s for the others, not 1 s."""
+    shown, now = list[str](), [1000.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("planner.system.progress._Lines.show", lambda _, stage: shown.append(str(stage)))
+    with progress.stages() as show:
+        advance = progress.adding(show, "episodes", 100, done=90)
+        now[0] += 10
+        advance(1)
+    assert shown == ["episodes, 0 s: 90 of 100", "episodes, 10 s: 91 of 100, about 90 s left"]
+
+
 @pytest.mark.parametrize(
     ("display", "told", "line"),
     [
         (lambda: progress.progress_bar("solving", 3), (2,), r"^solving, \d+ s: 2 of 3, about \d+ s left$"),
-        (lambda: progress.stages(), ("people", 1, 12), r"^people, \d+ s: 1 of 12, about \d+ s left$"),
+        (lambda: progress.stages(), ("people", 1, 12), r"^people, \d+ s: 1 of 12$"),
         (lambda: progress.status_line("reading"), ("searching",), r"^searching, \d+ s$"),
     ],
     ids=["progress_bar", "stages", "status_line"],

@@ -285,9 +285,9 @@ def test_in_the_models_world_the_belief_is_right_on_average(pool: Pool) -> None:
     assert set(episodes.theta.ravel()) <= set(grid.theta)
     truth = (episodes.beta == grid.beta).mean(axis=0)
     np.testing.assert_allclose(truth, pool.policies[0].pomdp.prior.sum(axis=1), atol=0.03)
-    believed, alive = mean[0], len(mean[0])
+    believed = np.concatenate(mean)
     here = (episodes.beta == grid.beta)[episodes.steps > 5]
-    assert len(here) == alive
+    assert len(here) == len(believed)
     sure = believed > 0.3  # calibration where the belief is informative
     assert abs(here[sure].mean() - believed[sure].mean()) < 4 * 0.5 / np.sqrt(sure.sum())
 

@@ -43,7 +43,7 @@ def study(
     """
     from planner.system.errors import InputFileError
 
-    from ..reports.study_report import cost_notes, headline, require, write_report
+    from ..reports.study_report import cost_notes, headline, limit_notes, require, write_report
     from ..study.cells import check
     from ..study.protocol import read
     from ..study.runner import run_study
@@ -54,8 +54,8 @@ def study(
         require()
         try:
             planned = read(protocol, repeats=repeats)
-            check(planned)
             with stages() as show:
+                check(planned, show)
                 failed = run_study(planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=show, warn=say)
         except InputFileError as error:
             fail(str(error), ExitCode.USAGE)
@@ -75,6 +75,6 @@ def study(
     for row in rows:
         table.add_row(*row)
     print_table(table)
-    for line in cost_notes(summary):
+    for line in (*limit_notes(summary), *cost_notes(summary)):
         click.echo(line)
     click.echo(f"{pools}; the report is {out / 'report.md'}")

@@ -129,7 +129,8 @@ def report_text(found: Found, summary: Record, pictures: dict[str, str]) -> str:
         FEW=FEW, OWN=OWN, whose=of_whom(found),
         pools={c.name: min(study.repeats, c.repeats or study.repeats) for c in study.conditions},
         differing={name: len({group[name] for group in groups}) for name in varying(groups, COLUMNS)},
-        headline=_headline(study, summary), effects=_effects(study, summary), notes=cost_notes(summary),
+        headline=_headline(study, summary), effects=_effects(study, summary),
+        notes=[*limit_notes(summary), *cost_notes(summary)],
         claims=study_claims.claims(study, summary), contrasts=study_claims.contrasts(study, summary),
         team_sizes=_team_sizes(found, summary), decline=_decline(summary), kinds=_kinds_of_people(found, summary),
         readings=partial(study_claims.readings, study), sensitivity=_sensitivity(found, summary),
@@ -149,7 +150,7 @@ def _headline(study: Study, summary: Record) -> str:
     rows = []
     for group in groups:
         together = [("together", group)] if len(group["instances"]) > 1 else []
-        keys = [key for key, value in group.items() if isinstance(value, dict) and key != "instances"]
+        keys = [key for key in group if "_vs_" in key]
         for key in keys:
             for label, found in (*group["instances"].items(), *together):
                 if key in found:
@@ -162,6 +163,21 @@ def _headline(study: Study, summary: Record) -> str:
                     rows.append(row)
     head = [f"{summary['headline']['policy']} saves, %", *_titles(columns), "instance", "here"]
     return table(head + ([reference.name, "comparison"] if reference and published else []), rows)
+
+
+def limit_notes(summary: Record) -> Iterator[str]:
+    """Yield a note for each part of the headline in which episodes were cut off, with what can be compared then."""
+    groups = _groups(summary)
+    columns = varying(groups, COLUMNS)
+    for group in groups:
+        if group["cut_off"]:
+            where = f" ({', '.join(_which(group, columns))})" if columns else ""
+            finished = ", ".join(f"{policy} {interval(each)}" for policy, each in group["finished"].items())
+            yield (
+                f"in {group['cut_off']:,} of {group['episodes']:,} episodes{where} somebody had not finished after "
+                f"{group['max_steps']} steps, or could not any more: savings count until then, and their intervals say "
+                f"nothing about a longer time; people who finished, %: {finished}"
+            )
 
 
 def cost_notes(summary: Record) -> Iterator[str]:

@@ -29,6 +29,9 @@ ARM = ("condition", "setting", "prior", "population", "instance")
 MEASURES = {
     "actions": "human_actions_per_person", "interventions": "interventions", "moves": "moves",
 }  # fmt: skip
+ENDS = ("finished_percent", "cut_off")
+"""How episodes end: percentage of people who finish, and share of episodes in which somebody does not."""
+
 BASELINES = ("none", "reactive")
 """Policies that others are compared with."""
 
@@ -49,7 +52,7 @@ class Found:
     ----------
     study : Study
     pools : DataFrame
-        One row for each arm, policy, team size and pool: the mean over its episodes of each of `MEASURES`.
+        One row for each arm, policy, team size and pool: the mean over its episodes of each of `MEASURES` and `ENDS`.
     main : dict
         The arms of the headline and the figures: the first condition with its first setting, prior and population.
     """
@@ -57,7 +60,8 @@ class Found:
     def __init__(self, study: Study, episodes: pd.DataFrame) -> None:
         self.study, self.episodes = study, episodes
         keys = [*ARM, "policy", "humans", "repeat"]
-        measured = episodes.groupby(keys, observed=True)[list(MEASURES.values())].mean()
+        columns = [*MEASURES.values(), *ENDS]
+        measured = episodes.groupby(keys, observed=True)[columns].mean()
         pools = measured.rename(columns={column: name for name, column in MEASURES.items()}).reset_index()
         self.pools = pools.astype(dict.fromkeys((*ARM, "policy"), str))
         first = study.conditions[0]
@@ -136,7 +140,28 @@ class Found:
         for name, value in group.items():
             together = together[together[name] == value]
         instances = {instance: self._savings(own) for instance, own in by_task.items()}
-        return {**group, "pools": int(together["repeat"].nunique()), **self._savings(together), "instances": instances}
+        pools = int(together["repeat"].nunique())
+        return {
+            **group,
+            "pools": pools,
+            **self._savings(together),
+            **self._ends(group, together),
+            "instances": instances,
+        }
+
+    def _ends(self, group: dict[str, str], pools: pd.DataFrame) -> dict[str, Any]:
+        """Return how many episodes of a group were cut off, the step limit, and how many people finished."""
+        own = self.episodes
+        for name, value in group.items():
+            own = own[own[name] == value]
+        finished = {policy: average(pools, "finished_percent", policy) for policy in dict.fromkeys(pools["policy"])}
+        return {
+            "episodes": len(own), "cut_off": int(own["cut_off"].sum()), "max_steps": self._setting(group).max_steps,
+            "finished": {
+                policy: replace(estimate, low=max(0.0, estimate.low), high=min(100.0, estimate.high)).record()
+                for policy, estimate in finished.items()
+            },
+        }  # fmt: skip
 
     def _savings(self, pools: pd.DataFrame) -> dict[str, Any]:
         focus = self.study.focus
@@ -330,6 +355,7 @@ def _compared(pools: pd.DataFrame, measure: str, policy: str, against: str) -> I
             **estimate.record(),
             "effect": finite(statistics.effect(other - mine)),
             "pools_better": float((mine < other).mean()),
+            "cut_off_percent": 100 * max(float(ends.mean()) for ends in paired(pools, "cut_off", policy, against)),
             "pools": len(mine),
         }
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from planner import CostToGo, Instance, Table
 from planner.system.errors import InputFileError
+from planner.system.progress import Progress, adding
 
 from ..large_tasks.person_problem import is_whole
 from ..large_tasks.state_cache import StateCache
@@ -181,12 +182,14 @@ def _own(file: Path, name: str) -> UserPolicy:
     return UserPolicy.load(file, name)
 
 
-def check(study: Study) -> None:
+def check(study: Study, progress: Progress = lambda *_: None) -> None:
     """Check all tasks, user policies and settings, so that errors are reported before the work begins.
 
     Parameters
     ----------
     study : Study
+    progress : callable
+        Receives the number of tasks that are solved, as in `planner.system.progress`.
 
     Raises
     ------
@@ -195,8 +198,10 @@ def check(study: Study) -> None:
     once, most = replace(study, repeats=1), 100_000_000  # whose records take about 50 GB
     if (episodes := study.repeats * sum(map(once.episodes, once.cells()))) > most:
         raise InputFileError(f"{study.file}: {episodes:.3g} episodes; expected at most {most:,}")
+    advance = adding(progress, "solving tasks", len(study.instances))
     for _, files in study.instances:
         _task(files)
+        advance(1)
     for _, (file, name) in study.own_policies:
         try:
             _own(file, name)

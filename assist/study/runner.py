@@ -81,8 +81,8 @@ def run_study(
     out = Path(out)
     order = {cell: number for number, cell in enumerate(study.cells())}
     kept = _begin(study, out, resume, order, warn or (lambda _: None))
-    advance = adding(progress, "episodes", sum(map(study.episodes, order)))
-    advance(sum(map(study.episodes, kept)))
+    total = sum(map(study.episodes, order))
+    advance = adding(progress, "episodes", total, done=sum(map(study.episodes, kept)))
     failed: list[tuple[Cell, Exception]] = []
     todo = [cell for cell in order if cell not in kept]
     with closing(outcomes(carry_out, todo, (study,), jobs=jobs, scheduler=scheduler)) as coming:
@@ -108,7 +108,7 @@ def _begin(
     known = {"schema": SCHEMA, "fingerprint": study.fingerprint()}
     kept: dict[Cell, str] = {}
     spent: list[dict[str, Any]] = []
-    if episodes.exists():
+    if episodes.exists() and episodes.stat().st_size:  # a study that fails before its first episode leaves no results
         if not resume:
             raise InputFileError(f"{episodes} exists; resume it, or choose another folder")
         before = _about(out)
@@ -218,8 +218,9 @@ def _write(file: Path, texts: Sequence[str]) -> None:
 def load_study(folder: str | Path) -> pd.DataFrame:
     """Read a study's episodes as a data frame, one row for each, in the study's order.
 
-    The columns are the fields of `episodes.jsonl`, which `docs/study.md` describes, and two more:
-    `human_actions_per_person`, and `cut_off`, whether a person had not finished at the step limit.
+    The columns are the fields of `episodes.jsonl`, which `docs/study.md` describes, and three more:
+    `human_actions_per_person`, `cut_off`, whether a person had not finished at the step limit, and `finished_percent`,
+    the percentage of people who had.
 
     Parameters
     ----------
@@ -248,6 +249,7 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     if len(frame):
         frame["human_actions_per_person"] = [sum(actions) / len(actions) for actions in frame["actions"]]
         frame["cut_off"] = [not all(finished) for finished in frame["finished"]]
+        frame["finished_percent"] = [100 * sum(finished) / len(finished) for finished in frame["finished"]]
         for name in (*KEY[:-1], "policy"):
             frame[name] = pd.Categorical(frame[name], categories=frame[name].unique())
     return frame

@@ -19,15 +19,18 @@ def check(team: TeamState, action: TeamAction) -> None:
     shape, people = team.location.shape, team.x.shape[1]
 
     def refused(fault: str) -> PolicyError:
-        return PolicyError(f"step {team.step}: the policy {fault}")
+        return team.refused(f"the policy {fault}")
 
+    each = "robot of each team" if len(shape) > 1 else "team"
+    wanted = f"two int arrays of shape {shape}, an entry for each {each}"
     if not isinstance(action, TeamAction):
-        raise refused(f"returned {type(action).__name__}; expected a TeamAction, as TeamState.act gives it")
+        raise refused(
+            f"returned {type(action).__name__}; expected a TeamAction, as team.act(person, robot) gives it: {wanted}"
+        )
     for array in (action.person, action.robot):
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "iu" or array.shape != shape:
             found = f"an array of {array.dtype}, shape {array.shape}" if isinstance(array, np.ndarray) else array
-            each = "robot of each team" if len(shape) > 1 else "team"
-            raise refused(f"chose {found!s:.80}; expected two int arrays of shape {shape}, an entry for each {each}")
+            raise refused(f"chose {found!s:.80}; expected {wanted}")
     wrong = (action.person < NOBODY) | (action.person >= people)
     if wrong.any():
         raise refused(f"goes to person {action.person[wrong][0]} in a team of {people}")

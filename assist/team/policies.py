@@ -148,4 +148,4 @@ class UserPolicy:
         try:
             return self.function(team)
         except (Exception, SystemExit) as error:
-            raise PolicyError(user_code.described(error, self.file)) from error
+            raise PolicyError(user_code.described(error, self.file).replace("PolicyError: ", "", 1)) from error

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planner.system.arrays import outline
 
@@ -143,6 +143,10 @@ class TeamState:
         """Return which robots are not under way, in the shape of `location`."""
         return np.ones(self.location.shape, dtype=bool) if self.free is None else self.free
 
+    def refused(self, fault: str) -> PolicyError:
+        """Return the error for a fault of the policy in this step."""
+        return PolicyError(f"step {self.step}: {fault}")
+
     def groups(self) -> list[tuple[int, NDArray[np.int64]]]:
         """Return each model that an active person has, with the indices of its people in the flattened arrays."""
         return by_model(self.model.ravel(), np.flatnonzero(self.active), len(self.policies))
@@ -200,17 +204,41 @@ class TeamState:
         """Return the number of each robot within its team, from 0, in the shape of `location`."""
         return np.broadcast_to(np.arange(self.robots) if self.is_joint else 0, self.location.shape)
 
-    def act(self, person: NDArray[np.int64], robot: NDArray[np.int64]) -> TeamAction:
+    def act(self, person: ArrayLike, robot: ArrayLike) -> TeamAction:
         """Return the action of going to a person in each team.
 
         `person` has the shape (N,), or (N, M) with M robots, and `robot` holds the robot actions of all people, shape
         (N, K), or (N, M, K) if robots differ. If the travel takes time, the robot makes no suggestion; it chooses again
         after its arrival.
+
+        Raises
+        ------
+        PolicyError
+            An array has another shape, is not of whole numbers, or a person is not one of the team.
         """
+        person, robot = np.asarray(person), np.asarray(robot)
+        (N, K), there = self.x.shape, f", {NOBODY} for a robot that stays"
+        if person.shape != self.location.shape or person.dtype.kind not in "iu":
+            each = f"each of {N} teams" + f" and {self.robots} robots" * self.is_joint
+            raise self.refused(
+                f"person, {_kind(person)}: expected whole numbers, shape {self.location.shape}, one for {each}{there}"
+            )
+        allowed = [(N, K), (N, self.robots, K)] if self.is_joint else [(N, K)]
+        if robot.shape not in allowed or robot.dtype.kind not in "iu":
+            raise self.refused(
+                f"robot, {_kind(robot)}: expected whole numbers, shape {allowed[0]}, a robot action for each person"
+            )
+        wrong = (person < NOBODY) | (person >= K)
+        if wrong.any():
+            raise self.refused(f"person {person[wrong][0]} in a team of {K}: expected 0 to {K - 1}{there}")
         teams, number = np.arange(len(self.x)).reshape(-1, *[1] * (person.ndim - 1)), self.robot_numbers()
         speaks = (person != NOBODY) & (self.travel.steps_between(number, self.location, person) == 0)
         said = robot[teams, number, person] if robot.ndim > 2 else robot[teams, person]
         return TeamAction(person, np.where(speaks, said, 0))
+
+
+def _kind(array: NDArray[Any]) -> str:
+    return f"{array.dtype} array of shape {array.shape}"
 
 
 class TeamPolicy(Protocol):

@@ -38,7 +38,7 @@ class Results:
         """
         self._folder, self._options = folder, options
         results, prints = folder / RESULTS, folder / FINGERPRINTS
-        if results.exists() and not resume:
+        if results.exists() and results.stat().st_size and not resume:
             raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
         before = {_key_of(record): record for record in _records(results) if record["status"] in DONE}
         lines = {_key_of(line): line for line in read_records(prints) if _is_line(line)}

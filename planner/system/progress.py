@@ -41,19 +41,24 @@ COMPILING_LINE = "compiling, once after an installation: it takes up to a minute
 
 
 class Stage(NamedTuple):
-    """A stage of the work, its progress, and when it began (`time.monotonic()`); `total` is None if it is unknown."""
+    """A stage of the work, its progress, and when it began (`time.monotonic()`); `total` is None if it is unknown.
+
+    What was done at the beginning, `first`, such as the part of a resumed run, says nothing about the time left.
+    """
 
     what: str
     done: int
     total: int | None
     begun: float
+    first: int = 0
 
     def __str__(self) -> str:
         seconds = time.monotonic() - self.begun
         line = f"{visible(self.what)}, {seconds:.0f} s"
         if self.total is None:
             return f"{line}: {self.done:,}, {self.done / max(seconds, 1e-9):,.0f}/s" if self.done else line
-        left = f", about {seconds / self.done * (self.total - self.done):.0f} s left" if self.done else ""
+        new = self.done - self.first
+        left = f", about {seconds / new * (self.total - self.done):.0f} s left" if new > 0 else ""
         return f"{line}: {self.done:,} of {self.total:,}{left}"
 
 
@@ -79,16 +84,16 @@ def stages(after: float = 0.0) -> Iterator[Progress]:
 
     The function is called with the stage, the number of items done, and their total.
     """
-    begun: dict[str, float] = {}
+    begun: dict[str, tuple[float, int]] = {}
     latest = ""
     with _display(after) as show:
 
         def report(what: str, done: int, total: int | None) -> None:
             nonlocal latest
             if what not in begun or (done == 0 and what != latest):  # first, or started once more
-                begun[what] = time.monotonic()
+                begun[what] = time.monotonic(), done
             latest = what
-            show(Stage(what, done, total, begun[what]))
+            show(Stage(what, done, total, *begun[what]))
 
         yield report
 
@@ -121,9 +126,9 @@ def reporting(progress: Wanted) -> Iterator[Progress]:
                 yield show
 
 
-def adding(show: Progress, what: str, total: int) -> Callable[[int], None]:
-    """Return a thread-safe function that adds to a count of finished items and reports it; 0 is reported at once."""
-    done, lock = 0, threading.Lock()
+def adding(show: Progress, what: str, total: int, done: int = 0) -> Callable[[int], None]:
+    """Return a thread-safe function that adds to a count of finished items and reports it, at once as it is first."""
+    lock = threading.Lock()
 
     def advance(count: int) -> None:
         nonlocal done
