@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -322,3 +323,91 @@ def test_what_a_policy_of_ones_own_should_return_is_said(robots: int, tiny: Tabl
             words = "lets two robots be with one person"
         assert words in str(raised.value)
         assert "PolicyError" not in str(raised.value)
+
+
+TEAM = "assist.interop.gymnasium:kitassist/Team-v0"
+
+
+def idle_returns(env: Any, episodes: int, seed: int) -> list[float]:
+    """Return the discounted returns of episodes in which the robot does nothing."""
+    found = []
+    for number in range(episodes):
+        env.reset(seed=seed if number == 0 else None)
+        total, discount, over = 0.0, 1.0, False
+        while not over:
+            _, reward, terminated, truncated, _ = env.step(0)
+            total, discount, over = total + discount * reward, discount * 0.99, terminated or truncated
+        found.append(total)
+    return found
+
+
+def betas(pool: Pool) -> list[float]:
+    return [human.beta for human in pool.people]
+
+
+def test_the_episodes_of_an_environment_are_those_of_the_command(tmp_path: Path) -> None:
+    """The first reset with a seed draws the pool; later ones keep it, and `pool_seed` draws another one."""
+    gymnasium = pytest.importorskip("gymnasium")
+    written = {}
+    for seed in (1, 2):
+        command = ("simulate", TINY, "--humans", 2, "--policy", "none", "--episodes", 4, "--seed", seed)
+        assert invoke(*command, "--out", tmp_path / "out.jsonl").exit_code == 0
+        records = [json.loads(line) for line in (tmp_path / "out.jsonl").read_text().splitlines()]
+        written[seed] = [record["discounted_return"] for record in records]
+    env = gymnasium.make(TEAM, instance=TINY, humans=2, beliefs=False)
+    env.reset()  # without a seed
+    before = env.observation_space
+    assert idle_returns(env, 4, 1) == pytest.approx(written[1])
+    people = betas(env.unwrapped.pool)
+    assert idle_returns(env, 4, 1) == pytest.approx(written[1])
+    other = idle_returns(env, 4, 2)
+    assert betas(env.unwrapped.pool) == people
+    assert other != pytest.approx(written[2])
+    assert env.observation_space == before == env.unwrapped._desk.spaces()[0]
+    apart = gymnasium.make(TEAM, instance=TINY, humans=2, beliefs=False, pool_seed=2)
+    assert idle_returns(apart, 4, 2) == pytest.approx(written[2])
+    assert idle_returns(apart, 4, 1) != pytest.approx(written[1])
+    many = gymnasium.make_vec(TEAM, num_envs=4, instance=TINY, humans=2)
+    many.reset(seed=1)
+    assert betas(many.unwrapped.pool) == people
+    stations = pytest.importorskip("assist.interop.pettingzoo").parallel_env(TINY, humans=2)
+    stations.reset(seed=1)
+    assert betas(stations.pool) == people
+    assert gymnasium.make(TEAM, instance=TINY, humans=14).unwrapped.pool.model.shape == (14,)  # as in the command
+
+
+def test_environments_refuse_what_has_no_effect(tiny: Table) -> None:
+    gymnasium = pytest.importorskip("gymnasium")
+    pool, parallel_env = Pool.sample(tiny, 2, seed=1), pytest.importorskip("assist.interop.pettingzoo").parallel_env
+    for options, error, words in (
+        ({"setting": Setting(c_ask=0.1)}, ValueError, "c_ask 0.1 has no effect without several goals; expected None"),
+        ({"setting": Setting(ask_error=0.1)}, ValueError, "ask_error 0.1 has no effect without c_ask; expected 0"),
+        ({"setting": Setting(c_execute=2)}, ValueError, "c_execute 2 has no effect without robots that execute"),
+        ({"setting": Setting(trust="constant", eta=0.5)}, ValueError, "eta 0.5 has no effect without trust 'paper'"),
+        (
+            {"instance": [TINY, TINY]},
+            TypeError,
+            "expected one task, by its file or name, or a Pool, not what is a list",
+        ),
+        ({"instance": pool, "people": 3}, ValueError, "people has no effect with a pool, which has its own"),
+        ({"instance": pool, "pool_seed": 0}, ValueError, "pool_seed has no effect with a pool"),
+        ({"instance": pool, "setting": Setting()}, ValueError, "setting has no effect with a pool"),
+    ):
+        for make in (
+            lambda **given: gymnasium.make(TEAM, **given),
+            lambda **given: gymnasium.make_vec(TEAM, num_envs=2, **given),
+            parallel_env,
+        ):
+            with pytest.raises(error, match=re.escape(words)):
+                make(**{"instance": TINY, "humans": 2} | options)
+    gymnasium.make(TEAM, instance=TINY, setting=Setting(execute=True, c_execute=2, believed_trust="paper", eta=0.5))
+
+
+def test_a_robot_that_would_ask_about_one_goal_is_refused(tiny: Table, tmp_path: Path) -> None:
+    pool = Pool.sample(tiny, 2, seed=1, setting=Setting(c_ask=0.1))
+    with pytest.raises(ValueError, match=r"c_ask 0.1 has no effect without several goals"):
+        simulate(pool, "none", humans=2, episodes=1, seed=0)
+    file = write(tmp_path, f"{STUDY.partition('[[conditions]]')[0]}\n[setting]\nc_ask = 0.1\n")
+    result = invoke("study", "--protocol", file, "--out", tmp_path / "out")
+    assert (result.exit_code, "setting: c_ask 0.1 has no effect" in result.stderr) == (2, True), result.stderr
+    assert not (tmp_path / "out" / "episodes.jsonl").exists()

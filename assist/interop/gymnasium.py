@@ -11,6 +11,7 @@ Importing this module registers `kitassist/Team-v0`. Gymnasium imports the modul
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,7 +30,7 @@ from ..team.extra_costs import extra_costs_of
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 from .rendering import EnvironmentPicture
-from .teams import Sight, Teams, pool_of
+from .teams import PoolSource, Sight, Teams
 
 try:
     import gymnasium
@@ -45,13 +46,9 @@ class _Desk:
     """The teams, observations and numbering of actions that `TeamEnv` and `TeamVectorEnv` share."""
 
     def __init__(
-        self, instance: str | Path | Pool, teams: int, humans: int, *, beliefs: bool, people: int, pool_seed: int,
-        setting: Setting | None, population: Population | Mixture | None, distance: ArrayLike | None, world: World,
+        self, pool: Pool, teams: int, humans: int, *, beliefs: bool, distance: ArrayLike | None, world: World,
         filters: bool = True,
     ) -> None:  # fmt: skip
-        pool = pool_of(instance, size=people, seed=pool_seed, setting=setting, population=population)
-        if not 1 <= humans <= len(pool.people):
-            raise ValueError(f"humans {humans}: expected 1 to {len(pool.people)}, the size of the pool")
         self.teams = Teams(pool, teams, humans, distance=distance, world=world, filters=filters)
         self.sight = Sight(self.teams, beliefs=beliefs)
         self.actions = 1 + humans * self.sight.robots
@@ -156,8 +153,9 @@ class TeamEnv(gymnasium.Env):
     one is, or to whom one with a lower number goes, stays where it is. If robots differ, one without a task makes room.
 
     After `reset(seed=s)` the episodes are episodes 0, 1, ... of `simulate(pool, ..., humans=K, episodes=n, seed=s)`,
-    with the same random numbers. The same actions therefore have the same outcome. `team` is the state that team
-    policies read.
+    with the same random numbers. The same actions therefore have the same outcome. The first `reset(seed=s)` draws the
+    pool of `kitassist simulate --seed s`, and later ones keep it, unless `pool_seed` or a pool is given. `team` is the
+    state that team policies read.
 
     Parameters
     ----------
@@ -167,8 +165,10 @@ class TeamEnv(gymnasium.Env):
         K, the number of people in a team.
     beliefs : bool
         Whether the observation holds the belief over (beta, theta). Otherwise it holds the states of the task only.
-    people, pool_seed : int
-        The size and the random seed of the pool from which teams are drawn.
+    people : int, optional
+        The size of the pool from which teams are drawn; 12, or K if that is more, unless given.
+    pool_seed : int, optional
+        The random seed of the pool; that of the first `reset` with a seed unless given.
     setting, population
         As in `Pool.sample`.
     distance : array, shape (K + 1, K + 1), optional
@@ -181,23 +181,26 @@ class TeamEnv(gymnasium.Env):
     Raises
     ------
     ValueError
-        `render_mode` is unknown, or `humans` is not between 1 and the size of the pool.
+        `render_mode` is unknown, `humans` is not between 1 and the size of the pool, or a parameter has no effect.
+    TypeError
+        `instance` is something else, such as a list of tasks.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "svg"], "render_fps": 1}
 
     def __init__(
-        self, instance: str | Path | Pool, humans: int = 2, *, beliefs: bool = True, people: int = 12,
-        pool_seed: int = 0, setting: Setting | None = None, population: Population | Mixture | None = None,
+        self, instance: str | Path | Pool, humans: int = 2, *, beliefs: bool = True, people: int | None = None,
+        pool_seed: int | None = None, setting: Setting | None = None, population: Population | Mixture | None = None,
         distance: ArrayLike | None = None, world: World = "people", render_mode: str | None = None,
     ) -> None:  # fmt: skip
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode {render_mode!r}: expected {' or '.join(self.metadata['render_modes'])}")
         self._instance, self.render_mode = instance, render_mode
-        self._desk = _Desk(
-            instance, 1, humans, beliefs=beliefs, people=people, pool_seed=pool_seed, setting=setting,
-            population=population, distance=distance, world=world,
-        )  # fmt: skip
+        self._source = PoolSource(
+            instance, humans, people=people, seed=pool_seed, setting=setting, population=population
+        )
+        self._made = partial(_Desk, teams=1, humans=humans, beliefs=beliefs, distance=distance, world=world)
+        self._desk = self._made(self._source.pool)
         self.observation_space, self.action_space = self._desk.spaces()
         self._seed: int | None = None
         self._episode = -1
@@ -248,6 +251,8 @@ class TeamEnv(gymnasium.Env):
         """
         super().reset(seed=seed)
         options = options or {}
+        if self._source.drawn(seed):
+            self._desk = self._made(self._source.pool)
         if seed is not None or self._seed is None:
             self._seed = seed if seed is not None else int(self.np_random.integers(2**63))
             self._episode = -1
@@ -349,14 +354,17 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
 
     def __init__(
         self, instance: str | Path | Pool, num_envs: int = 1, humans: int = 2, *, beliefs: bool = True,
-        people: int = 12, pool_seed: int = 0, setting: Setting | None = None,
+        people: int | None = None, pool_seed: int | None = None, setting: Setting | None = None,
         population: Population | Mixture | None = None, distance: ArrayLike | None = None, world: World = "people",
     ) -> None:  # fmt: skip
         self.num_envs = num_envs
-        self._desk = _Desk(
-            instance, num_envs, humans, beliefs=beliefs, people=people, pool_seed=pool_seed, setting=setting,
-            population=population, distance=distance, world=world, filters=beliefs,
-        )  # fmt: skip
+        self._source = PoolSource(
+            instance, humans, people=people, seed=pool_seed, setting=setting, population=population
+        )
+        self._made = partial(
+            _Desk, teams=num_envs, humans=humans, beliefs=beliefs, distance=distance, world=world, filters=beliefs
+        )
+        self._desk = self._made(self._source.pool)
         self.single_observation_space, self.single_action_space = self._desk.spaces()
         batch = gymnasium.vector.utils.batch_space
         self.observation_space = batch(self.single_observation_space, num_envs)
@@ -399,6 +407,8 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         )
         given = self.np_random_seed if seed is not None else None
         number = int(self.np_random.integers(2**63)) if given is None else int(given)
+        if self._source.drawn(None if given is None else number):
+            self._desk = self._made(self._source.pool)
         teams = self._desk.teams
         self._draws = CommonRandomNumbers(number, np.arange(self.num_envs), teams.x.shape[1])
         self._begin(np.arange(self.num_envs), self._draws)

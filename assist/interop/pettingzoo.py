@@ -5,6 +5,7 @@ In `StationsEnv` each of K people has a robot of their own. In `RobotsEnv` M rob
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,7 +22,7 @@ from ..team.robots import require_one_robot
 from ..team.settings import Setting
 from ..team.state import TeamAction, TeamState
 from .gymnasium import TeamEnv
-from .teams import Sight, Teams, pool_of
+from .teams import PoolSource, Sight, Teams
 
 try:
     import gymnasium
@@ -39,7 +40,7 @@ class StationsEnv(pettingzoo.ParallelEnv):
     cost units. An agent terminates when its person has finished. All are truncated after `setting.max_steps` steps.
 
     After `reset(seed=s)` the episodes have the people and the random numbers of episodes 0, 1, ... of `simulate` with
-    that seed.
+    that seed. The pool is that of `TeamEnv`.
 
     Parameters
     ----------
@@ -51,17 +52,15 @@ class StationsEnv(pettingzoo.ParallelEnv):
         Whether the observations hold the beliefs over (beta, theta).
     shared : bool
         Whether each agent receives the sum of all rewards.
-    people, pool_seed : int
-        The size and the random seed of the pool from which teams are drawn.
-    setting, population
-        As in `Pool.sample`.
+    people, pool_seed, setting, population
+        As in `TeamEnv`.
     world : "people" or "model"
         As in `simulate`.
 
     Raises
     ------
-    ValueError
-        `humans` is not between 1 and the size of the pool.
+    ValueError, TypeError
+        As from `TeamEnv`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -72,14 +71,15 @@ class StationsEnv(pettingzoo.ParallelEnv):
 
     def __init__(
         self, instance: str | Path | Pool, humans: int = 2, *, beliefs: bool = True, shared: bool = False,
-        people: int = 12, pool_seed: int = 0, setting: Setting | None = None,
+        people: int | None = None, pool_seed: int | None = None, setting: Setting | None = None,
         population: Population | Mixture | None = None, world: World = "people",
     ) -> None:  # fmt: skip
-        pool = pool_of(instance, size=people, seed=pool_seed, setting=setting, population=population)
-        if not 1 <= humans <= len(pool.people):
-            raise ValueError(f"humans {humans}: expected 1 to {len(pool.people)}, the size of the pool")
-        require_one_robot(pool.setting, "each station")
-        self._teams = Teams(pool, 1, humans, world=world)
+        self._source = PoolSource(
+            instance, humans, people=people, seed=pool_seed, setting=setting, population=population
+        )
+        require_one_robot(self._source.pool.setting, "each station")
+        self._made = partial(Teams, teams=1, places=humans, world=world)
+        self._teams = self._made(self._source.pool)
         self._sight = Sight(self._teams, beliefs=beliefs)
         self._shared, self.render_mode = shared, None
         self.possible_agents = [f"robot_{place}" for place in range(humans)]
@@ -131,6 +131,9 @@ class StationsEnv(pettingzoo.ParallelEnv):
         if seed is not None or self._seed is None:
             self._seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
             self._episode = -1
+        if self._source.drawn(seed):
+            self._teams = self._made(self._source.pool)
+            self._sight = Sight(self._teams, beliefs=self._sight.beliefs)
         self._episode = int((options or {}).get("episode", self._episode + 1))
         teams, row = self._teams, np.zeros(1, dtype=np.int64)
         draws = self._draws = CommonRandomNumbers(self._seed, np.array([self._episode]), len(self.possible_agents))

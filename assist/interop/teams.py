@@ -30,19 +30,60 @@ from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
 
 
-def pool_of(
-    instance: str | Path | Pool,
-    *,
-    size: int,
-    seed: int,
-    setting: Setting | None,
-    population: Population | Mixture | None,
-) -> Pool:
-    """Return the pool of an environment: sampled for a task's file or name; an existing pool is returned unchanged."""
-    if isinstance(instance, Pool):
-        return instance
-    table = sweep(load(instance), max_states=MAX_ENUMERATED)
-    return Pool.sample(table, size, seed=seed, setting=setting, population=population, states=MAX_ENUMERATED)
+class PoolSource:
+    """The pool of an environment: a given one, or people at a task who are drawn with a seed.
+
+    Unless the seed is given, they are those of seed 0 until the first `reset` with a seed, which draws the people of
+    `kitassist simulate` with that seed. They stay until the end.
+
+    Parameters
+    ----------
+    instance : str, Path or Pool
+    humans : int
+        Number of people in a team.
+    people, seed, setting, population, optional
+        As in `TeamEnv`; not together with a pool.
+
+    Raises
+    ------
+    TypeError
+        `instance` is something else, such as a list of tasks.
+    ValueError
+        A parameter has no effect, or `humans` is not between 1 and the size of the pool.
+    """
+
+    def __init__(
+        self, instance: str | Path | Pool, humans: int, *, people: int | None, seed: int | None,
+        setting: Setting | None, population: Population | Mixture | None,
+    ) -> None:  # fmt: skip
+        if not isinstance(instance, str | Path | Pool):
+            raise TypeError(
+                f"instance: expected one task, by its file or name, or a Pool, not what is a {type(instance).__name__}"
+            )
+        self._options: dict[str, Any] = {"setting": setting, "population": population}
+        if isinstance(instance, Pool):
+            for name, value in {"people": people, "pool_seed": seed, **self._options}.items():
+                if value is not None:
+                    raise ValueError(f"{name} has no effect with a pool, which has its own; expected none")
+            self._waits, self.pool = False, instance
+        else:
+            self._waits, self._size = seed is None, max(12, humans) if people is None else people
+            self._table = sweep(load(instance), max_states=MAX_ENUMERATED)
+            self.pool = self._sample(0 if seed is None else seed)
+        self.pool.setting.require_questions(1)
+        self.pool.setting.require_effect()
+        if not 1 <= humans <= len(self.pool.people):
+            raise ValueError(f"humans {humans}: expected 1 to {len(self.pool.people)}, the size of the pool")
+
+    def _sample(self, seed: int) -> Pool:
+        return Pool.sample(self._table, self._size, seed=seed, states=MAX_ENUMERATED, **self._options)
+
+    def drawn(self, seed: int | None) -> bool:
+        """Draw the pool if this is the first reset with a seed, and return whether it was drawn now."""
+        if seed is None or not self._waits:
+            return False
+        self._waits, self.pool = False, self._sample(seed)
+        return True
 
 
 class Teams:

@@ -213,6 +213,7 @@ def check(study: Study, progress: Progress = lambda *_: None) -> None:
                 try:
                     choices, frontier = _part(_task(dict(study.instances)[name]))
                     setting.problem(choices, None, Population(), frontier=frontier)
+                    setting.require_questions(choices.goal_count)
                 except ValueError as error:
                     place = f"condition '{condition.name}', setting '{label}'" if label else "setting"
                     raise InputFileError(f"{study.file}: {place}: {error}") from None

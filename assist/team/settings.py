@@ -170,6 +170,24 @@ class Setting:
         if self.observation is not None:
             raise ValueError(f"observation: expected none, as {what} has actions that are all seen as they are")
 
+    def require_questions(self, goals: int) -> None:
+        """Raise an error if the robot would ask about people's goals, and each has the same one."""
+        if self.c_ask is not None and goals == 1:
+            raise ValueError(f"c_ask {self.c_ask:g} has no effect without several goals; expected None")
+        if self.c_ask is None and self.ask_error:
+            raise ValueError(f"ask_error {self.ask_error:g} has no effect without c_ask; expected 0")
+
+    def require_effect(self) -> None:
+        """Raise an error if a cost or a rate was changed that has no effect together with the other parameters."""
+        usual = {field.name: field.default for field in fields(self)}
+        without = {"c_execute": not best_robots(self).execute and "robots that execute"}
+        by_equation_seven = self.trust in (None, "paper") or self.believed_trust == "paper"
+        without |= dict.fromkeys(("eta", "utility_scale"), not by_equation_seven and "trust 'paper'")
+        for name, what in without.items():
+            value = getattr(self, name)
+            if what and value != usual[name]:
+                raise ValueError(f"{name} {value:g} has no effect without {what}; expected {usual[name]:g}")
+
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Return the travel between `places` people; `distance` as in `Travel.of`."""
         if self.differ:
