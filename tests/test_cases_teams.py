@@ -8,11 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import KITTING, invoke
+from click.testing import CliRunner
+from conftest import KITTING, invoke, kit
 from fuzz import here
 from studies import write
 
 from assist import Pool, simulate
+from assist.cli import main
+from assist.interop import pomdp, pomdpx
+from assist.interop.observed import Observed, bytes_needed
 from assist.live import TraceReasons
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
@@ -59,9 +63,9 @@ def test_a_policy_that_weighs_costs_says_that_none_was_worth_it(policy: str, tin
     """Nothing else is solved to say it."""
     solved: list[AssistPOMDP] = []
 
-    def solver(pomdp: AssistPOMDP) -> QMDP:
-        solved.append(pomdp)
-        return qmdp(pomdp)
+    def solver(problem: AssistPOMDP) -> QMDP:
+        solved.append(problem)
+        return qmdp(problem)
 
     pool = pool_at(tiny, 40.0, solver=solver)
     found = simulate(pool, policy, humans=2, episodes=20, seed=3)
@@ -411,3 +415,60 @@ def test_a_robot_that_would_ask_about_one_goal_is_refused(tiny: Table, tmp_path:
     result = invoke("study", "--protocol", file, "--out", tmp_path / "out")
     assert (result.exit_code, "setting: c_ask 0.1 has no effect" in result.stderr) == (2, True), result.stderr
     assert not (tmp_path / "out" / "episodes.jsonl").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (("bound", TINY, "--humans", 2, "--miss", 0.1), "No such option '--miss'; serve and simulate have it"),
+        (("policy", TINY, "--gpa", 0.1), "No such option '--gpa'. Did you mean '--gap'?"),
+        (
+            ("simulate", TINY, "--humans", 2, "--episode", 3),
+            "No such option '--episode'; draw has it. Did you mean '--episodes'?",
+        ),
+        (("bound", TINY, "--xyzzy"), "No such option '--xyzzy'. kitassist bound --help lists the options"),
+        (
+            ("simulate", TINY, "--humans", 2, "--miss", 0.1, "--policy", "none", "--policy", "rollout"),
+            "--policy rollout with --miss: it simulates from states that the robot knows; expected another policy",
+        ),
+        (
+            ("export", TINY, "--out", "x.pomdpx", "--trust", "outcome"),
+            "--trust: a file has no trust that depends on whether advice is followed; expected --trust paper or",
+        ),
+        (("export", TINY, "--out", "x.txt"), "expected a name that ends in .pomdpx or .pomdp"),
+        (("export", TINY, "--out", "x.pomdp", "--format", "pomdpx"), "expected a name that ends in .pomdpx"),
+    ],
+)
+def test_refusals_name_what_is_wrong_and_what_would_be_right(
+    command: tuple[object, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(main, [str(word) for word in command], prog_name="kitassist")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words in " ".join(result.stderr.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["small.pomdp", "small.pomdpx"])
+def test_the_size_of_an_export_is_said_first_and_the_name_says_the_format(name: str, tmp_path: Path) -> None:
+    out = tmp_path / name
+    written = invoke("export", TINY, "--out", out, "--json")
+    assert (written.exit_code, json.loads(written.stdout)["format"]) == (0, out.suffix[1:])
+    size = out.stat().st_size
+    out.unlink()
+    refused = invoke("export", TINY, "--out", out, "--size-limit", size / 1e6 / 2)
+    said = re.fullmatch(rf"--out {re.escape(str(out))}: it would take about (\S+) MB, more than .*\n", refused.stderr)
+    assert said, refused.stderr
+    assert float(said[1]) * 1e6 == pytest.approx(size, rel=0.3)
+    assert (refused.exit_code, out.exists()) == (1, False)
+
+
+def test_the_size_of_a_large_export_is_found_without_writing_it() -> None:
+    table = kit("paper-fixed")
+    observed = Observed.of(AssistPOMDP.of(HumanModel.exact(Choices.of(table))), table)
+    every = observed.values()
+    for lines_of in (pomdp.lines_of, pomdpx.lines_of):
+        whole = sum(map(len, lines_of(observed, every)))
+        few = sum(map(len, lines_of(observed, every[::8]))) * len(every) / len(every[::8])
+        assert bytes_needed(observed, lines_of) == pytest.approx(whole, rel=0.05)
+        assert few == pytest.approx(whole, rel=0.3)

@@ -9,42 +9,66 @@ import click
 
 from planner import Table
 
-from .options.common import OUTPUT_FILE, instance_argument
+from .options.common import MEGABYTES, OUTPUT_FILE, instance_argument, is_given
 from .options.help import command
 from .options.person import person_options, person_problem
 from .options.task import table_of
 from .terminal.console import ExitCode, fail, one_line_errors, print_json
 
+FORMATS = ("pomdpx", "pomdp")
+
 
 @command("export kitting/tiny --out tiny.pomdpx")
 @instance_argument
 @click.option(
-    "--format", "form", type=click.Choice(["pomdpx", "pomdp"]), default="pomdpx", show_default=True,
-    help="POMDPX with mixed observability, or the flat POMDP format for small tasks.",
+    "--format", "form", type=click.Choice(FORMATS),
+    help="POMDPX with mixed observability, or the flat POMDP format for small tasks.  [default: by the name of --out]",
 )  # fmt: skip
 @click.option("--out", type=OUTPUT_FILE, required=True, help="Output file.")
+@click.option(
+    "--size-limit", type=MEGABYTES, default=500.0, show_default=True, metavar="MB",
+    help="A larger file is not written.",
+)  # fmt: skip
 @person_options
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
-def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) -> None:
+def export(instance: str, form: str | None, out: Path, size_limit: float, as_json: bool, **person: Any) -> None:
     """Write the POMDP of assisting one person to a file for other solvers."""
-    from ..interop.observed import action_names
-    from ..interop.pomdp import write_pomdp
-    from ..interop.pomdpx import write_pomdpx
+    from ..interop import pomdp as flat
+    from ..interop import pomdpx as mixed
+    from ..interop.observed import Observed, action_names, bytes_needed
 
-    if out.suffix != f".{form}":  # solvers choose the parser by the suffix
-        raise click.UsageError(f"--out {out}: expected a name that ends in .{form}")
+    named = out.suffix.removeprefix(".")
+    if named not in ((form,) if form else FORMATS):  # solvers choose the parser by the suffix
+        raise click.UsageError(f"--out {out}: expected a name that ends in .{form or ' or .'.join(FORMATS)}")
     with one_line_errors():
         found, problem = person_problem(instance, table_of, states=None, **person)
         pomdp = problem.pomdp
+        if pomdp.followed_low is not None:
+            whose = "--trust" if is_given("trust") else f"--population {person['population_file']}"
+            raise click.UsageError(
+                f"{whose}: a file has no trust that depends on whether advice is followed; expected --trust paper or "
+                "constant"
+            )
         try:
             table = problem.known if isinstance(problem.known, Table) else None
-            {"pomdpx": write_pomdpx, "pomdp": write_pomdp}[form](pomdp, out, table)
+            observed = Observed.of(pomdp, table)
+            if named == "pomdp":
+                flat.require_size(observed)
+            needed = bytes_needed(observed, {"pomdpx": mixed, "pomdp": flat}[named].lines_of) / 1e6
+            if needed > size_limit:
+                fail(
+                    f"--out {out}: it would take about {needed:,.3g} MB, more than --size-limit {size_limit:,.3g}",
+                    ExitCode.FAILED,
+                )
+            if needed > 10:
+                click.echo(f"{out}: about {needed:,.0f} MB", err=True)
+            {"pomdpx": mixed.write_pomdpx, "pomdp": flat.write_pomdp}[named](pomdp, out, table)
         except ValueError as error:
             fail(f"{found}: {error}", ExitCode.FAILED)
         record = {
             "instance": str(found.problem),
             "domain": str(found.domain),
-            "format": form,
+            "format": named,
             "out": str(out),
             "states": len(pomdp.model.choices),
             "hidden": pomdp.prior.size,

@@ -79,6 +79,11 @@ def simulate(
     for option, value in {"--miss": miss, "--confusion": confusion}.items():
         if value and ask is not None:
             raise click.UsageError(f"--ask with {option}: a simulated robot asks only where it sees all actions")
+        if value and "rollout" in names:
+            raise click.UsageError(
+                f"--policy rollout with {option}: it simulates from states that the robot knows; expected another "
+                "policy, such as priority"
+            )
         if value and problems and goal_knowledge == "likeliest":
             raise click.UsageError(f"--goal-knowledge likeliest with {option}: expected inferred or known")
     separate_files({"--out": out, "--trace": trace, "--figure": figure}, {"--population": team["population_file"]})

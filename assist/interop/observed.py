@@ -13,7 +13,7 @@ All formats describe the same problem exactly:
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -116,6 +116,10 @@ class Observed:
                 break
         return [name or "start" for name in found]
 
+    def values(self) -> NDArray[np.int64]:
+        """Return the numbers of all observed values."""
+        return np.arange(len(self.state))
+
     def legend(self) -> Iterator[str]:
         """Yield one line per observed value that describes its robot actions; goals have none."""
         pomdp = self.pomdp
@@ -195,6 +199,13 @@ def _word(fact: str) -> str:
 def action_names(pomdp: AssistPOMDP) -> list[str]:
     """Return the names of robot actions: `nothing`, `robot1`, `robot2`, ...; each state numbers its own."""
     return ["nothing", *(f"robot{r}" for r in range(1, int(pomdp.robot_actions.max(initial=1))))]
+
+
+def bytes_needed(observed: Observed, lines_of: Callable[[Observed, NDArray[np.int64]], Iterator[str]]) -> float:
+    """Return about how many bytes a file takes, by the lines of up to a hundred observed values."""
+    every = observed.values()
+    some = every[:: max(1, len(every) // 100)]
+    return sum(map(len, lines_of(observed, some))) * len(every) / len(some)
 
 
 def numbers(array: Floats) -> str:

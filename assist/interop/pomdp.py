@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner import Table
 from planner.system.files import atomic
@@ -36,15 +38,20 @@ def write_pomdp(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None
         whether advice is followed.
     """
     observed = Observed.of(pomdp, table)
-    betas, thetas = pomdp.grid.shape
+    require_size(observed, max_states)
+    with atomic(Path(path)) as file, file.open("w", encoding="ascii") as stream:
+        _flat(observed, stream)
+
+
+def require_size(observed: Observed, max_states: int = 20_000) -> None:
+    """Raise a `ValueError` if a problem has more flat states (x, beta, theta)."""
+    betas, thetas = observed.pomdp.grid.shape
     size = len(observed.state) * betas * thetas
     if size > max_states:
         raise ValueError(
             f"{len(observed.state):,} observed values times {betas * thetas} pairs (beta, theta) are {size:,} states; "
             f"expected at most {max_states:,}: write POMDPX"
         )
-    with atomic(Path(path)) as file, file.open("w", encoding="ascii") as stream:
-        _flat(observed, stream)
 
 
 def _flat(observed: Observed, stream: TextIO) -> None:
@@ -62,10 +69,17 @@ def _flat(observed: Observed, stream: TextIO) -> None:
     stream.write(f"start: {numbers(start)}\n")
     for x in range(len(observed.state)):
         stream.writelines(f"O: * : {x * cells + i} : {x} 1\n" for i in range(cells))
-    stay = np.eye(thetas)
-    for value, x in enumerate(observed.state.tolist()):
+    stream.writelines(lines_of(observed, observed.values()))
+
+
+def lines_of(observed: Observed, values: NDArray[np.int64]) -> Iterator[str]:
+    """Yield the transitions and rewards of some observed values, given by their numbers: nearly all of a large file."""
+    pomdp = observed.pomdp
+    betas, thetas = pomdp.grid.shape
+    cells, robots, stay = betas * thetas, action_names(pomdp), np.eye(thetas)
+    for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
         if pomdp.model.choices.goal[x]:
-            stream.writelines(f"T: * : {value * cells + i} : {value * cells + i} 1\n" for i in range(cells))
+            yield from (f"T: * : {value * cells + i} : {value * cells + i} 1\n" for i in range(cells))
             continue
         for r, robot in enumerate(robots):
             matrix = observed.moves(x, r)
@@ -75,8 +89,8 @@ def _flat(observed: Observed, stream: TextIO) -> None:
                 joint = np.broadcast_to(chance, (betas, thetas))[:, :, None] * moves
                 for b, t, after in zip(*(i.tolist() for i in np.nonzero(joint)), strict=True):
                     start_state, end = value * cells + b * thetas + t, y * cells + b * thetas + after
-                    stream.write(f"T: {robot} : {start_state} : {end} {float(joint[b, t, after])!r}\n")
+                    yield f"T: {robot} : {start_state} : {end} {float(joint[b, t, after])!r}\n"
             reward = np.broadcast_to(observed.reward(x, r), (betas, thetas))
-            stream.writelines(
+            yield from (
                 f"R: {robot} : {value * cells + i} : * : * {v!r}\n" for i, v in enumerate(reward.ravel().tolist())
             )

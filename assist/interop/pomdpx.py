@@ -8,6 +8,7 @@ from typing import Any, TextIO
 from xml.sax.saxutils import escape
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner import Table
 from planner.system.files import atomic
@@ -81,11 +82,13 @@ def _pomdpx(observed: Observed, stream: TextIO) -> None:
         given = np.divide(pomdp.prior, beta[:, None], out=np.tile(theta, (betas, 1)), where=beta[:, None] > 0)
         stream.writelines(_function("theta_0", "beta_0", [("- -", given)]))
     stream.write("</InitialStateBelief>\n<StateTransitionFunction>\n")
-    stream.writelines(_function("x_1", "robot x_0 beta_0 theta_0", _transitions(observed, robots)))
+    every = observed.values()
+    stream.writelines(_function("x_1", "robot x_0 beta_0 theta_0", _transitions(observed, robots, every)))
     stream.writelines(_function("beta_1", "beta_0", [("- -", "identity")]))
-    stream.writelines(_function("theta_1", "robot x_0 theta_0", _theta_moves(observed, robots)))
+    stream.writelines(_function("theta_1", "robot x_0 theta_0", _theta_moves(observed, robots, every)))
     stream.write("</StateTransitionFunction>\n<RewardFunction>\n")
-    stream.writelines(_function("reward", "robot x_0 beta_0 theta_0", _rewards(observed, robots), "Func", "ValueTable"))
+    rewards = _rewards(observed, robots, every)
+    stream.writelines(_function("reward", "robot x_0 beta_0 theta_0", rewards, "Func", "ValueTable"))
     stream.write("</RewardFunction>\n</pomdpx>\n")
 
 
@@ -102,13 +105,20 @@ def _function(
     yield f"</Parameter></{tag}>\n"
 
 
+def lines_of(observed: Observed, values: NDArray[np.int64]) -> Iterator[str]:
+    """Yield the lines about some observed values, given by their numbers: nearly all of a large file."""
+    robots = action_names(observed.pomdp)
+    for entries in (_transitions, _theta_moves, _rewards):
+        yield from _function("", "", entries(observed, robots, values))
+
+
 def _over(array: Floats) -> str:
     """Return the POMDPX index of an array of shape (B or 1, T or 1): `-` per axis that varies, `*` per constant one."""
     return " ".join("-" if size > 1 else "*" for size in array.shape)
 
 
-def _transitions(observed: Observed, robots: list[str]) -> Entries:
-    for value, x in enumerate(observed.state.tolist()):
+def _transitions(observed: Observed, robots: list[str], values: NDArray[np.int64]) -> Entries:
+    for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
         here = observed.names[value]
         if observed.pomdp.model.choices.goal[x]:
             yield f"* {here} * * {here}", "1"
@@ -118,16 +128,16 @@ def _transitions(observed: Observed, robots: list[str]) -> Entries:
                 yield f"{robot} {here} {_over(chance)} {observed.names[y]}", chance
 
 
-def _theta_moves(observed: Observed, robots: list[str]) -> Entries:
+def _theta_moves(observed: Observed, robots: list[str], values: NDArray[np.int64]) -> Entries:
     yield "nothing * - -", "identity"
     for r, robot in enumerate(robots[1:], start=1):
-        for value, x in enumerate(observed.state.tolist()):
+        for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
             matrix = observed.moves(x, r)
             yield f"{robot} {observed.names[value]} - -", "identity" if matrix is None else matrix
 
 
-def _rewards(observed: Observed, robots: list[str]) -> Entries:
-    for value, x in enumerate(observed.state.tolist()):
+def _rewards(observed: Observed, robots: list[str], values: NDArray[np.int64]) -> Entries:
+    for value, x in zip(values.tolist(), observed.state[values].tolist(), strict=True):
         if observed.pomdp.model.choices.goal[x]:
             yield f"* {observed.names[value]} * *", "0"
             continue

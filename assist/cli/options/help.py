@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Callable
 from typing import Any
@@ -40,7 +41,7 @@ GROUPS = {
         "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",
         "--verify", "--jobs", "--scheduler", "--cache", "--resume", "--seed",
     ),
-    "Output": ("--out", "--trace", "--reasons", "--figure", "--figures", "--width", "--json", "--help"),
+    "Output": ("--out", "--size-limit", "--trace", "--reasons", "--figure", "--figures", "--width", "--json", "--help"),
 }  # fmt: skip
 """Options of all commands by topic, in the order in which the help shows them."""
 
@@ -69,8 +70,29 @@ class Command(RichCommand):
                 args = [re.sub(f"^{old}(?==|$)", new, arg) for arg in args[:end]] + args[end:]
         try:
             return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            said = f"No such option '{error.option_name}'{_hint(error.option_name, ctx)}"
+            raise click.NoSuchOption(error.option_name, said, ctx=ctx) from None
         except click.BadParameter as error:
             raise named(error) from None
+
+
+def _hint(name: str, context: click.Context) -> str:
+    """Return which commands have an option that this one has not, or the option of this command that was meant."""
+    have, group = list[str](), None if context.parent is None else context.parent.command
+    if isinstance(group, click.Group):
+        have = [one for one in group.list_commands(context) if name in _options(group.get_command(context, one))]
+    elsewhere = f"; {' and '.join(have)} {'has' if len(have) == 1 else 'have'} it" if have else ""
+    near = difflib.get_close_matches(name, _options(context.command), n=1, cutoff=0.75)
+    if near:
+        return f"{elsewhere}. Did you mean '{near[0]}'?"
+    return elsewhere or f". {context.command_path} --help lists the options"
+
+
+def _options(command: click.Command | None) -> list[str]:
+    """Return the long names of a command's options."""
+    params = [] if command is None else command.params
+    return [name for option in params for name in option.opts if name.startswith("--")]
 
 
 def command(example: str, name: str | None = None) -> Callable[[Callable[..., Any]], click.Command]:
