@@ -120,7 +120,8 @@ def test_settings_with_one_baseline_have_the_same_results(policy: str) -> None:
         episodes = simulate(Pool.sample(table, 4, seed=1, setting=setting), policy, humans=3, episodes=20, seed=3)
         return np.c_[episodes.actions, episodes.interventions, episodes.moves]
 
-    alike = {name for name, other in others.items() if has_same_baseline(policy, one, other)}
+    asked = {"c_ask", "ask_error"}  # which studies refuse
+    alike = {name for name, other in others.items() if has_same_baseline(policy, one, other)} - asked
     assert {"gamma", "c_suggest", "c_move"} <= alike
     expected = measured(one)
     assert [name for name in alike if (measured(others[name]) != expected).any()] == []

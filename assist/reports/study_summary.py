@@ -39,8 +39,8 @@ WEIGHING = tuple(name for name in POLICIES if name not in BASELINES)
 """Policies that weigh the cost of a suggestion."""
 
 # The reactive policy weighs no costs and has no belief, so that prices, discounting and the robot's model of people
-# change none of `MEASURES`. Studies have no goals to ask about. Every other field counts, new ones included.
-UNUSED_BY_REACTIVE = ("gamma", "c_suggest", "c_move", "c_execute", "lapse", "believed_trust", "c_ask", "ask_error")
+# change none of `MEASURES`. Every other field counts, new ones included.
+UNUSED_BY_REACTIVE = ("gamma", "c_suggest", "c_move", "c_execute", "lapse", "believed_trust")
 
 SEED = 95  # of the bootstrap; fixed, so that a study always has the same intervals
 
