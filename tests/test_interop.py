@@ -440,7 +440,7 @@ def test_export_command(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("--out", "tiny.pomdp"), 2, "ends in .pomdpx"),
+        (("--out", "tiny.xml"), 2, "ends in .pomdpx or .pomdp"),
         (("--out", "tiny.pomdpx", "--gamma", "1"), 2, "expected 0 < gamma < 1"),
         (("--out", "tiny.pomdpx", "--sigma", "-1"), 2, "expected 0 or more"),
         (("--out", "tiny.pomdpx", "--theta", "0.9", "0.2"), 2, "theta range"),
