@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cache
@@ -321,3 +322,15 @@ def test_numbers_of_a_state_are_read(bins: Artist, tmp_path: Path, text: str) ->
     (tmp_path / "state").write_text(text.replace("bin-2) = 1", "bin-2) = 9").replace("bin-2) 1", "bin-2) 9"))
     with pytest.raises(StateError, match=r"stock bin-2 = 9\) is no fact of the task"):
         read_state(tmp_path / "state", bins.subject)
+
+
+def test_a_long_condition_of_the_goal_wraps_and_is_in_every_frame(tmp_path: Path) -> None:
+    goal = "(or (sealed) (forall (?x - part) (or (in-tote ?x) (and (checked ?x) (exists (?h - hand) (holds ?h ?x))))))"
+    (tmp_path / "domain.pddl").write_text(PACKING.replace(":typing", ":typing :adl"))
+    (tmp_path / "cell.pddl").write_text(CELL.replace("(and (sealed) (in-tote bolt) (in-tote nut))", goal))
+    artist = Artist(load(tmp_path / "cell.pddl"))
+    rows = plan_frames(artist, ["(walk bench-1 bin-a)"])
+    for picture in (*draw_frames(artist, rows), draw_strip(artist, rows)):
+        assert picture.width <= WIDTH
+        said = " ".join(re.findall(r'class="ka-small">([^<]+)<', picture.svg[picture.svg.rindex(">Also<") :]))
+        assert goal in said

@@ -224,8 +224,8 @@ def draw_strip(artist: Artist, rows: Sequence[Row], *, width: float = WIDTH, the
         In pixels. A frame takes about half of it.
     theme : "auto", "light" or "dark"
     """
-    cells = _Cells.of(artist, rows, width / 2 - MARGIN)
-    columns = min(len(rows[0]), max(1, int((width - 2 * MARGIN) // cells.width)))
+    cells, columns = _Cells.in_columns(artist, rows, width, min(2, len(rows[0])))
+    columns = min(len(rows[0]), max(columns, int((width - 2 * MARGIN) // cells.width)))
     parts = []
     for number, row in enumerate(rows):
         for place in range(len(row)):
@@ -253,9 +253,7 @@ def draw_frames(
     theme : "auto", "light", "dark" or None
         The colours; None omits the style sheet, for pages that include it.
     """
-    across = 1 if len(rows) == 1 else 2
-    cells = _Cells.of(artist, rows, width / across - MARGIN)
-    across = max(1, min(across, int((width - 2 * MARGIN) // cells.width)))
+    cells, across = _Cells.in_columns(artist, rows, width, min(2, len(rows)))
     pictures = []
     for step in range(len(rows[0])):
         parts, texts = [], []
@@ -293,6 +291,14 @@ class _Cells:
     top: float
     width: float
     height: float
+
+    @classmethod
+    def in_columns(cls, artist: Artist, rows: Sequence[Row], width: float, columns: int) -> tuple[_Cells, int]:
+        """Lay out frames in columns of a picture; in one as wide as the picture if they do not fit otherwise."""
+        cells = cls.of(artist, rows, (width - 2 * MARGIN) / columns)
+        if columns == 1 or columns * cells.width <= width - 2 * MARGIN + 1:
+            return cells, columns
+        return cls.of(artist, rows, width - 2 * MARGIN), 1
 
     @classmethod
     def of(cls, artist: Artist, rows: Sequence[Row], width: float) -> _Cells:
