@@ -23,7 +23,7 @@ from .terminal.console import kept_if_interrupted, print_json
 
 @command("simulate kitting/paper --humans 4 --policy none --policy attention")
 @instance_argument
-@policy_option("Repeat it to compare several on the same people and random numbers.")
+@policy_option("Repeat it to compare several.")
 @click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True, help="Number of episodes.")
 @click.option(
     "--pool", "size", type=click.IntRange(min=1),
@@ -40,11 +40,7 @@ from .terminal.console import kept_if_interrupted, print_json
     show_default=True,
     help="Steps after which an episode is cut off.",
 )
-@click.option(
-    "--jobs",
-    type=JOBS,
-    help="Number of episodes and people processed at the same time. One for each processor unless given.",
-)
+@click.option("--jobs", type=JOBS, help="Number of threads. One for each processor unless given.")
 @observation_options
 @team_options
 @goal_list_options
