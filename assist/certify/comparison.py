@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole
-from ..simulation.pool import Pool
+from ..simulation.pool import Pool, require_pool
 from ..simulation.simulate import SOLVING
 from ..team.state import TeamPolicy
 from .certificate import Certificate, Simulated, simulated_until
@@ -80,10 +80,18 @@ class Comparison:
         ]
 
 
+def _by_name(policies: Any) -> dict[str, TeamPolicy | str]:
+    """Return policies by their names: those of a mapping, or their own."""
+    if isinstance(policies, Mapping):
+        return dict(policies)
+    several = [policies] if isinstance(policies, str) or callable(policies) else policies
+    return {one if isinstance(one, str) else str(getattr(one, "__name__", "policy")): one for one in several}
+
+
 @shows_progress
 def certify(
     pool: Pool,
-    policies: Mapping[str, TeamPolicy | str],
+    policies: Mapping[str, TeamPolicy | str] | Iterable[TeamPolicy | str] | TeamPolicy | str,
     *,
     episodes: int = 20_000,
     seed: Seed = 0,
@@ -96,8 +104,8 @@ def certify(
     Parameters
     ----------
     pool : Pool
-    policies : mapping
-        Policies by their names in the certificates.
+    policies : mapping, or one or more policies
+        Policies by their names in the certificates; by their own names unless given.
     episodes : int
         Number of episodes of each policy.
     seed : int or Generator
@@ -108,7 +116,9 @@ def certify(
     **options
         As in `upper_bound`.
     """
+    require_pool(pool)
     assert callable(progress)
+    policies = _by_name(policies)
     found = Comparison.of(
         pool, policies, episodes=episodes, seed=seed, time_limit=time_limit, progress=progress, **options
     )

@@ -54,7 +54,7 @@ from planner.system.progress import Wanted, shows_progress
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
 from ..simulation.memory_needed import MEMORY_LIMIT_MB
-from ..simulation.pool import Pool
+from ..simulation.pool import Pool, require_pool
 from ..team.priority import Priority
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
@@ -215,6 +215,7 @@ def upper_bound(
     LimitError
         The subproblems would exceed the memory limit.
     """
+    require_pool(pool)
     assert callable(progress)
     start = time.perf_counter()
     limit = math.inf if time_limit is None else positive("time_limit", time_limit)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from planner import Task
 from planner.system.files import atomic
 
 from ..people.action_names import words_of
@@ -19,6 +19,9 @@ from .profile import Profile
 from .raster import png
 from .scene import Node, Scene, arrange
 from .subject import Subject
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 MARGIN = 12.0  # pixels around a drawing
 WIDTH = 760.0  # default width of a picture in pixels; fits the text column of a page or a notebook
@@ -81,7 +84,7 @@ class Artist:
 
     Parameters
     ----------
-    task : Task
+    task : Task, or whatever `planner.load` takes
     profile : Profile, optional
         The appearance of drawings. Read from `drawing.toml` in the domain's folder, or inferred from the task, unless
         given.
@@ -96,7 +99,9 @@ class Artist:
         The domain's `drawing.toml` is invalid.
     """
 
-    def __init__(self, task: Task, profile: Profile | None = None, *, goal: bool = True, language: str = FIRST) -> None:
+    def __init__(
+        self, task: AnyTask, profile: Profile | None = None, *, goal: bool = True, language: str = FIRST
+    ) -> None:
         subject = Subject.of(task)
         self.subject = subject if goal else replace(subject, goal=())
         self.profile = Profile.of(self.subject, catalogue(language)) if profile is None else profile
@@ -203,12 +208,12 @@ class Artist:
         return {where: list(found.values()) for where, found in room.items()}
 
 
-def draw(task: Task, values: Sequence[int] | None = None, *, width: float = WIDTH) -> Picture:
+def draw(task: AnyTask, values: Sequence[int] | None = None, *, width: float = WIDTH) -> Picture:
     """Draw a state of a task.
 
     Parameters
     ----------
-    task : Task
+    task : Task, or whatever `planner.load` takes
     values : sequence of int, shape (variables,), optional
         The state; the initial one unless given.
     width : float

@@ -11,10 +11,11 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner import Task
+from planner import Task, task_of
 from planner.grounding.semantics import derived, successors
 from planner.pddl.instances import PDDLError
 from planner.pddl.reader import read
@@ -22,6 +23,9 @@ from planner.pddl.s_expressions import Expression
 
 from ..people.action_names import Matcher, words_of
 from ..people.choices import STAND_STILL
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 Atom = tuple[str, ...]
 """A predicate and its arguments."""
@@ -85,8 +89,9 @@ class Subject:
     goal: tuple[Wanted, ...]
 
     @classmethod
-    def of(cls, task: Task) -> Subject:
+    def of(cls, task: AnyTask) -> Subject:
         """Return the subject of a task, from its PDDL files if they are present and unchanged."""
+        task = task_of(task)
         files = [task.instance.domain, task.instance.problem]
         try:
             reading = read(task.instance) if all(file.is_file() for file in files) else None

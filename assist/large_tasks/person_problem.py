@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeGuard, overload
+from typing import TYPE_CHECKING, Any, TypeGuard, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Table
+from planner import CostToGo, Table, known_costs
 from planner.system.arrays import outline
 
 from ..people.arguments import whole
@@ -23,6 +23,9 @@ from ..people.trust_rules import TrustRule, trust_rule
 from ..person.memory_needed import depth_within, first_bounds_bytes
 from ..person.pomdp import AssistPOMDP, Suggestions
 from .truncated_task import TruncatedTask
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 WHOLE = 20_000
 """Number of states of a table up to which a problem enumerates all of them; also the default size of a truncated task.
@@ -85,7 +88,7 @@ class PersonProblem:
     @classmethod
     def of(
         cls,
-        known: CostToGo | Goals,
+        known: CostToGo | Goals | AnyTask,
         *,
         states: int | None = None,
         start: int | None = None,
@@ -111,7 +114,7 @@ class PersonProblem:
 
         Parameters
         ----------
-        known : CostToGo or Goals
+        known : CostToGo or Goals, or whatever `planner.load` takes
         states : int, optional
             Largest number of states; by default 20,000 for a table, divided by the number of goals if the task is
             truncated, and 200 if states are solved on demand. An on-demand query takes up to seconds.
@@ -140,6 +143,7 @@ class PersonProblem:
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
         states = None if states is None else whole("states", states, 1)
+        known = known if isinstance(known, Goals) else known_costs(known)
         robot: dict[str, Any] = {
             "gamma": gamma, "c_suggest": c_suggest, "suggestions": suggestions,
             "trust": trust_rule(trust, eta, utility_scale),

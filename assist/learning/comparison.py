@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo
-from planner.system.arrays import read_only
+from planner import CostToGo, known_costs
+from planner.system.arrays import outline, read_only
 from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.decision import Floats
@@ -22,9 +23,12 @@ from ..people.terms import TERMS, Term
 from .fit import LogError, observed, replayed
 from .hierarchy import RATES, fixed_of, start_of
 from .likelihood import Method
-from .log import Log
+from .log import Log, log_of
 from .logit_likelihood import BETA, FIRST_TERM, Likelihood, maximise
 from .observations import Observations
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 FOLDS = 8
 BOLTZMANN = "boltzmann"
@@ -65,6 +69,8 @@ class Predictions:
     beta: float
     weights: dict[str, float]
 
+    __repr__ = outline
+
     def __post_init__(self) -> None:
         read_only(self)
 
@@ -93,6 +99,8 @@ class Comparison:
     actions: NDArray[np.int64]
     models: tuple[Predictions, ...]
 
+    __repr__ = outline
+
     def __post_init__(self) -> None:
         read_only(self)
 
@@ -117,8 +125,8 @@ class Comparison:
 
 @shows_progress
 def compare(
-    costs: CostToGo,
-    log: Log,
+    costs: CostToGo | AnyTask,
+    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]],
     *,
     terms: Mapping[str, Term] = TERMS,
     folds: int = FOLDS,
@@ -148,6 +156,7 @@ def compare(
     """
     assert callable(progress)
     progress("evaluating states", 0, None)
+    costs, log = known_costs(costs), log_of(log)
     recording, known, _ = replayed(costs, log, drop=drop, rename=rename, strict=strict)
     observations = observed(log, costs, recording, known, terms)[0]
     advance = adding(progress, "comparing models", len(terms) + 1 + (len(terms) > 1))

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner import CostToGo, LimitError, Table, TransitionSystem
-from planner.system.arrays import outline
+from planner import CostToGo, LimitError, Table, TransitionSystem, known_costs
 from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.choice_model import ChoiceModel
@@ -24,7 +24,7 @@ from .choosing import with_model
 from .diagnostics import UNCHECKED, check
 from .hierarchy import Hierarchy, fit_terms
 from .likelihood import Method
-from .log import Fault, Log, in_order
+from .log import Fault, Log, in_order, log_of
 from .maximum_likelihood import largest_beta, maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
 from .observations import EvaluatedStates, Ints, Observations, observe
@@ -32,11 +32,25 @@ from .person_estimate import PersonEstimate, nothing_known
 from .population import ETAS, PopulationFit, fit_population, population_of
 from .replay import Recording, replay, situation
 
+if TYPE_CHECKING:
+    from planner import AnyTask
+
 Terms = bool | Mapping[str, Term]
 
 
 class LogError(ValueError):
     """No part of the log can be used, or, with `strict`, not all of it."""
+
+
+@dataclass(frozen=True)
+class FactsOf:
+    """Returns the facts that hold in states, shape (M,), of a task."""
+
+    costs: CostToGo
+
+    def __call__(self, states: Ints) -> list[list[str]]:
+        """Return the facts of each state."""
+        return [self.costs.task.facts(values) for values in self.costs.values(states).tolist()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +67,8 @@ class FittedPeople(Mapping[str, PersonEstimate]):
         Unusable lines of the log.
     method : Method
         Options of the estimation.
-    facts : callable
-        Returns the facts that hold in states, shape (M,), of the task.
+    facts : FactsOf, optional
+        Returns the facts that hold in states, shape (M,), of the task; None if no misconceptions were estimated.
     hierarchy : Hierarchy or None
         The estimated population, if terms were requested.
     chooses : ChoiceModel or None
@@ -65,11 +79,15 @@ class FittedPeople(Mapping[str, PersonEstimate]):
     unknown: Mapping[str, Mapping[str, Any]]
     faults: tuple[Fault, ...]
     method: Method
-    facts: Callable[[Ints], list[list[str]]]
+    facts: FactsOf | None = None
     hierarchy: Hierarchy | None = None
     chooses: ChoiceModel | None = None
 
-    __repr__ = outline
+    def __repr__(self) -> str:
+        shown = ", ".join(map(str, self.records[:3]))
+        more = ", ..." if len(self.records) > 3 else ""
+        without = f"; {len(self.unknown)} without an estimate" if self.unknown else ""
+        return f"<{len(self)} fitted people: {shown}{more}{without}; {len(self.faults)} faults of the log>"
 
     def __getitem__(self, person: str) -> PersonEstimate:
         for record in self.records:
@@ -132,8 +150,8 @@ class FittedPeople(Mapping[str, PersonEstimate]):
 
 @shows_progress
 def fit(
-    costs: CostToGo,
-    log: Log,
+    costs: CostToGo | AnyTask,
+    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]],
     *,
     drop: Sequence[str] = (),
     rename: Mapping[str, str] | None = None,
@@ -150,10 +168,10 @@ def fit(
 
     Parameters
     ----------
-    costs : CostToGo
+    costs : CostToGo, or whatever `planner.load` takes
         Cost-to-go of their task, as a table or on demand; only visited states and their successors are queried.
-    log : Log
-        A log, as from `read_log`.
+    log : Log, path, list of dict, or data frame
+        A log, as from `read_log`, or what `read_log` and `Log.of` take.
     drop, rename
         As in `replay`.
     method : Method, optional
@@ -178,6 +196,8 @@ def fit(
     ------
     LogError
         No part of the log can be used or, with `strict`, some part cannot.
+    TypeError
+        `costs` is no task, or `log` is no log.
     ValueError
         A name in `drop` or `rename` does not exist.
     MemoryError
@@ -190,6 +210,7 @@ def fit(
     """
     assert callable(progress)
     progress("evaluating states", 0, None)
+    costs, log = known_costs(costs), log_of(log)
     recording, known, faults = replayed(costs, log, drop=drop, rename=rename, strict=strict)
     advance = adding(progress, "fitting people", len(recording.people))
     return learn(
@@ -300,9 +321,6 @@ def learn(
         if (misconceptions or terms) and progress is not None:
             progress(1)
 
-    def facts(states: Ints) -> list[list[str]]:
-        return [costs.task.facts(values) for values in costs.values(states).tolist()]
-
     named = log.people | {fault.person for fault in faults if fault.person is not None}
     unknown = {
         person: nothing_known(
@@ -312,7 +330,9 @@ def learn(
         )
         for person in sorted(named - {o.person for o in observations}, key=in_order)
     }
-    return FittedPeople(tuple(records), unknown, faults, method, facts, population, chooses)
+    return FittedPeople(
+        tuple(records), unknown, faults, method, FactsOf(costs) if misconceptions else None, population, chooses
+    )
 
 
 def observed(

@@ -6,8 +6,10 @@ The goals are summed out of the likelihood (`likelihood`): each episode has a go
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,18 +20,21 @@ from ..people.decision import Floats
 from ..people.goals import prior_over
 from .diagnostics import UNCHECKED
 from .fit import FittedPeople
-from .goals import RecordedWithGoals, recorded
+from .goals import RecordedWithGoals, costs_of_goals, recorded
 from .likelihood import Method
-from .log import Log, in_order
+from .log import Log, in_order, log_of
 from .maximum_likelihood import Fit, largest_beta, maximum_likelihood
-from .observations import EvaluatedStates, Ints, Observations, UnknownGoals, observe
+from .observations import EvaluatedStates, Observations, UnknownGoals, observe
 from .person_estimate import PersonEstimate, nothing_known
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 
 @shows_progress
 def fit_with_goals(
-    goals: Mapping[str, CostToGo],
-    log: Log,
+    goals: Mapping[str, CostToGo | AnyTask],
+    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]],
     *,
     prior: Mapping[str, float] | None = None,
     drop: Sequence[str] = (),
@@ -66,6 +71,7 @@ def fit_with_goals(
         Some lines cannot be used (`FittedPeople.faults`), or some states were not evaluated.
     """
     assert callable(progress)
+    log, goals = log_of(log), costs_of_goals(goals)
     shares = prior_over(goals, prior)
     found = recorded(goals, log, drop=drop, rename=rename, strict=strict)
     if found.faults:
@@ -112,10 +118,7 @@ def learn_with_goals(
         for person in sorted(named - {o.person for o in observations}, key=in_order)
     }
 
-    def facts(states: Ints) -> list[list[str]]:
-        raise NotImplementedError("facts of states are those of misconceptions, which are not estimated with goals")
-
-    return FittedPeople(tuple(records), unknown, found.faults, method, facts)
+    return FittedPeople(tuple(records), unknown, found.faults, method)
 
 
 def _observations(found: RecordedWithGoals, names: tuple[str, ...], prior: Floats) -> list[Observations]:

@@ -10,14 +10,15 @@ actions, without any approximation.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from os import PathLike
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import CostToGo
+from planner import CostToGo, known_costs
 from planner.system.arrays import outline, read_only
 
 from ..people.belief import Grid
@@ -28,9 +29,12 @@ from ..people.goals import prior_over
 from ..people.human import Population
 from .fit import LogError, require_actions
 from .joint_states import JointStates
-from .log import Fault, Log
+from .log import Fault, Log, log_of
 from .observations import Ints
 from .replay import Recording, replay
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 
 @dataclass(frozen=True)
@@ -123,8 +127,8 @@ class InferredGoals:
 
 
 def infer_goals(
-    goals: Mapping[str, CostToGo],
-    log: Log,
+    goals: Mapping[str, CostToGo | AnyTask],
+    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]],
     *,
     prior: Mapping[str, float] | None = None,
     beta: ArrayLike | None = None,
@@ -137,11 +141,11 @@ def infer_goals(
 
     Parameters
     ----------
-    goals : mapping of str to CostToGo
+    goals : mapping of str to CostToGo, or to whatever `planner.load` takes
         Cost-to-go of each goal, by the goal's name, such as the tables of `planner.sweep_goals`. The tasks differ in
         their goals only.
-    log : Log
-        A log, as from `read_log`. Suggestions in it are ignored.
+    log : Log, path, list of dict, or data frame
+        A log, as in `fit`. Suggestions in it are ignored.
     prior : mapping of str to float, optional
         Probability of each goal at the beginning of an episode; by default all are equal.
     beta : array_like, shape (B,), optional
@@ -173,13 +177,25 @@ def infer_goals(
     a goal would stop: an action after that is a lapse, of probability `lapse` divided by the number of choices. Once
     all goals are reached, actions are excluded as in `fit`.
     """
-    found = inferred(goals, log, prior=prior, beta=beta, lapse=lapse, drop=drop, rename=rename, strict=strict)
+    log = log_of(log)
+    found = inferred(
+        costs_of_goals(goals), log, prior=prior, beta=beta, lapse=lapse, drop=drop, rename=rename, strict=strict
+    )
     if found.faults:
         others = f" (and {len(found.faults) - 1} more; see `faults`)" if len(found.faults) > 1 else ""
         warnings.warn(f"{log.name}:{found.faults[0].line}: {found.faults[0]}{others}", stacklevel=2)
     for note in found.notes:
         warnings.warn(note, stacklevel=2)
     return found
+
+
+def costs_of_goals(goals: Mapping[str, CostToGo | AnyTask]) -> dict[str, CostToGo]:
+    """Return the cost-to-go of each goal, whose task may be given in any form."""
+    if not isinstance(goals, Mapping):
+        raise TypeError(
+            f"a {type(goals).__name__} where goals were expected: a dictionary, a task for each goal's name"
+        )
+    return {name: known_costs(task) for name, task in goals.items()}
 
 
 def inferred(

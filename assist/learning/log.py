@@ -168,12 +168,28 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[
     return _log(rows, gaps, str(path), note)
 
 
+def log_of(log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]]) -> Log:
+    """Return a log in any form: itself, its file, records, or a data frame.
+
+    Raises
+    ------
+    TypeError
+        It is no log.
+    """
+    if isinstance(log, Log):
+        return log
+    return read_log(log) if isinstance(log, str | PathLike) else Log.of(log)
+
+
 def _records(records: Any) -> Iterable[Mapping[str, Any]]:
     """Return records, also those of a data frame."""
     if hasattr(records, "to_dicts"):  # polars
         return cast(Iterable[Mapping[str, Any]], records.to_dicts())
     if hasattr(records, "to_dict"):  # pandas
         return cast(Iterable[Mapping[str, Any]], records.to_dict("records"))
+    if isinstance(records, str | bytes | Mapping) or not isinstance(records, Iterable):
+        wanted = "a Log, the name of its file, a list of dictionaries, or a data frame"
+        raise TypeError(f"a {type(records).__name__} where a log was expected: {wanted}")
     return cast(Iterable[Mapping[str, Any]], records)
 
 

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from planner.system.arrays import outline
-
 from ..people.decision import NOTHING
 from .diagnostics import Check
 from .maximum_likelihood import Estimate, Fit
@@ -39,7 +37,14 @@ class PersonEstimate:
     misconception: MisconceptionFit | None = None
     left_out: int = 0
 
-    __repr__ = outline
+    def __str__(self) -> str:
+        """Return the person and the estimates of beta and theta, if the actions say something about them."""
+        known = {"beta": self.beta, "theta": self.theta}
+        found = [f"{name} {value:.2f}" for name, value in known.items() if value is not None]
+        return f"{self.person} ({', '.join([*found, f'{self.actions} actions'])})"
+
+    def __repr__(self) -> str:
+        return f"<estimates of {self}>"
 
     @property
     def person(self) -> str:

@@ -24,6 +24,8 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import chdtri, logit, ndtr
 
+from planner.system.arrays import outline
+
 from ..people.arguments import number
 from ..people.decision import NOTHING, Floats
 from ..people.human import Population, Range
@@ -66,6 +68,8 @@ class Margin:
     mean: float
     spread: float
     recorded: tuple[float, float]
+
+    __repr__ = outline
 
     @classmethod
     def of(cls, family: str, parameters: tuple[float, ...], edges: Floats, shares: Floats, recorded: Floats) -> Margin:
@@ -130,6 +134,8 @@ class PopulationFit:
     weights: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     trust: Mapping[str, Any] | None = None
     utility_scale: float = 1.0
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         self.shares.flags.writeable = False

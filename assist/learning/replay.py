@@ -167,6 +167,7 @@ def replay(
         `drop` or `rename` has a name that the log, or the task, does not have.
     """
     matcher = Matcher(answers.task.actions)
+    drop = (drop,) if isinstance(drop, str) else drop
     renamed = {old.lower(): new.lower() for old, new in (rename or {}).items()}
     dropped = {words_of(action) for action in drop}
     _check_names(log, matcher, dropped, renamed)

@@ -23,12 +23,12 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner import CostToGo
+from planner import CostToGo, known_costs
 
 from ..explain.explanation import Explanation
 from ..people.decision import NOTHING
@@ -62,8 +62,18 @@ from .roster import Roster, Step, Told
 from .saved_team import people_as_dicts, restore_people, restore_robots, robots_as_dict
 from .uncertain_actions import seen_of
 
+if TYPE_CHECKING:
+    from planner import AnyTask
+
 FORMAT = "kitassist team 1"
 """Format identifier of saved teams."""
+
+
+def _costs(task: CostToGo | Goals | Policy | AnyTask) -> CostToGo | Goals | Policy:
+    """Return goals and policies as they are, and the cost-to-go of any other task."""
+    if isinstance(task, Goals) or hasattr(task, "pomdp"):
+        return cast("Goals | Policy", task)
+    return known_costs(task)
 
 
 class Assistant:
@@ -71,7 +81,7 @@ class Assistant:
 
     Parameters
     ----------
-    task : CostToGo, Goals or Policy
+    task : CostToGo, Goals or Policy, or whatever `planner.load` takes
         The cost-to-go of `planner.cost_to_go`, as a table or on demand; `Goals` if each person pursues one of several
         goals, which is inferred; or a solved policy for one person, for instance with a human model of one's own.
     people : iterable of str, or mapping of str to task
@@ -98,8 +108,8 @@ class Assistant:
 
     def __init__(
         self,
-        task: CostToGo | Goals | Policy | None = None,
-        people: Iterable[str] | Mapping[str, CostToGo | Goals | Policy] = (),
+        task: CostToGo | Goals | Policy | AnyTask | None = None,
+        people: Iterable[str] | Mapping[str, CostToGo | Goals | Policy | AnyTask] = (),
         *,
         policy: str | TeamPolicy = "attention",
         setting: Setting | None = None,
@@ -117,7 +127,7 @@ class Assistant:
         self.policy = policy
         if policy == "rollout":
             self.setting.require_all_seen("policy 'rollout'")
-        self._task = task
+        self._task = None if task is None else _costs(task)
         self._advice: tuple[Advice, ...] | None = None
         self._step = 0
         names = list(people)
@@ -228,11 +238,16 @@ class Assistant:
         self._team.put(record, part, row)
         self._advice = None
 
-    def _problem(self, task: CostToGo | Goals | Policy | None, population: Population | Mixture | None) -> LiveTask:
-        task = task or self._task
-        if task is None:
+    def __repr__(self) -> str:
+        return f"<Assistant of {', '.join(self.people) or 'nobody'}, policy {self.policy!r}, step {self._step}>"
+
+    def _problem(
+        self, task: CostToGo | Goals | Policy | AnyTask | None, population: Population | Mixture | None
+    ) -> LiveTask:
+        known = self._task if task is None else _costs(task)
+        if known is None:
             raise ValueError("there is no task; expected one for the team, or for each person")
-        return self._decisions.problem(task, population or self.population)
+        return self._decisions.problem(known, population or self.population)
 
     # Observations.
 

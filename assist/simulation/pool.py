@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo
+from planner import CostToGo, known_costs
 from planner.system.arrays import frozen, outline
 from planner.system.progress import Progress, Wanted, adding, shows_progress
 
@@ -32,8 +33,24 @@ from .affordable import affordable_choices
 from .memory_needed import MEMORY_LIMIT_MB, require_room_for_people, states_within
 from .union import union
 
+if TYPE_CHECKING:
+    from planner import AnyTask
+
 MAX_ENUMERATED = 200_000
 """Largest number of states of a task that is enumerated because a requested option requires it."""
+
+
+def require_pool(pool: object) -> None:
+    """Check that an argument is a pool.
+
+    Raises
+    ------
+    TypeError
+        It is something else, such as a task.
+    """
+    if not isinstance(pool, Pool):
+        found, example = type(pool).__name__, "Pool.sample(task, 12, seed=1)"
+        raise TypeError(f"pool: expected people at a task, a Pool, not what is a {found}; {example} is one")
 
 
 @dataclass(frozen=True)
@@ -92,7 +109,7 @@ class Pool:
     @shows_progress
     def sample(
         cls,
-        table: CostToGo | Choices | Goals,
+        table: CostToGo | Choices | Goals | AnyTask,
         size: int,
         *,
         seed: Seed,
@@ -112,7 +129,7 @@ class Pool:
 
         Parameters
         ----------
-        table : CostToGo, Choices or Goals
+        table : CostToGo, Choices, Goals, or whatever `planner.load` takes
             Cost-to-go of the people's task, as a table or on demand. `Choices` are enumerated, whatever their number.
             Of `Goals`, each person pursues one in each episode.
         size : int
@@ -149,6 +166,7 @@ class Pool:
             The policies would exceed the memory limit.
         """
         assert callable(progress)
+        table = table if isinstance(table, Choices | Goals) else known_costs(table)
         size, states = whole("size", size, 1), whole("states", states)
         region = None if region is None else whole("region", region, 1)
         setting = setting or Setting()

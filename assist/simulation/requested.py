@@ -16,9 +16,7 @@ from .pool import Pool
 
 
 def require_possible(pool: Pool, world: World, goals: GoalKnowledge) -> None:
-    """Raise an error if the pool is none, or if people and robot of these kinds cannot be simulated."""
-    if not isinstance(pool, Pool):
-        raise TypeError(f"pool: expected people at a task, a Pool, not what is a {type(pool).__name__}")
+    """Raise an error if people and robot of these kinds cannot be simulated."""
     one_of("world", world, get_args(World))
     if goals not in get_args(GoalKnowledge):
         raise ValueError(f"goals {goals!r}: expected {', '.join(map(repr, get_args(GoalKnowledge)))}")

@@ -32,7 +32,7 @@ from .episodes import Episodes
 from .hidden_goals import GoalKnowledge
 from .memory_needed import MEMORY_LIMIT_MB, require_room_for_episodes
 from .model_group import World
-from .pool import Pool
+from .pool import Pool, require_pool
 from .requested import number_of, people_drawn, require_possible, team_of
 from .run import Run
 from .schedule import Schedule
@@ -117,6 +117,7 @@ def simulate(
     LimitError
         The episodes would exceed the memory limit.
     """
+    require_pool(pool)
     require_possible(pool, world, goals)
     count = number_of(episodes)
     places, given = team_of(humans, len(pool.people), count)

@@ -5,13 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..grounding import fast_downward
 from ..grounding.fast_downward import FastDownwardError
+from ..grounding.load import task_of
 from ..grounding.task import Task
 from ..states.packing import can_hold
 from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits, MemoryLimitError
+
+if TYPE_CHECKING:
+    from ..grounding.load import AnyTask
 
 OVERFLOW = 1 << 31
 """Fast Downward's cost sums must stay below this (signed 32-bit integers)."""
@@ -28,13 +32,13 @@ def search_of(task: Task) -> str:
 
 
 def astar(
-    task: Task, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
+    task: AnyTask, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
 ) -> tuple[float, list[str] | None]:
     """Return h* of one state and an optimal plan from it, computed by Fast Downward's A*.
 
     Parameters
     ----------
-    task : Task
+    task : Task, or whatever `load` takes
     state : sequence of int, shape (variables,), optional
         A reachable state; the initial state by default.
     search : str, optional
@@ -65,6 +69,7 @@ def astar(
     most C. Their successors have g <= C + c, and the blind heuristic adds at most c. Hence no sum exceeds
     C + 2 c <= P + 2 c, no sum overflows, and A* is exact. Any other plan is refused with a `CostLimitError`.
     """
+    task = task_of(task)
     if not task.goal:  # Fast Downward requires a goal that mentions each variable at most once
         return 0.0, []
     if not can_hold(task.goal):

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
+from ..grounding.load import task_of
 from ..grounding.task import Effect, Fact, Task
 from ..pddl.instances import PDDLError
 from ..search.backward_search import distances
@@ -21,13 +23,16 @@ from ..system.progress import Wanted, shows_progress
 from .sweep import SweepOptions, explored, require_small_costs
 from .table import Table
 
+if TYPE_CHECKING:
+    from ..grounding.load import AnyTask
+
 Meaning = tuple[frozenset[str], str]
 """A fact of a variable, with the meanings of all values of that variable."""
 
 
 @shows_progress
 def sweep_goals(
-    tasks: Sequence[Task],
+    tasks: Sequence[AnyTask],
     *,
     max_states: int | None = None,
     threads: int | None = None,
@@ -39,7 +44,7 @@ def sweep_goals(
 
     Parameters
     ----------
-    tasks : sequence of Task
+    tasks : sequence of Task, or of whatever `load` takes
         One task for each goal.
     max_states, threads, progress
         As in `sweep`; the limit of states holds for each enumeration.
@@ -52,11 +57,14 @@ def sweep_goals(
         A limit is reached.
     """
     assert callable(progress)
-    require_same_states(tasks)
+    if isinstance(tasks, str):
+        raise TypeError(f"tasks {tasks!r}: expected a list of tasks, one for each goal")
+    loaded = [task_of(task) for task in tasks]
+    require_same_states(loaded)
     budget = Budget.within(max_states)
     threads = threads or processors()
     enumerated: list[tuple[Task, list[tuple[int, Task]]]] = []  # first task of each enumeration, and its members
-    for place, task in enumerate(tasks):
+    for place, task in enumerate(loaded):
         require_small_costs(task)
         for head, members in enumerated:
             goal = _translated(task, head)
@@ -74,7 +82,7 @@ def sweep_goals(
             states = StateSpace(task, len(distance), space.initial, space.transitions, space.index, budget.check_memory)
             tables[place] = Table(states, distance, note)
         budget = budget.beside(space.nbytes)
-    return [tables[place] for place in range(len(tasks))]
+    return [tables[place] for place in range(len(loaded))]
 
 
 def require_same_states(tasks: Sequence[Task]) -> None:

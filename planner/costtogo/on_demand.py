@@ -65,6 +65,9 @@ class OnDemand:
 
     method: Literal["sweep", "on-demand"] = "on-demand"
 
+    def __repr__(self) -> str:
+        return f"<OnDemand of {self.task.instance.problem.stem}: {len(self):,} states met>"
+
     def __init__(
         self,
         task: Task,

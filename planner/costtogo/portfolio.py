@@ -15,19 +15,24 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..grounding.load import task_of
 from ..grounding.task import Task
 from ..system.limits import MAX_STATES, NO_LIMITS, LimitError, Limits, MemoryLimitError
 from ..system.progress import Progress, Wanted, shows_progress
 from .cache import Cache
+from .cost_to_go import CostToGo
 from .on_demand import OnDemand
 from .orbit_table import OrbitTable, orbits
 from .sweep import sweep
 from .table import Table
+
+if TYPE_CHECKING:
+    from ..grounding.load import AnyTask
 
 FIRST = 0.008
 """Seconds for which the sweep runs alone. A task of some ten thousand states is swept in that time."""
@@ -42,7 +47,7 @@ class _Unswept(NamedTuple):
 
 @shows_progress
 def cost_to_go(
-    task: Task,
+    task: AnyTask,
     states: ArrayLike | None = None,
     *,
     max_states: int = MAX_STATES,
@@ -62,7 +67,8 @@ def cost_to_go(
 
     Parameters
     ----------
-    task : Task
+    task : Task, or whatever `load` takes
+        A cost-to-go stands for its task.
     states : int array, shape (N, variables), optional
         Values of the requested states; all states by default.
     max_states : int
@@ -92,8 +98,11 @@ def cost_to_go(
     ------
     LimitError
         The deadline has passed.
+    TypeError
+        It is no task.
     """
     assert callable(progress)
+    task = task_of(task)
     limited: dict[str, Any] = {"max_states": max_states, "memory_limit_mb": memory_limit_mb, "deadline": deadline}
     swept = partial(_swept, task, threads=jobs, reserved_bytes=reserved_bytes, **limited)
     if states is not None:
@@ -102,6 +111,13 @@ def cost_to_go(
     if isinstance(answer, _Unswept):
         return OnDemand(task, cache=cache, jobs=jobs, limits=limits, reason=answer.reason, orbits=answer.orbits)
     return answer
+
+
+def known_costs(problem: AnyTask) -> CostToGo:
+    """Return a cost-to-go as it is, or compute that of a task; a `TypeError` says what was expected."""
+    if all(hasattr(problem, name) for name in ("lookup", "choices", "task")):
+        return cast(CostToGo, problem)
+    return cost_to_go(problem)
 
 
 def _swept(

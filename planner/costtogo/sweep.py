@@ -14,7 +14,9 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from ..grounding.load import task_of
 from ..grounding.task import Task
 from ..pddl.formulas import LARGEST_COST
 from ..search.backward_search import distances
@@ -32,6 +34,9 @@ from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError
 from ..system.machine import processors
 from ..system.progress import Progress, Wanted, shows_progress
 from .table import Table
+
+if TYPE_CHECKING:
+    from ..grounding.load import AnyTask
 
 LOOKING = "a ranking was looked for"
 """Phase in messages about limits: the construction of a ranking."""
@@ -65,7 +70,7 @@ class SweepOptions:
 
 @shows_progress
 def sweep(
-    task: Task,
+    task: AnyTask,
     *,
     max_states: int | None = None,
     memory_limit_mb: float | None = None,
@@ -80,7 +85,7 @@ def sweep(
 
     Parameters
     ----------
-    task : Task
+    task : Task, or whatever `load` takes
     max_states : int, optional
         Largest number of states; unlimited by default.
     memory_limit_mb : float, optional
@@ -104,6 +109,7 @@ def sweep(
         A limit is reached, or a cost is larger than `LARGEST_COST`.
     """
     assert callable(progress)
+    task = task_of(task)
     require_small_costs(task)
     budget = Budget.within(max_states, memory_limit_mb, deadline, stop, reserved_bytes)
     threads = threads or processors()

@@ -7,7 +7,7 @@ import tempfile
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from ..pddl import built_problems, bundled, instance_finder, instances
 from ..pddl.compilation import Compilation, compiled
@@ -23,8 +23,32 @@ if TYPE_CHECKING:
     from unified_planning.model import Problem
 
 
+class HasTask(Protocol):
+    """A cost-to-go, for instance."""
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+
+
+AnyTask: TypeAlias = "str | Path | instances.Instance | Task | HasTask | Problem"
+"""Whatever stands for a task."""
+
+
+def task_of(problem: AnyTask) -> Task:
+    """Return the task of a problem in any form: all that `load` takes, or a cost-to-go.
+
+    Raises
+    ------
+    TypeError
+        It is no problem.
+    """
+    found: Any = getattr(problem, "task", problem)
+    return load(found)
+
+
 def load(
-    problem: str | Path | instances.Instance | Problem,
+    problem: str | Path | instances.Instance | Task | Problem,
     domain: str | Path | None = None,
     *,
     limits: Limits = NO_LIMITS,
@@ -34,9 +58,9 @@ def load(
 
     Parameters
     ----------
-    problem : path, Instance, or Problem of unified-planning
+    problem : path, Instance, Task, or Problem of unified-planning
         Problem file, name of a bundled task (`kitting/paper`), or a problem that was built in Python. The task keeps
-        the names of the latter.
+        the names of the latter. A `Task` is returned as it is.
     domain : path, optional
         Domain file; by default `instance_finder.instance` searches for it.
     limits : Limits
@@ -51,12 +75,21 @@ def load(
         The files are not valid, with file and line.
     LimitError
         Grounding ran out of time or memory.
+    TypeError
+        It is no problem.
     """
+    if isinstance(problem, Task):
+        return problem
     if isinstance(problem, str | Path):
         problem = instance_finder.instance(problem, domain)
         if not problem.problem.exists():
             raise instances.PDDLError(problem.problem, None, f"no such problem file{bundled.near(problem.problem)}")
     if not isinstance(problem, instances.Instance):
+        if not any(kind.__module__.startswith("unified_planning.") for kind in type(problem).__mro__):
+            wanted = (
+                "its name, such as 'kitting/tiny', its file, a Task, its cost-to-go, or a Problem of unified-planning"
+            )
+            raise TypeError(f"a {type(problem).__name__} where a task was expected: {wanted}")
         return _load_built(problem, limits)
     instance, stored = problem, None
     if cache is not None and instance.domain.is_file() and instance.problem.is_file():

@@ -1,0 +1,144 @@
+"""What a newcomer passes to the main functions is taken, or one sentence says what to pass; results are kept."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import KITTING
+from recorded import lines
+
+from assist import Assistant, Pool, fit, simulate
+from assist.certify import certify, upper_bound
+from assist.drawing import draw
+from assist.large_tasks.person_problem import PersonProblem
+from assist.learning import Log, compare, fit_with_goals, infer_goals, read_log
+from planner import OnDemand, astar, cost_to_go, load, sweep, sweep_goals
+
+ACTIONS = ["(fetch box-a)", "(place hammer slot-2)", "(remove hammer slot-2)", "(place hammer slot-1)"]
+ROWS = [row for person in ("ann", "bob") for row in lines(*ACTIONS, person=person, told={1: "(place hammer slot-1)"})]
+LOG = Log.of(ROWS)
+
+TASKS: dict[str, Callable[[], Any]] = {
+    "name": lambda: "kitting/tiny",
+    "file": lambda: str(KITTING / "tiny.pddl"),
+    "path": lambda: KITTING / "tiny.pddl",
+    "task": lambda: load("kitting/tiny"),
+    "table": lambda: cost_to_go(load("kitting/tiny")),
+    "on demand": lambda: OnDemand(load("kitting/tiny")),
+}
+OF_A_TASK: dict[str, Callable[[Any], Any]] = {
+    "cost_to_go": lambda task: cost_to_go(task)[0],  # type: ignore[index]
+    "sweep": lambda task: len(sweep(task)),
+    "astar": lambda task: astar(task)[0],
+    "sweep_goals": lambda task: len(sweep_goals([task])[0]),
+    "Pool.sample": lambda task: [human.beta for human in Pool.sample(task, 2, seed=1).people],
+    "Assistant": lambda task: Assistant(task, ["ann"]).recommend(),
+    "Assistant by name": lambda task: Assistant(people={"ann": task}).recommend(),
+    "fit": lambda task: round(fit(task, LOG)["ann"].beta or 0.0, 9),
+    "compare": lambda task: compare(task, LOG).models[0].nats_per_choice,
+    "infer_goals": lambda task: len(infer_goals({"kit": task}, LOG).episodes),
+    "fit_with_goals": lambda task: round(fit_with_goals({"kit": task}, LOG)["ann"].beta or 0.0, 9),
+    "PersonProblem.of": lambda task: len(PersonProblem.of(task).states),
+    "draw": lambda task: draw(task).svg,
+}
+SEARCHED = ("Assistant", "Assistant by name", "Pool.sample", "PersonProblem.of")  # a truncated task is another problem
+
+
+@pytest.mark.filterwarnings("ignore:suggestions are ignored")
+@pytest.mark.parametrize("function", OF_A_TASK)
+def test_a_task_may_be_given_in_any_form(function: str) -> None:
+    call = OF_A_TASK[function]
+    found = {name: call(make()) for name, make in TASKS.items() if name != "on demand" or function not in SEARCHED}
+    assert {name: value == found["table"] for name, value in found.items()} == dict.fromkeys(found, True)
+    for wrong in (5, {"kitting": 1}, ["kitting/tiny"], load):
+        with pytest.raises(
+            TypeError, match=rf"^a {type(wrong).__name__} where a task was expected: its name, "
+        ) as error:
+            call(wrong)
+        assert "\n" not in str(error.value)
+
+
+LOGS: dict[str, Callable[[Path], Any]] = {
+    "log": lambda _: LOG,
+    "file": str,
+    "path": lambda file: file,
+    "read": read_log,
+    "records": lambda _: ROWS,
+    "an iterator": lambda _: iter(ROWS),
+    "data frame": lambda _: pytest.importorskip("pandas").DataFrame(ROWS),
+}
+
+
+@pytest.mark.parametrize("form", LOGS)
+def test_a_log_may_be_given_in_any_form(tmp_path: Path, form: str) -> None:
+    file = tmp_path / "log.jsonl"
+    file.write_text("".join(json.dumps(row) + "\n" for row in ROWS))
+    assert fit("kitting/tiny", LOGS[form](file))["bob"].actions == len(ACTIONS)
+
+
+@pytest.mark.parametrize("function", [fit, compare, lambda task, log: infer_goals({"kit": task}, log)])
+def test_what_is_no_log_gets_one_sentence(function: Callable[..., Any]) -> None:
+    for wrong in (5, None, {"person": ["ann"]}, b"log.csv"):
+        with pytest.raises(
+            TypeError, match=rf"^a {type(wrong).__name__} where a log was expected: a Log, the name of "
+        ):
+            function("kitting/tiny", wrong)
+    with pytest.raises(TypeError, match=r"^a str where goals were expected"):
+        infer_goals("kitting/tiny", LOG)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"expected a list of tasks"):
+        sweep_goals("kitting/tiny")  # type: ignore[arg-type]
+
+
+def test_a_task_where_a_pool_was_expected() -> None:
+    said = r"^pool: expected people at a task, a Pool, not what is a str; Pool.sample\(task, 12, seed=1\) is one$"
+    for call in (simulate, certify):
+        with pytest.raises(TypeError, match=said):
+            call("kitting/tiny", "reactive", humans=2, episodes=2, seed=0)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=said):
+        upper_bound("kitting/tiny")  # type: ignore[arg-type]
+
+
+def test_policies_need_no_names() -> None:
+    pool = Pool.sample("kitting/tiny", 1, seed=1)
+    options: dict[str, Any] = {"episodes": 2, "window": 0, "gap": 0.5}
+    for given in ("none", ["none"], {"none": "none"}):
+        assert [one.policy for one in certify(pool, given, **options)[1]] == ["none"]
+
+
+def test_one_action_to_drop_needs_no_list() -> None:
+    assert fit("kitting/tiny", lines("wait", *ACTIONS), drop="wait")["ann"].actions == len(ACTIONS)
+
+
+@pytest.mark.parametrize("options", [{}, {"misconceptions": True}, {"terms": True}])
+def test_results_of_fit_are_kept_and_say_what_they_are(options: dict[str, bool]) -> None:
+    with pytest.warns(UserWarning, match="is not applicable here"):
+        people = fit("kitting/tiny", [*ROWS, *lines("(fetch box-b)", "(fetch box-b)", person="cy")], **options)
+    again = pickle.loads(pickle.dumps(people))
+    assert again.as_dicts() == people.as_dicts()
+    assert repr(again["ann"]) == repr(people["ann"]) != repr(people["bob"])
+    assert repr(people).startswith("<2 fitted people: ann (")
+    assert repr(people).endswith("4 actions); 1 without an estimate; 1 faults of the log>")
+    assert repr(people["ann"]).startswith("<estimates of ann (")
+
+
+@pytest.mark.filterwarnings("ignore:suggestions are ignored")
+def test_other_results_are_kept_and_fit_on_a_line() -> None:
+    pool = Pool.sample("kitting/tiny", 2, seed=1)
+    episodes = simulate(pool, "reactive", humans=2, episodes=3, seed=1)
+    goals = fit_with_goals({"kit": "kitting/tiny"}, LOG)
+    results = [
+        pool, episodes, episodes[0], episodes.summary(), certify(pool, "none", episodes=2, window=0, gap=0.5)[0],
+        goals, goals.distribution(), goals.population(), compare("kitting/tiny", LOG),
+        infer_goals({"kit": "kitting/tiny"}, LOG), PersonProblem.of("kitting/tiny"), OnDemand(load("kitting/tiny")),
+        cost_to_go("kitting/tiny"), load("kitting/tiny"), LOG,
+    ]  # fmt: skip
+    for one in results:
+        assert repr(pickle.loads(pickle.dumps(one))) == repr(one)
+        assert len(repr(one)) < 600
+        assert " object at 0x" not in repr(one)
+    assert repr(Assistant("kitting/tiny", ["ann"])) == "<Assistant of ann, policy 'attention', step 0>"
