@@ -18,8 +18,8 @@ minimises costs, else with the fewest actions.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from math import isfinite
+from collections.abc import Callable, Mapping
+from math import inf, isfinite
 from typing import IO, TYPE_CHECKING, Any
 from warnings import warn
 
@@ -36,7 +36,7 @@ from .costtogo.sweep import sweep
 from .grounding.fast_downward import FastDownwardError
 from .grounding.load import load
 from .grounding.task import Task
-from .pddl.built_problems import with_plain_costs
+from .pddl.built_problems import plain
 from .pddl.instances import PDDLError
 from .system.limits import CostLimitError, LimitError, Limits, MemoryLimitError
 
@@ -118,7 +118,9 @@ class Engine(engines.Engine, OneshotPlannerMixin):
         start = time.monotonic()
 
         def left() -> Limits:
-            return Limits() if timeout is None else Limits(seconds=max(0.01, timeout - (time.monotonic() - start)))
+            if timeout is None or timeout == inf:
+                return Limits()
+            return Limits(seconds=max(0.01, timeout - (time.monotonic() - start)))
 
         try:
             task = load(problem, limits=left())
@@ -158,14 +160,15 @@ def _read_plan(problem: Problem, plan: list[str]) -> SequentialPlan:
 
     The actions have the problem's own names, or else the names in its PDDL files.
     """
-    own = {item.name: item for item in (*problem.actions, *problem.all_objects)}
+    own_actions = {action.name: action for action in problem.actions}  # an object may have the name of an action
+    own_objects = {each.name: each for each in problem.all_objects}
     written: dict[str, Any] = {}
 
-    def find(word: str) -> Any:
+    def find(word: str, own: Mapping[str, Any]) -> Any:
         if word in own:
             return own[word]
         if not written:
-            writer = PDDLWriter(with_plain_costs(problem))
+            writer = PDDLWriter(plain(problem))
             writer.get_domain()
             writer.get_problem()
             written.update(writer.nto_renamings)
@@ -174,6 +177,7 @@ def _read_plan(problem: Problem, plan: list[str]) -> SequentialPlan:
     steps = []
     for action in plan:
         name, *arguments = action[1:-1].split()
-        objects = [problem.environment.expression_manager.ObjectExp(find(word)) for word in arguments]
-        steps.append(ActionInstance(find(name), tuple(objects)))
+        variables = problem.environment.expression_manager
+        objects = [variables.ObjectExp(find(word, own_objects)) for word in arguments]
+        steps.append(ActionInstance(find(name, own_actions), tuple(objects)))
     return SequentialPlan(steps, problem.environment)

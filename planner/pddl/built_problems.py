@@ -11,7 +11,7 @@ import itertools
 import math
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ from .instances import Instance, PDDLError
 from .validation import clear_walkers
 
 if TYPE_CHECKING:
-    from unified_planning.model import Action, FNode, Problem
+    from unified_planning.model import Action, Fluent, FNode, Problem, Variable
 
 
 def named(problem: Problem) -> Instance:
@@ -42,7 +42,7 @@ def write(problem: Problem, folder: Path) -> tuple[Instance, dict[str, str]]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            writer = PDDLWriter(with_plain_costs(problem))
+            writer = PDDLWriter(plain(problem))
             writer.write_domain(str(instance.domain))
             writer.write_problem(str(instance.problem))
     except PDDLError:
@@ -53,6 +53,92 @@ def write(problem: Problem, folder: Path) -> tuple[Instance, dict[str, str]]:
         raise PDDLError(named(problem).problem, None, f"cannot be written as classical PDDL: {reason}") from None
     renamed = {name: item.name for name, item in writer.nto_renamings.items() if name != item.name}
     return instance, {name: own for name, own in renamed.items() if own and not re.search(r"[\s(),]", own)}
+
+
+def plain(problem: Problem) -> Problem:
+    """Return a problem with the same plans, in the constructs that PDDL has and Fast Downward reads."""
+    return with_plain_costs(with_plain_formulas(problem))
+
+
+def with_plain_formulas(problem: Problem) -> Problem:
+    """Return the problem without constants in formulas, and without quantifiers over types that have no objects.
+
+    The assignment of a formula to a fluent becomes two conditional effects. Actions that can never be done, or change
+    nothing, are left out, since no shortest or cheapest plan needs them.
+    """
+    from unified_planning.model import Effect
+    from unified_planning.model.walkers.identitydag import IdentityDagWalker
+
+    make = problem.environment.expression_manager
+
+    def is_empty(variables: Iterable[Variable]) -> bool:
+        return any(not any(True for _ in problem.objects(one.type)) for one in variables)
+
+    class Inhabited(IdentityDagWalker):  # type: ignore[misc]  # the library has no types
+        """Decides quantifiers over types without objects; `simplify` takes any quantifier over nothing for its body."""
+
+        def walk_exists(self, expression: FNode, args: list[FNode], **_: object) -> FNode:
+            return make.FALSE() if is_empty(expression.variables()) else make.Exists(args[0], *expression.variables())
+
+        def walk_forall(self, expression: FNode, args: list[FNode], **_: object) -> FNode:
+            return make.TRUE() if is_empty(expression.variables()) else make.Forall(args[0], *expression.variables())
+
+    walker = Inhabited(problem.environment)
+
+    def simple(formula: FNode) -> FNode:
+        return walker.walk(formula).simplify()
+
+    def parts(effect: Effect) -> list[Effect]:
+        """Return effects that assign constants, under conditions that may hold."""
+        if is_empty(effect.forall):
+            return []
+        condition, value = simple(effect.condition), simple(effect.value)
+        found = [(condition, value)]
+        if value.type.is_bool_type() and not value.is_bool_constant():
+            found = [(simple(make.And(condition, value)), make.TRUE())]
+            found.append((simple(make.And(condition, make.Not(value))), make.FALSE()))
+        return [
+            Effect(effect.fluent, to, when, effect.kind, effect.forall) for when, to in found if not when.is_false()
+        ]
+
+    found = problem.clone()
+    actions = list(found.actions)
+    found.clear_actions()
+    for action in actions:
+        conditions = [simple(one) for one in action.preconditions]
+        effects = [part for effect in action.effects for part in parts(effect)]
+        if not effects or any(one.is_false() for one in conditions):
+            continue
+        action.clear_preconditions()
+        action.clear_effects()
+        for one in conditions:
+            action.add_precondition(one)
+        for part in effects:
+            action._add_effect_instance(part)
+        found.add_action(action)
+    goals = [simple(one) for one in found.goals]
+    found.clear_goals()
+    for one in goals:
+        found.add_goal(one)
+    if any(one.is_false() for one in goals):
+        found.clear_goals()
+        found.add_goal(_never(found)())
+    if len(found.quality_metrics) == 1 and found.quality_metrics[0].is_minimize_action_costs():
+        (metric,) = problem.quality_metrics
+        found.clear_quality_metrics()
+        costs = {action: metric.get_action_cost(problem.action(action.name)) for action in found.actions}
+        found.add_quality_metric(type(metric)({action: cost for action, cost in costs.items() if cost is not None}))
+    return found
+
+
+def _never(problem: Problem) -> Fluent:
+    """Add a fluent that never holds, and return it."""
+    from unified_planning.model import Fluent
+
+    name = next(f"never{n}" for n in itertools.count() if not problem.has_name(f"never{n}"))
+    never = Fluent(name, problem.environment.type_manager.BoolType(), environment=problem.environment)
+    problem.add_fluent(never, default_initial_value=False)
+    return never
 
 
 def with_plain_costs(problem: Problem) -> Problem:
