@@ -334,3 +334,16 @@ def test_a_long_condition_of_the_goal_wraps_and_is_in_every_frame(tmp_path: Path
         assert picture.width <= WIDTH
         said = " ".join(re.findall(r'class="ka-small">([^<]+)<', picture.svg[picture.svg.rindex(">Also<") :]))
         assert goal in said
+
+
+def test_a_comparison_in_the_goal_is_shown_as_in_the_file(tmp_path: Path) -> None:
+    domain = """(define (domain d) (:requirements :typing :fluents) (:types bin) (:functions (v ?b - bin))
+      (:action add :parameters (?b - bin) :precondition (< (v ?b) 2) :effect (increase (v ?b) 1)))"""
+    (tmp_path / "domain.pddl").write_text(domain)
+    goal = "(< (v a) (v b))"
+    problem = f"(define (problem p) (:domain d) (:objects a b - bin) (:init (= (v a) 0) (= (v b) 0)) (:goal {goal}))"
+    (tmp_path / "p.pddl").write_text(problem)
+    artist = Artist(load(tmp_path / "p.pddl"))
+    before, after = (artist.scene(values) for values in artist.subject.follow(["(add b)"]))
+    assert (before.goal, after.goal) == ([(goal, False)], [(goal, True)])
+    assert "v b = 1" in after.said

@@ -224,11 +224,12 @@ def _goal(goal: Expression, task: Task) -> tuple[Wanted, ...]:
 
 
 def _grounded_goal(task: Task, whole: str = "the goal") -> tuple[Wanted, ...]:
-    found = []
+    """Return the goal of the grounded task; conditions that were compiled to a fact of their own are named `whole`."""
+    found, held = [], {fact for variable in task.variables if variable.axiom_layer < 0 for fact in variable.facts}
     for variable, value in task.goal:
         fact = task.variables[variable].facts[value]
         one = atom(fact.removeprefix("Negated"))
-        if one is None:
+        if one is None or (whole.startswith("(") and fact not in held and f"({one[0]}" not in whole):
             found.append(Wanted(None, False, whole, variable, value))
         else:
             negated = fact.startswith("Negated")
