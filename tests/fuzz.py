@@ -90,7 +90,7 @@ def without_processes() -> None:
         def ask(self, plan: Sequence[str]) -> None:
             self._plan = plan
 
-        def answer(self, seconds: float) -> Any:  # noqa: ARG002
+        def answer(self, processor: float, seconds: float = 0.0) -> Any:  # noqa: ARG002
             try:
                 problem = parsed(*self._texts)
                 if self._plan is not None:
