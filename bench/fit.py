@@ -358,7 +358,7 @@ def wander(task: Task, count: int, actions: int, rng: np.random.Generator) -> li
             options = asked.choices([x])
             slot = int(rng.integers(len(options.actions)))
             if rng.random() >= share:
-                slot = int(np.flatnonzero(options.actions == task.action_index[plan[0]])[0])
+                slot = int(np.flatnonzero(options.actions == task.numbers_of[plan[0]][0])[0])
             action = task.actions[options.actions[slot]]
             rows.append({"person": f"person-{k + 1:02}", "episode": str(episode), "step": step, "action": action})
             x, step = int(options.targets[slot]), step + 1

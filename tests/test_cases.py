@@ -13,6 +13,7 @@ from conftest import invoke, understood
 from assist.live import Assistant
 from planner import PDDLError, cost_to_go, find_instances, instance, load
 from planner.engine import Engine
+from planner.grounding.semantics import plan_cost
 
 DOMAIN = """(define (domain packing)
   (:requirements :strips :typing :action-costs)
@@ -125,7 +126,7 @@ def test_from_the_engine(tmp_path: Path, name: str) -> None:
             result = engine.solve(understood(instance(problem)))
     assert result.status.name == "SOLVED_OPTIMALLY"
     plan = [f"({' '.join([step.action.name, *map(str, step.actual_parameters)])})" for step in result.plan.actions]
-    assert load(problem).plan_cost(plan) == CASES[name].cost
+    assert plan_cost(load(problem), plan) == CASES[name].cost
 
 
 def test_from_the_command_line(tmp_path: Path) -> None:

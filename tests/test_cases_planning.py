@@ -22,6 +22,7 @@ from planner.batch.solve_instance import solve_instance
 from planner.batch.solve_record import SWEEPING, SolveOptions
 from planner.costtogo.verification import check_plan
 from planner.grounding import fast_downward
+from planner.grounding.semantics import plan_cost
 from planner.pddl import validation_process
 from planner.pddl.validation import InvalidPlanError
 from planner.pddl.validation_process import LATE
@@ -180,7 +181,7 @@ def test_where_a_star_does_not_answer_soon_the_table_is_checked_at_once(
         "the plan (7 states), and against the successors of 20 states"
     )
     assert (told[0]["cost"], told[0]["plan"], told[0]["note"]) == (6, None, "A* had not found its plan")
-    assert load(TINY).plan_cost(record["plan"]) == 6
+    assert plan_cost(load(TINY), record["plan"]) == 6
 
 
 def test_a_table_that_is_wrong_along_the_plan_is_found_out(tiny: Table) -> None:

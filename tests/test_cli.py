@@ -23,7 +23,7 @@ from planner.pddl.validation import validate
 
 FIELDS = [
     "instance", "domain", "status", "cost", "plan", "plan_by", "states", "transitions", "dead_ends", "max_cost_to_go",
-    "method", "verified", "consistent", "seconds", "peak_memory_mb", "versions", "error", "note",
+    "method", "verified", "consistent", "compiled", "seconds", "peak_memory_mb", "versions", "error", "note",
 ]  # fmt: skip
 
 

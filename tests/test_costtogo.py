@@ -15,6 +15,7 @@ from planner.costtogo.cost_to_go import optimal_choices
 from planner.costtogo.verification import check_successors, sample
 from planner.grounding import fast_downward
 from planner.grounding.sas_reader import from_sas
+from planner.grounding.semantics import plan_cost
 from planner.search.distances import UNREACHED, compact, plan_lengths, smallest_type
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
@@ -232,7 +233,7 @@ def test_one_state_by_fast_downward(table: Table, start: int) -> None:
     assert (cost, type(cost)) == (H[start], float)
     assert (plan is None) == (start in (5, 6))
     if plan is not None:
-        assert table.task.plan_cost(plan) == cost
+        assert plan_cost(table.task, plan) == cost
     if start == 1:
         with pytest.raises(ValueError, match="argument"):
             astar(table.task, [1, 0])  # the task has only one variable

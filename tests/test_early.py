@@ -28,6 +28,7 @@ from planner.batch.solve_record import COMPARING, SWEEPING, SolveOptions, SolveR
 from planner.costtogo.first_answer import Early
 from planner.costtogo.sweep import sweep
 from planner.grounding import fast_downward
+from planner.grounding.semantics import plan_cost
 from planner.system.limits import Budget, LimitError, MemoryLimitError
 
 TINY = KITTING / "tiny.pddl"
@@ -69,7 +70,7 @@ def test_cost_and_plan_are_there_before_all_states_are(monkeypatch: pytest.Monke
     (first, saved), *later = told
     assert (first["status"], first["cost"], first["method"], first["verified"]) == ("solved", 6, "on-demand", 1)
     assert (first["note"], first["states"], saved) == (SWEEPING, None, False)
-    assert load(TINY).plan_cost(first["plan"]) == 6
+    assert plan_cost(load(TINY), first["plan"]) == 6
     assert seen == [[False, True]]
     assert all(saved and each["note"] == COMPARING and each["states"] == 21 for each, saved in later)
     verified = [each["verified"] for each, _ in later]

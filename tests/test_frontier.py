@@ -245,7 +245,7 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
 
     for block in (1, 2, 5, 1_000_000):
         assert found("ladder", rows_at_a_time=block) == (6, 2, 1.0)
-        assert found("corridor", rows_at_a_time=block) == (24, 1, 0.0)
+        assert found("corridor", rows_at_a_time=block) == (8, 1, 0.0)  # levels of cost 3
         assert found("dead ends", rows_at_a_time=block) == (6, 3, np.inf)
     monkeypatch.setattr(truncated_task, "SURVEYED", 7)
     assert found("ladder") == (6, 2, 1.0)  # the ladder has as many states
@@ -254,7 +254,7 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
     assert found("dead ends") == (6, 15, np.inf)
     asked = OnDemand(tables["corridor"].task)
     part = truncated_task._Survey.of(asked, TruncatedTask.of(tables["corridor"], start=4, states=2).choices.h)
-    assert (part.highest, part.actions, part.rise) == (12, 8, np.inf)
+    assert (part.highest, part.actions, part.rise) == (4, 8, np.inf)
 
 
 def test_the_only_way_up_of_a_task_is_found_in_every_state() -> None:

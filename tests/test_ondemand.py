@@ -17,6 +17,7 @@ from conftest import DOMAINS, KITTING, graph_task, table_of, write_instance
 from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load, sweep
 from planner.costtogo.astar import fastest_search
 from planner.grounding.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
+from planner.grounding.semantics import plan_cost
 from planner.system.limits import NO_LIMITS
 
 HUGE = KITTING / "ladder-6x12.pddl"
@@ -49,7 +50,7 @@ def test_answers_equal_the_tables(name: str) -> None:
     assert asked.lookup([asked.initial])[0] == table[table.initial]
     plan = asked.optimal_plan()
     assert plan is not None
-    assert asked.task.plan_cost(plan) == table[table.initial]
+    assert plan_cost(asked.task, plan) == table[table.initial]
 
 
 @pytest.mark.slow
@@ -334,7 +335,7 @@ def test_where_actions_are_free_a_cheaper_plan_of_many_more_actions_is_not_overl
     task = load(write_instance(tmp_path, CORRIDOR.replace("(:action ring", f"{jump}\n(:action ring"), CORRIDOR_PROBLEM))
     table, asked = sweep(task), OnDemand(task)
     assert table[table.initial] == 2
-    assert task.plan_cost(asked.optimal_plan() or []) == 2
+    assert plan_cost(task, asked.optimal_plan() or []) == 2
     with pytest.raises(LimitError, match="the optimal plan has more than 4 actions"):
         asked.lookup([asked.initial])
     for answers in (asked, OnDemand(task)):  # before and after the choice of a search

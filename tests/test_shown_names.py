@@ -5,10 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 
+import numpy as np
 import pytest
 
+from assist import Assistant
+from assist.people.choices import Choices
+from planner import OnDemand, astar, sweep, verify
+from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
 from planner.grounding.sas_reader import from_sas
+from planner.grounding.semantics import replay
 from planner.grounding.shown_names import in_the_files_terms
 from planner.grounding.task import Task
 from planner.pddl.compilation import Compilation
@@ -49,6 +55,33 @@ def test_actions_and_numbers_are_those_of_the_file(stock: Task) -> None:
     assert stock.unit == Fraction(1, 2)
     assert "stock(bin-1) = 2" in stock.facts(stock.initial)
     assert {len(operator.effects) for operator in stock.operators} == {1}
+
+
+def test_the_state_decides_what_an_action_costs(stock: Task) -> None:
+    plan = ["(take bin-1)", "(take bin-1)", "(close bin-1)"]
+    table = sweep(stock)
+    assert astar(stock) == (3.0, plan)
+    assert stock.in_unit(replay(stock, plan)) == table[table.initial] == 3.0
+    assert table.optimal_plan() == OnDemand(stock).optimal_plan() == plan
+    assert verify(table, 4, np.random.default_rng(0)) == check_successors(table, 4, np.random.default_rng(0)) == 4
+    state = table.initial
+    for cost, action in ((0.5, plan[0]), (1.5, plan[1]), (1.0, plan[2])):
+        rows = table.choices([state])
+        assert (table.space.options(state).keys(), stock.action_costs[rows.actions].tolist()) == ({action}, [cost])
+        state = table.space.follow([action], state)
+
+
+def test_people_tell_actions_apart_by_their_names(stock: Task) -> None:
+    table = sweep(stock)
+    choices = Choices.of(table)
+    start, then = table.initial, table.space.follow(["(take bin-1)"])
+    assert choices.name(start, 0) == choices.name(then, 0) == "(take bin-1)"
+    assert choices.actions[start, 0] == choices.actions[then, 0]
+    assert choices.costs[[start, then], 0].tolist() == [0.5, 1.5]
+    desk = Assistant(table, ["ann"])
+    for action in ("(take bin-1)", "take(bin-1)", "(close bin-1)"):
+        desk.observe("ann", action)
+    assert desk.finished
 
 
 def test_a_stored_task_keeps_them(stock: Task) -> None:

@@ -420,7 +420,7 @@ def test_a_saved_table_is_opened_without_being_read(tmp_path):
     np.testing.assert_array_equal(saved.values(everything), table.values(everything))
     assert (len(saved), saved.initial, saved.facts[2, 1]) == (len(table), table.initial, "(one 2)")
     with np.load(file) as arrays:
-        assert list(arrays) == ["states", "cost_to_go", "initial", "word", "shift", "bits", "facts"]
+        assert list(arrays) == ["states", "cost_to_go", "initial", "unit", "word", "shift", "bits", "facts"]
         np.testing.assert_array_equal(arrays["states"], saved.states)
         np.testing.assert_array_equal(arrays["cost_to_go"], saved.distance)
     file.write_bytes(file.read_bytes()[:3000])

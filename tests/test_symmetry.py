@@ -39,7 +39,7 @@ from planner.batch.solve_record import SolveOptions
 from planner.costtogo import on_demand
 from planner.costtogo.orbit_table import OrbitTable, orbits
 from planner.costtogo.verification import check_successors
-from planner.grounding.semantics import replay
+from planner.grounding.semantics import plan_cost, replay
 from planner.search.symmetry.automorphisms import Symmetries, symmetries
 from planner.search.symmetry.canonical_states import Forms, canonical
 
@@ -114,7 +114,7 @@ def check(task: Task) -> tuple[Table, OrbitTable]:
     """Compare the cost-to-go of orbits with that of all states, and states of one orbit with each other."""
     table, found = sweep(task), orbits(task, max_orbits=10**6)
     values, packing = table.values(np.arange(len(table))), Packing.of(task)
-    np.testing.assert_array_equal(found.lookup(packing.pack(values)), table.h)
+    np.testing.assert_array_equal(found.whole(packing.pack(values)), table.h)
     np.testing.assert_array_equal(
         found.plan_lengths(task, packing.pack(values)), table.plan_lengths(np.arange(len(table)))
     )
@@ -191,7 +191,7 @@ def test_there_are_as_many_orbits_as_burnside_says(name, boxes):
 def test_larger_kits(name, boxes):
     task = load(instance(KITTING / f"{name}.pddl"))
     table, found = sweep(task), orbits(task, max_orbits=10**6)
-    h = found.lookup(Packing.of(task).pack(table.values(np.arange(len(table)))))
+    h = found.whole(Packing.of(task).pack(table.values(np.arange(len(table)))))
     np.testing.assert_array_equal(h, table.h)
     count, order = counted_by_hand(boxes)
     assert (len(found), found.order) == (count, order)
@@ -343,7 +343,7 @@ def test_answers_on_demand_are_looked_up_where_orbits_fit(monkeypatch):
     np.testing.assert_array_equal(optimal_choices(known, numbers[:100], rows), optimal_choices(table, range(100), own))
     plan = known.optimal_plan()
     assert plan is not None
-    assert known.task.plan_cost(plan) == table[table.initial]
+    assert plan_cost(known.task, plan) == table[table.initial]
     assert table.is_goal([table.space.follow(plan)])[0]
     assert cost_to_go(task, max_states=4 * 913).searches  # there are 914
 
@@ -361,7 +361,7 @@ def test_plans_with_actions_that_cost_nothing():
     task = switches([0, 0, 1], [0, 1, 2])
     _, found = check(task)
     packing = Packing.of(task)
-    assert found.lookup(packing.pack([[0, 0, 0], [0, 1, 1]])).tolist() == [1, 0]
+    assert found.whole(packing.pack([[0, 0, 0], [0, 1, 1]])).tolist() == [1, 0]
     assert found.plan_lengths(task, packing.pack([[0, 0, 0], [0, 1, 1]])).tolist() == [3, 1]
 
 
@@ -412,7 +412,7 @@ def test_wrong_values_are_found():
     assert len(table.space.transitions.targets) == found.transition_count
     plan = table.optimal_plan()
     assert plan is not None
-    assert task.plan_cost(plan) == table[table.initial]
+    assert plan_cost(task, plan) == table[table.initial]
 
 
 def test_policies_are_worked_out_on_more_states_where_none_takes_a_search(tiny):

@@ -17,7 +17,7 @@ def after(table: Table, *actions: str) -> Situation:
     return Situation(
         choices.names, Vocabulary.of(choices.names), state, choices.applicable[state], choices.actions[state],
         choices.targets[state], met[state], met[choices.targets[state]],
-        np.array([table.task.action_index[actions[-1]] if actions else NOTHING_YET]),
+        np.array([table.task.numbers_of[actions[-1]][0] if actions else NOTHING_YET]),
         np.array([states[-2] if actions else NOTHING_YET]),
     )  # fmt: skip
 

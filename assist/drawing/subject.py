@@ -18,7 +18,7 @@ import numpy as np
 from planner import Task, task_of
 from planner.grounding.semantics import derived, successors
 from planner.pddl.instances import PDDLError
-from planner.pddl.reader import read
+from planner.pddl.reader import Rule, read
 from planner.pddl.s_expressions import Expression
 
 from ..people.action_names import Matcher, words_of
@@ -110,7 +110,9 @@ class Subject:
             objects={name: kind if kind != "object" else _kind(name, constant) for name, kind in kinds.items()},
             supertypes={kind: above[-1] for kind, above in reading.domain.types.parents.items() if above},
             parameters={
-                name: tuple(each.name for each in action.parameters) for name, action in reading.domain.actions.items()
+                action.name: tuple(each.name for each in action.parameters)
+                for action in reading.domain.entries
+                if not isinstance(action, Rule)
             },
             constant=constant,
             changing=frozenset(changing),

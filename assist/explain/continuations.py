@@ -43,10 +43,11 @@ def edges(known: Choices | CostToGo, states: ArrayLike) -> Edges:
         )  # fmt: skip
     rows = known.choices(at)
     source = np.repeat(np.arange(len(at)), np.diff(rows.offsets))
-    cost = np.asarray(known.task.costs, dtype=float)[rows.actions]
+    cost = known.task.action_costs[rows.actions]
     goal = np.asarray(known.is_goal(at))[source]
     optimal = optimal_choices(known, at, rows) & ~goal
-    return Edges(source, rows.actions.astype(np.int64), rows.targets.astype(np.int64), cost, optimal)
+    actions = known.task.first_of_name[rows.actions].astype(np.int64)
+    return Edges(source, actions, rows.targets.astype(np.int64), cost, optimal)
 
 
 def cost_to_go(known: Choices | CostToGo, states: ArrayLike) -> Floats:
@@ -67,7 +68,7 @@ def costs_are_one(known: Choices | CostToGo) -> bool:
     """Return whether every action of the task costs 1, so that cost and number of actions are the same."""
     if isinstance(known, Choices):
         return bool((known.costs[known.applicable] == 1).all())
-    return all(cost == 1 for cost in known.task.costs)
+    return bool((known.task.action_costs == 1).all())
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from planner import CostToGo
 
 from ..people.action_names import Matcher, words_of
 from ..people.choices import Choices
+from ..people.decision import same_cost
 from .continuations import (
     OptimalContinuations,
     action_name,
@@ -145,7 +146,8 @@ def contrast(
     h_a, h_b = cost_to_go(known, here.target[[a, b]]).tolist()
     in_all = float(here.cost[a]) + h_a, float(here.cost[b]) + h_b
     # From a state with finite h*, two actions into dead ends are equally bad.
-    difference = 0.0 if in_all[0] == in_all[1] else in_all[1] - in_all[0]
+    same = in_all[0] == in_all[1] or same_cost(np.array(in_all[0]), np.array(in_all[1]))
+    difference = 0.0 if same else in_all[1] - in_all[0]
     consequence = None
     if difference == math.inf:
         consequence = Consequence("dead-end")

@@ -192,7 +192,7 @@ def _word(fact: str) -> str:
     """Return a fact as one word of letters, digits, `_`, `-` and `.`; the empty text for a negated fact."""
     if not fact.startswith("Atom "):
         return ""
-    words = re.findall(r"[^\s(),]+", fact.removeprefix("Atom "))
+    words = re.findall(r"[^\s(),=]+", fact.removeprefix("Atom "))
     return ".".join(re.sub(r"[^A-Za-z0-9_-]", "-", word) for word in words)
 
 

@@ -137,11 +137,12 @@ def compliance_bounds(
     every = np.concatenate([states, rest])
     h = known.lookup(every)
     perceived = h if human is None else perceived_of_states(human, known, every, h)
-    costs = np.asarray(known.task.costs, dtype=np.float64)
+    costs = known.task.action_costs
+    whole = np.array(known.task.costs, dtype=np.float64), known.whole(every)
     start = never_erring(h, costs, gamma)
     order = np.argsort(h[: len(states)], kind="stable")
     order = order[np.isfinite(h[order]) & ~known.is_goal(states)[order]]
-    arrays = [read_only(array) for array in (order, rows.offsets, rows.actions, number, costs, h, perceived)]
+    arrays = [read_only(array) for array in (order, rows.offsets, rows.actions, number, costs, perceived, *whole)]
 
     def one(beta: float) -> Floats:
         value, stamp = start.copy(), np.zeros(len(start), dtype=np.uint16)
@@ -164,12 +165,13 @@ def mistaken_about_states(human: Human) -> bool:
 @njit(nogil=True)
 def _sweep(
     value: Floats, stamp: NDArray[np.uint16], sweep: int, order: Ints, offsets: Ints, actions: NDArray[np.integer],
-    targets: NDArray[np.int32], prices: Floats, h: Floats, perceived: Floats, beta: float, gamma: float,
-    c_suggest: float, lapse: float, optimal: bool,
+    targets: NDArray[np.int32], prices: Floats, perceived: Floats, whole: Floats, h: Floats, beta: float,
+    gamma: float, c_suggest: float, lapse: float, optimal: bool,
 ) -> float:  # fmt: skip
     """Lower the values of states once, in place, and return the largest change.
 
     A state is skipped if no successor has changed by more than `slight` since its last backup; its bound remains valid.
+    `whole` and `h` are the costs of actions and h* as whole numbers, whose sums are exact.
     """
     slight = 1e-3  # cost units; a smaller change causes no backup of predecessors, to save time
     most = 0
@@ -201,7 +203,7 @@ def _sweep(
             highest = max(highest, u[a])
         best = (1.0 - lapse) * alone + lapse * mean
         for a in range(choices):
-            if optimal and prices[actions[first + a]] + h[targets[first + a]] != h[x]:
+            if optimal and whole[actions[first + a]] + h[targets[first + a]] != h[x]:
                 continue
             influenced = highest  # an upper bound on o_a, where the difference below would lose precision
             others = alone - p[a] * u[a]

@@ -90,7 +90,7 @@ class LeafEstimates:
         progress : callable, optional
             Receives progress reports, as in `qmdp`.
         """
-        choices, costs = region.choices, np.array(first_of(region.known).task.costs, dtype=np.float64)
+        choices, costs = region.choices, first_of(region.known).task.action_costs
         rows = np.arange(len(choices))[None] if rows is None else rows
         inside = np.ones(len(choices), dtype=bool)
         inside[region.frontier] = False

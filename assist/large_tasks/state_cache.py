@@ -37,7 +37,7 @@ class StateCache:
 
     def __init__(self, known: CostToGo | Goals) -> None:
         self.known, self._first_goal = known, first_of(known)
-        self._prices = np.append(np.asarray(self._first_goal.task.costs, dtype=np.float64), 1.0)  # a wait costs 1
+        self._prices = np.append(self._first_goal.task.action_costs, 1.0)  # a wait costs 1
         self._row: dict[int, int] = {}
         self._states = _Rows(np.int64)
         goals = len(each_of(known))
@@ -141,7 +141,7 @@ class StateCache:
         actions, costs = np.full(shape, WAIT, dtype=np.int64), np.zeros(shape)
         follows = np.repeat(np.arange(len(rows))[:, None], shape[1], axis=1)
         applicable[owner, slot] = True
-        actions[owner, slot] = self._actions[at]
+        actions[owner, slot] = self._first_goal.task.first_of_name[self._actions[at]]
         follows[owner, slot] = to
         costs[owner, slot] = self._prices[self._actions[at]]
         key, frontier = self._key[rows], np.arange(len(expanded), len(rows))

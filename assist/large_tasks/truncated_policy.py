@@ -139,12 +139,13 @@ class TruncatedPolicy(Policy):
     @property
     def cheapest(self) -> float:
         """The smallest positive cost of an action, in cost units; 1 if all actions are free."""
-        return min((cost for cost in self.task.task.costs if cost), default=1)
+        costs = self.task.task.action_costs
+        return float(costs[costs > 0].min()) if (costs > 0).any() else 1.0
 
     @property
     def dearest(self) -> float:
         """The largest cost of an action or a wait, in cost units."""
-        return max(self.task.task.costs, default=1)
+        return float(self.task.task.action_costs.max(initial=1.0))
 
     def require_enumerated(self, what: str) -> None:
         """Raise a `ValueError`, since values of all states are not kept."""

@@ -25,6 +25,7 @@ policy for all goals, so that its value is the mean of its values for each.
 from __future__ import annotations
 
 import heapq
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -173,7 +174,7 @@ class TruncatedTask:
         The upper bound is `never_erring`. The lower bound is for a robot that does nothing, with the largest cost in
         every step.
         """
-        costs = np.append(first_of(self.known).task.costs, 1)  # a wait costs 1
+        costs = np.append(first_of(self.known).task.action_costs, 1.0)  # a wait costs 1
         upper = never_erring(self.choices.h[self.frontier], costs, gamma)
         floor = -float(costs.max()) / (1 - gamma)
         return LeafBounds(self.frontier, np.full((len(upper), thetas), floor), upper, floor)
@@ -186,12 +187,12 @@ class TruncatedTask:
         The upper bound is `never_erring`, for each goal that the person may pursue: a robot that knows the goal is
         not worse. The lower bound is `_advised` for states from which a goal is reachable. If the goal is one of
         several, the robot does nothing, as that policy does not depend on the goal. In a dead end the robot may never
-        act again, and no step costs more than the most expensive choice. With an h* above 10,000 the lower bound is
-        that of the worst case, because computing every level would take too long. The worst case is also assumed for a
-        trust rule that is neither equation 7 nor constant.
+        act again, and no step costs more than the most expensive choice. With an h* above 10,000 levels of cost the
+        lower bound is that of the worst case, because computing every level would take too long. The worst case is also
+        assumed for a trust rule that is neither equation 7 nor constant.
         """
-        costs = np.unique(np.append(first_of(self.known).task.costs, 1))  # a wait costs 1
-        dear, several = float(costs[-1]), self.choices.goal_count > 1
+        levels = CostLevels.of(first_of(self.known))
+        dear, several = float(levels.prices[-1]), self.choices.goal_count > 1
         anybody = self.bounds_of_anybody(gamma, len(grid.theta))
         floor = -(dear + (0.0 if several else c_suggest)) / (1 - gamma)
         by_equation = trust is None or isinstance(trust, EquationSeven)
@@ -206,9 +207,9 @@ class TruncatedTask:
             survey, at = _Survey.of(known, own), np.flatnonzero(goal == number)
             h = self.choices.h[self.frontier[at]]
             if survey.highest <= 10_000 and by_equation:
-                levels = _advised(survey, costs, floor, grid, model, gamma, None if several else c_suggest)
+                value = _advised(survey, levels, floor, grid, model, gamma, None if several else c_suggest)
                 reached = np.isfinite(h)
-                lower[at[reached]] = levels[h[reached].astype(np.int64)]
+                lower[at[reached]] = value[np.rint(h[reached] / levels.step).astype(np.int64)]
             lower[at[np.isinf(h)]] = -dear / (1 - gamma)  # in a dead end the robot does nothing
         return LeafBounds(self.frontier, lower, anybody.upper, anybody.floor)
 
@@ -245,17 +246,45 @@ def never_erring(h: Floats, costs: ArrayLike, gamma: float) -> Floats:
 
 
 @dataclass(frozen=True)
+class CostLevels:
+    """The different costs of a task's choices as whole numbers of levels, so that h* can index an array.
+
+    Attributes
+    ----------
+    step : float
+        Cost of one level, in cost units: all costs of actions are multiples of it.
+    steps : int array, shape (C,)
+        Levels of each cost, ascending. A wait, which costs 1, is rounded up.
+    prices : float array, shape (C,)
+        These costs, in cost units.
+    """
+
+    step: float
+    steps: NDArray[np.int64]
+    prices: Floats
+
+    @classmethod
+    def of(cls, known: CostToGo) -> CostLevels:
+        """Return the levels of a task's costs."""
+        task = known.task
+        whole = math.gcd(*task.costs) or 1
+        steps = np.unique([*(cost // whole for cost in task.costs), math.ceil(1 / (whole * task.unit))])
+        return cls(task.in_unit(float(whole)), steps, task.in_unit(steps * float(whole)))
+
+
+@dataclass(frozen=True)
 class _Survey:
     """Quantities of a task that hold in all of its states.
 
     Attributes
     ----------
     highest : int
-        Largest finite h*, among the known states if not all are known.
+        Levels of the largest finite h*, among the known states if not all are known.
     actions : int
         Largest number of choices in a state.
     rise : float
-        Largest increase of h* by one action; infinite if an action may lead to a dead end, or if it is unknown.
+        Levels of the largest increase of h* by one action; infinite if an action may lead to a dead end, or if it is
+        unknown.
     """
 
     highest: int
@@ -268,11 +297,12 @@ class _Survey:
 
         `own` is the cost-to-go of the truncated task's states.
         """
+        step = CostLevels.of(known).step
         if not isinstance(known, Table):
-            return cls(int(own[np.isfinite(own)].max(initial=0)), len(known.task.actions), np.inf)
+            return cls(round(own[np.isfinite(own)].max(initial=0) / step), len(known.task.actions), np.inf)
         h = known.lookup(slice(None))
         finite = np.isfinite(h)
-        highest = int(h[finite].max(initial=0))
+        highest = round(h[finite].max(initial=0) / step)
         if len(known) > SURVEYED:
             return cls(highest, len(known.task.actions), float(highest) if finite.all() else np.inf)
         rows = known.space.transitions
@@ -284,14 +314,14 @@ class _Survey:
             with np.errstate(invalid="ignore"):  # a difference between two dead ends is no increase
                 change = h[targets] - np.repeat(h[block], counts[block])
             rise = max(rise, float(np.nan_to_num(change, posinf=np.inf).max(initial=0.0)))
-        return cls(highest, int(counts.max(initial=1)), rise)
+        return cls(highest, int(counts.max(initial=1)), float(np.rint(rise / step)))
 
 
 def _advised(
-    survey: _Survey, costs: NDArray[np.int64], floor: float, grid: Grid, model: HumanModel, gamma: float,
+    survey: _Survey, levels: CostLevels, floor: float, grid: Grid, model: HumanModel, gamma: float,
     c_suggest: float | None,
 ) -> Floats:  # fmt: skip
-    """Return a lower bound on the value for each h* and theta, shape (highest + 1, T).
+    """Return a lower bound on the value for each level of h* and each theta, shape (highest + 1, T).
 
     `c_suggest` is None for a robot that does nothing. Then step 1 has p in place of the probability of following, and
     theta does not move.
@@ -322,6 +352,7 @@ def _advised(
     """
     highest = survey.highest
     value = np.full((highest + 1, len(grid.theta)), floor)
+    costs = levels.prices
     if costs[0] > 0:
         value[0] = 0.0
     p = 1 / survey.actions
@@ -336,9 +367,9 @@ def _advised(
             if np.isfinite(survey.rise):
                 worst = value[: min(h + int(survey.rise), highest) + 1].min(axis=0)
             outcomes = []
-            for c, at, up in zip(costs, low, weight, strict=True):
-                if c <= h:
-                    right = (1 - up) * value[h - c, at] + up * value[h - c, at + 1]
+            for level, c, at, up in zip(levels.steps, costs, low, weight, strict=True):
+                if level <= h:
+                    right = (1 - up) * value[h - level, at] + up * value[h - level, at + 1]
                     wrong = (1 - up) * worst[at] + up * worst[at + 1]
                     outcomes.append(follows * (gamma * right - c) + (1 - follows) * (gamma * wrong - costs[-1]))
             if outcomes:
@@ -367,7 +398,7 @@ class _Growth:
     def __init__(self, known: CostToGo | Goals, betas: Floats, start: int, human: Human | None) -> None:
         self.known, self.betas, self.human = known, betas, human
         self.each, self.first = each_of(known), first_of(known)
-        self.cost = np.array(self.first.task.costs)
+        self.cost = self.first.task.action_costs
         self.number: dict[int, int] = {}
         self.states: list[int] = []
         self.h: list[Floats] = []
@@ -442,11 +473,12 @@ class _Growth:
         goal, h, states = np.array(self.goal), np.array(self.h), np.array(self.states)
         rows, there = Transitions(offsets, actions, targets), Transitions(offsets, actions, states[targets])
         optimal, task = optimal_for_each(self.known, states, there), self.first.task
+        named = rows._replace(actions=task.first_of_name[actions])
         key = keys_of(self.first, states)
         each = [
             Choices.arranged(
-                h[:, number], goal[:, number], rows, optimal[:, number], names=task.actions, prices=task.costs,
-                known=expanded, key=key,
+                h[:, number], goal[:, number], named, optimal[:, number], names=task.actions,
+                costs=task.action_costs[actions], known=expanded, key=key,
             )
             for number in range(len(self.each))
         ]  # fmt: skip

@@ -27,7 +27,8 @@ class JointStates:
         heads: list[CostToGo] = []
         self._place = []
         for name, costs in goals.items():
-            if costs.task.actions != self.task.actions or costs.task.costs != self.task.costs:
+            same = costs.task.actions == self.task.actions
+            if not same or not np.array_equal(costs.task.action_costs, self.task.action_costs):
                 raise ValueError(
                     f"goal '{name}' has other actions than the first; expected the same domain and objects"
                 )

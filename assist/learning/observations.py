@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planner import CostToGo
 from planner.system.arrays import outline, read_only
 
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING, Floats, same_cost
 from .replay import Recording
 
 Ints = NDArray[np.int64]
@@ -219,7 +219,7 @@ def observe(
     with np.errstate(invalid="ignore"):
         excess = np.where(np.isinf(best)[:, None], 0.0, q - best[:, None])
     excess = np.where(r.applicable, excess, np.inf)
-    optimal = np.isfinite(q) & (q == best[:, None])
+    optimal = same_cost(q, best[:, None])
     if known.lengths is not None:
         length = np.where(optimal, known.lengths[r.targets], np.inf)
         optimal &= length == length.min(axis=1, keepdims=True)

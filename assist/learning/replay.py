@@ -206,8 +206,7 @@ def replay(
                 faults += walk.unknown(number + 1, matcher)
     faults += [walk.fault for walk in walks if walk.fault is not None]
     used = [walk for walk in walks if walk.taken and (walk.fault is None or not walk.fault.spoils)]
-    costs = np.asarray(answers.task.costs, dtype=float)
-    return _recording(used, costs), sorted(faults, key=lambda fault: fault.line)
+    return _recording(used, answers.task.action_costs), sorted(faults, key=lambda fault: fault.line)
 
 
 def _check_names(log: Log, matcher: Matcher, dropped: set[Words], renamed: Mapping[str, str]) -> None:

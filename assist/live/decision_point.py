@@ -19,7 +19,7 @@ from planner import CostToGo
 from ..explain.contrast import Contrast, contrast
 from ..explain.explanation import Cause, Explanation, Prospect, WhyNothing, WhyPerson, WhyQuestion, WhyStep
 from ..people.choices import Choices
-from ..people.decision import Floats
+from ..people.decision import Floats, same_cost
 from ..people.goals import goal_shares
 from ..person.joint_belief import JointBelief, is_certain
 from ..person.policy import Policy
@@ -274,7 +274,7 @@ class DecisionPoint:
         chances = self._chances(place)
         in_all = np.where(choices.applicable[row], choices.costs[row] + choices.h[choices.targets[row]], -np.inf)
         others = choices.applicable[row] & (np.arange(len(chances)) != own)
-        worse = others & (in_all > in_all[own])
+        worse = others & (in_all > in_all[own]) & ~same_cost(in_all, in_all[own])
         likely = None
         if others.any():
             slot = int(np.where(worse if worse.any() else others, chances, -1.0).argmax())

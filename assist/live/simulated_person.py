@@ -141,7 +141,8 @@ class SimulatedPerson:
         rows = task.choices([state])
         if self._chooses is not None:
             _, choices, p, _ = self._known(task)
-            slots = [int(np.flatnonzero(choices.actions[state] == action)[0]) for action in rows.actions]
+            actions = task.task.first_of_name[rows.actions]
+            slots = [int(np.flatnonzero(choices.actions[state] == action)[0]) for action in actions]
             return p[state, slots]
         q = self._perceived(task, state, rows)
         every = np.ones(len(q), dtype=bool)
@@ -194,5 +195,5 @@ class SimulatedPerson:
             seeds = [[self._seed, state, int(action)] for action in rows.actions]
         eps = np.array([np.random.default_rng(seed).standard_normal() for seed in seeds])
         after = task.lookup(rows.targets) + self.sigma * eps
-        costs: Floats = np.asarray(task.task.costs, dtype=float)[rows.actions]
+        costs: Floats = task.task.action_costs[rows.actions]
         return costs + np.where(task.is_goal(rows.targets), 0.0, after)

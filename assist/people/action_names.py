@@ -72,7 +72,9 @@ class Matcher:
     def __init__(self, actions: Sequence[str]) -> None:
         self.actions = actions
         self.words = [tuple(action[1:-1].lower().split()) for action in actions]
-        self.number = {words: number for number, words in enumerate(self.words)}
+        self.number: dict[Words, int] = {}  # the first one of a name, since the others have other costs only
+        for number, words in enumerate(self.words):
+            self.number.setdefault(words, number)
         self.objects = {word for words in self.words for word in words[1:]}
         self.beginnings = {words[:end] for words in self.words for end in range(1, len(words) + 1)}
 

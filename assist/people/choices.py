@@ -6,7 +6,7 @@ state `x`. The rest of this package uses these arrays, and does not depend on PD
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -39,7 +39,7 @@ class Choices:
     applicable : bool array, shape (n, A)
         Whether each slot holds a choice; slots are filled from the left.
     actions : int array, shape (n, A)
-        Ground action of each slot; `WAIT` if the person can only wait (at cost 1).
+        Ground action of each slot, ascending; one number for each name. `WAIT` if the person can only wait (at cost 1).
     targets : int array, shape (n, A)
         Successor of each choice; the state itself in empty slots.
     costs : float array, shape (n, A)
@@ -97,11 +97,11 @@ class Choices:
     @classmethod
     def of(cls, table: Table) -> Choices:
         """Return the choices of a cost-to-go table."""
-        space = table.space
+        space, task, rows = table.space, table.task, table.space.transitions
         return cls.arranged(
-            table.h.copy(), space.goal.copy(), space.transitions, table.optimal_choices(),
-            names=table.task.actions, prices=table.task.costs, initial=space.initial,
-            key=keys_of(table, np.arange(len(table))),
+            table.h.copy(), space.goal.copy(), rows._replace(actions=task.first_of_name[rows.actions]),
+            table.optimal_choices(), names=task.actions, costs=task.action_costs[rows.actions],
+            initial=space.initial, key=keys_of(table, np.arange(len(table))),
         )  # fmt: skip
 
     @classmethod
@@ -113,7 +113,7 @@ class Choices:
         optimal: NDArray[np.bool_],
         *,
         names: tuple[str, ...],
-        prices: Sequence[int],
+        costs: NDArray[np.float64],
         known: NDArray[np.bool_] | None = None,
         initial: int = 0,
         key: NDArray[np.uint64] | None = None,
@@ -128,8 +128,8 @@ class Choices:
         optimal : bool array, shape (m,)
         names : tuple of str
             The ground actions.
-        prices : sequence of int
-            Cost of each ground action.
+        costs : float array, shape (m,)
+            Cost of each choice, in the file's unit.
         known : bool array, shape (n,), optional
             Whether the choices of each state are known; other states have empty rows.
         initial : int
@@ -142,17 +142,17 @@ class Choices:
         applicable = np.zeros(shape, dtype=bool)
         actions = np.full(shape, WAIT, dtype=np.int64)
         targets = np.repeat(np.arange(len(h))[:, None], shape[1], axis=1)
-        costs = np.zeros(shape)
+        each = np.zeros(shape)
         best = np.zeros(shape, dtype=bool)
         applicable[source, slot] = True
         actions[source, slot] = rows.actions
         targets[source, slot] = rows.targets
-        costs[source, slot] = np.asarray(prices, dtype=np.float64)[rows.actions]
+        each[source, slot] = costs
         best[source, slot] = optimal
         stuck = (counts == 0) & ~goal & (True if known is None else known)
         applicable[stuck, 0] = True
-        costs[stuck, 0] = 1.0
-        return cls(h, goal, applicable, actions, targets, costs, best, names, initial, key=key)
+        each[stuck, 0] = 1.0
+        return cls(h, goal, applicable, actions, targets, each, best, names, initial, key=key)
 
     def __len__(self) -> int:
         return len(self.h)

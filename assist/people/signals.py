@@ -20,8 +20,8 @@ from .action_names import UnmatchedError, words_of
 
 Kind = Literal["recovered", "ambiguous", "impossible"]
 
-ATOM = re.compile(r"Atom (?!new-axiom@)([^(]+)\((.*)\)")
-"""A fact in the translator's notation, without its auxiliary facts."""
+ATOM = re.compile(r"Atom (?!new-axiom@)([^()]+)\(([^()]*)\)(?: = (.*))?")
+"""A fact in the translator's notation, without its auxiliary facts; a function has a value after its arguments."""
 NEGATED = re.compile(r"\(\s*not\s*(?P<fact>\(.*\))\s*\)", re.I)
 
 
@@ -35,7 +35,7 @@ class FactChange(NamedTuple):
     Attributes
     ----------
     fact : str
-        As `(predicate argument ...)` or `predicate(argument, ...)`.
+        As `(predicate argument ...)` or `predicate(argument, ...)`; the last argument of a function is its value.
     holds : bool
         Whether it holds now.
     """
@@ -239,4 +239,4 @@ def _visible(fact: str, predicates: set[str] | None) -> str | None:
     found = ATOM.fullmatch(fact)
     if found is None or (predicates is not None and found[1].lower() not in predicates):
         return None
-    return f"({' '.join([found[1], *(found[2].split(', ') if found[2] else ())])})".lower()
+    return f"({' '.join([found[1], *(found[2].split(', ') if found[2] else ()), *filter(None, [found[3]])])})".lower()

@@ -158,7 +158,9 @@ def observation_given(seen: Any) -> ObservationModel | None:
 
 def _numbers(choices: Choices, table: Table) -> dict[str, int]:
     """Return the ground action of each name, after checking that the table's names are among them."""
-    numbers = {name: n for n, name in enumerate(choices.names)} | {STAND_STILL: WAIT}
+    numbers = {STAND_STILL: WAIT}
+    for n, name in enumerate(choices.names):
+        numbers.setdefault(name, n)  # as in `choices.actions`
     for name in (*table, *(seen for row in table.values() for seen in row)):
         if name not in numbers:
             raise ValueError(f"confusion: {name} is no action of this task")

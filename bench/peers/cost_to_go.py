@@ -24,6 +24,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -359,10 +360,12 @@ class UnifiedPlanning(StateByState):
             return len(answer.plan.actions)
         if not hasattr(self, "task"):  # plan_cost evaluates a plan
             import planner
+            from planner.grounding.semantics import plan_cost
 
             self.task = planner.load(shared[2][1], shared[2][0])
+            self.priced = partial(plan_cost, self.task)
         names = (" ".join([a.action.name, *map(str, a.actual_parameters)]) for a in answer.plan.actions)
-        return float(self.task.plan_cost([f"({name})" for name in names]))
+        return float(self.priced([f"({name})" for name in names]))
 
 
 PEERS: dict[str, type[Peer]] = {

@@ -11,7 +11,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from math import isfinite
 from pathlib import Path
@@ -21,10 +21,11 @@ from ..costtogo.astar import search_of
 from ..costtogo.first_answer import Answer, Early
 from ..grounding.fast_downward import FastDownwardError
 from ..grounding.load import ground
-from ..grounding.semantics import replay
+from ..grounding.semantics import plan_cost, replay
 from ..grounding.task import Effect, Operator, Task, Variable
 from ..pddl.compilation import Compilation, compiled
 from ..pddl.instances import Instance, PDDLError
+from ..pddl.plan_execution import execute
 from ..pddl.reader import read
 from ..pddl.validation import InvalidPlanError
 from ..pddl.validation_process import SecondReader
@@ -63,7 +64,7 @@ UNCHECKED = "read by Fast Downward's translator, not checked by unified-planning
 
 
 class _Phases:
-    """Time spent in each phase, the common deadline, and the latest intermediate record.
+    """Time spent in each phase, the common deadline, what was compiled away, and the latest intermediate record.
 
     The first answer comes from a thread of its own. `lock` is held while files and their record are written.
     """
@@ -79,6 +80,7 @@ class _Phases:
         self.memory_mb = memory_mb
         self.progress = progress
         self.latest: SolveRecord | None = None
+        self.compiled: Mapping[str, int] = {}
         self.lock, self.saved = threading.RLock(), False
         self._tell = tell
         self.start = time.monotonic()
@@ -121,10 +123,11 @@ class _Phases:
                     self._tell(self.latest, saved)
 
     def measured(self, record: SolveRecord) -> SolveRecord:
-        """Return the record with its times and peak memory."""
+        """Return the record with what was compiled away, its times and peak memory."""
         seconds = {name: round(seconds, 6) for name, seconds in self.seconds.copy().items()}
         seconds["total"] = round(time.monotonic() - self.start, 6)
-        return {**record, "seconds": seconds, "peak_memory_mb": round(peak_memory_mb(), 1)}
+        compiled_away = dict(self.compiled) or None
+        return {**record, "compiled": compiled_away, "seconds": seconds, "peak_memory_mb": round(peak_memory_mb(), 1)}
 
 
 def solve_instance(
@@ -154,8 +157,13 @@ def solve_instance(
     reset_peak_memory()
     try:
         with phases.phase("read"):
-            compilation = compiled(read(instance))
-        with SecondReader(compilation.reading, phases.limits()) as second, ExitStack() as until_solved:
+            reading = read(instance)
+            compilation = compiled(reading)
+            phases.compiled = {what: count for what, count in compilation.compiled.items() if count}
+        with ExitStack() as until_solved:
+            second = None  # it would not know what a compilation stands for
+            if compilation.reading is reading:
+                second = until_solved.enter_context(SecondReader(reading, phases.limits()))
             task = _grounded(compilation, phases, until_solved)
             record = _solve(task, second, options, place, phases, use)
     except Exception as error:
@@ -227,7 +235,7 @@ class _Swept(NamedTuple):
 
 def _solve(
     task: Task,
-    second: SecondReader,
+    second: SecondReader | None,
     options: SolveOptions,
     place: Path | None,
     phases: _Phases,
@@ -252,21 +260,24 @@ def _solve(
             swept = _sweep(task, options, phases, early)
         sweeping = False
         record = _found(task, swept, early, options, phases)
+        if second is None and record["plan"] is not None:
+            _execute(task, record, phases)
         whole = swept.table if swept.known is swept.table else None
         with phases.lock:
             if place is not None:
                 _save(place, task, whole, record["plan"], phases)
             open_end = VALIDATING if swept.table is None else COMPARING
             phases.tell({**record, "note": _joined(record["note"], open_end)}, saved=True)
-        if record["plan"] is not None:
+        if second is not None and record["plan"] is not None:
             second.ask(record["plan"])
         if swept.table is not None:
             _compare(swept.table, options, phases, record, early.answer)
-        start = time.monotonic()
-        phases.progress("checking the plan", 0, None)
-        if unchecked := second.answer(SECOND_READER, phases.left()):
-            record["note"] = _joined(record["note"], f"{UNCHECKED}: {unchecked}")
-        phases.add("validate", start)
+        if second is not None:
+            start = time.monotonic()
+            phases.progress("checking the plan", 0, None)
+            if unchecked := second.answer(SECOND_READER, phases.left()):
+                record["note"] = _joined(record["note"], f"{UNCHECKED}: {unchecked}")
+            phases.add("validate", start)
         if whole is not None and use is not None:
             use(whole)
     return record
@@ -328,10 +339,12 @@ def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phase
         record |= {"method": "on-demand", "verified": 1} | _outcome(task, cost, plan)
     if plan is not None:
         with phases.phase("validate"):
-            if task.plan_cost(plan) != cost:
-                raise MismatchError(f"{task.instance}: the plan costs {task.plan_cost(plan)}, not {cost:g}")
-            if not task.decided_by_translator and replay(task, plan) != cost:
+            if (found := task.in_unit(plan_cost(task, plan))) != cost:
+                raise MismatchError(f"{task.instance}: the plan costs {found:g}, not {cost:g}")
+            if not task.decided_by_translator and task.in_unit(replay(task, plan)) != cost:
                 raise MismatchError(f"{task.instance}: the plan does not cost {cost:g} when it is replayed")
+    elif phases.compiled.get("durations") and not isfinite(cost):
+        notes.append("no plan for one person who acts in sequence")
     return record | {"note": _joined(*notes)}
 
 
@@ -378,7 +391,7 @@ def _counted(table: Table, options: SolveOptions, phases: _Phases) -> SolveRecor
         with phases.phase("verify", "comparing states with their successors"):
             consistent = check_successors(table, count, np.random.default_rng(0), seconds=seconds / 2)
     finite = table.distance[~table.dead_end]
-    farthest = int(finite.max()) if len(finite) else None
+    farthest = _number(table.task.in_unit(int(finite.max()))) if len(finite) else None
     return {"consistent": consistent, "max_cost_to_go": farthest}
 
 
@@ -391,7 +404,19 @@ def _outcome(task: Task, cost: float, plan: list[str] | None) -> SolveRecord:
     """Return the fields about cost and plan; a plan is that of Fast Downward."""
     if not isfinite(cost):
         return {"status": "unsolvable"}
-    return {"cost": int(cost), "plan": plan, "plan_by": None if plan is None else search_of(task)}
+    return {"cost": _number(cost), "plan": plan, "plan_by": None if plan is None else search_of(task)}
+
+
+def _execute(task: Task, record: SolveRecord, phases: _Phases) -> None:
+    """Execute the plan of compiled files by their meaning; raise a `MismatchError` if it costs something else."""
+    with phases.phase("validate"):
+        if (cost := float(execute(task.instance, record["plan"]))) != record["cost"]:
+            raise MismatchError(f"{task.instance}: the plan costs {cost:g} by the files, not {record['cost']:g}")
+
+
+def _number(cost: float) -> float:
+    """Return a cost as an integer if it is a whole number."""
+    return int(cost) if cost == int(cost) else cost
 
 
 def _joined(*notes: str | None) -> str | None:
@@ -462,10 +487,8 @@ def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Solve
 
 def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:
     """Save a plan in the usual format: one action per line, then its cost in a comment."""
-    unit = all(cost == 1 for cost in task.costs)
-    text = (
-        "".join(f"{action}\n" for action in plan)
-        + f"; cost = {task.plan_cost(plan)} ({'unit' if unit else 'general'} cost)\n"
-    )
+    kind = "unit" if (task.action_costs == 1).all() else "general"
+    cost = _number(task.in_unit(plan_cost(task, plan)))
+    text = "".join(f"{action}\n" for action in plan) + f"; cost = {cost} ({kind} cost)\n"
     with atomic(file) as path:
         path.write_text(text, encoding="utf-8")

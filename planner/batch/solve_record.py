@@ -89,6 +89,7 @@ def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) 
         "method": None,
         "verified": 0,
         "consistent": 0,
+        "compiled": None,
         "seconds": {},
         "peak_memory_mb": None,
         "versions": versions(),

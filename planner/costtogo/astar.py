@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from ..grounding import fast_downward
 from ..grounding.fast_downward import FastDownwardError
 from ..grounding.load import task_of
+from ..grounding.semantics import plan_cost
 from ..grounding.task import Task
 from ..states.packing import can_hold
 from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits, MemoryLimitError
@@ -49,7 +50,7 @@ def astar(
     Returns
     -------
     h : float
-        h* of the state; infinite if Fast Downward proves that there is no plan.
+        h* of the state in the file's unit of cost; infinite if Fast Downward proves that there is no plan.
     plan : list of str or None
         Ground actions of an optimal plan.
 
@@ -95,10 +96,10 @@ def astar(
         raise
     if plan is None:
         return float("inf"), None
-    cost = task.plan_cost(plan)
-    if task.reduced.plan_cost(plan) + 2 * dearest >= OVERFLOW:
+    cost = plan_cost(task, plan, state)
+    if plan_cost(task.reduced, plan, state) + 2 * dearest >= OVERFLOW:
         raise CostLimitError(f"{task.instance}: Fast Downward's sums of costs may overflow, its plan costs {cost}")
-    return float(cost), plan
+    return float(task.in_unit(cost)), plan
 
 
 UNIT = 1000

@@ -46,7 +46,10 @@ class CostToGo(TransitionSystem, Protocol):
         """Return the number of states that have been numbered."""
 
     def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Return h* of states, shape (N,); infinite at dead ends."""
+        """Return h* of states in the file's unit of cost, shape (N,); infinite at dead ends."""
+
+    def whole(self, states: ArrayLike) -> NDArray[np.float64]:
+        """Return h* of states as whole numbers, multiples of the task's `unit`, shape (N,); infinite at dead ends."""
 
     def values(self, states: ArrayLike) -> Ints:
         """Return the values, shape (N, variables), of states, shape (N,)."""
@@ -77,8 +80,8 @@ def optimal_choices(known: CostToGo, states: ArrayLike, rows: Transitions) -> ND
         Their transitions, as `known.choices` returns them.
     """
     costs, counts = np.asarray(known.task.costs), np.diff(rows.offsets)
-    h = np.repeat(known.lookup(states), counts)
-    cheapest = np.isfinite(h) & (costs[rows.actions] + known.lookup(rows.targets) == h)
+    h = np.repeat(known.whole(states), counts)
+    cheapest = np.isfinite(h) & (costs[rows.actions] + known.whole(rows.targets) == h)
     if 0 not in costs:
         return cheapest
     sources = np.repeat(np.asarray(states, dtype=np.int64), counts)
@@ -94,7 +97,7 @@ def optimal_plan(known: CostToGo, start: int) -> list[str] | None:
     If actions of cost zero exist, the plan has the fewest actions among the optimal plans. If no successor of a state
     has the cost-to-go that its own implies, this raises a `MismatchError`.
     """
-    if not np.isfinite(known.lookup([start])[0]):
+    if not np.isfinite(known.whole([start])[0]):
         return None
     # Actions of cost zero can form cycles. Greedy descent could then loop, so this is a breadth-first search.
     costs = np.asarray(known.task.costs)
@@ -107,14 +110,14 @@ def optimal_plan(known: CostToGo, start: int) -> list[str] | None:
         rows = known.choices(layer)
         seen = np.append(seen, np.zeros(len(known) - len(seen), dtype=bool))  # some may have been met only now
         sources = np.repeat(layer, np.diff(rows.offsets))
-        cheapest = costs[rows.actions] + known.lookup(rows.targets) == known.lookup(sources)
+        cheapest = costs[rows.actions] + known.whole(rows.targets) == known.whole(sources)
         cheapest &= ~seen[rows.targets]
         targets, first = np.unique(rows.targets[cheapest], return_index=True)
         if descent:  # h* decreases with every action, so one successor suffices
             targets, first = targets[:1], first[:1]
         came.append((targets, sources[cheapest][first], rows.actions[cheapest][first]))
         if not len(targets):
-            h = known.lookup(layer[:1])[0]
+            h = known.whole(layer[:1])[0]
             raise MismatchError(f"no cheapest way leads on from state {layer[0]}, {h:g} from the goal")
         layer = targets
     at, plan = layer[ends.argmax()], []

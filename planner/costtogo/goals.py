@@ -113,7 +113,7 @@ def _signature(task: Task) -> tuple[frozenset[str], frozenset[str], frozenset[st
     facts = (variable.facts[value] for variable, value in primary if variable.axiom_layer < 0)
     return (
         frozenset(task.actions),
-        frozenset(f"{action} = {cost}" for action, cost in zip(task.actions, task.costs, strict=True)),
+        frozenset(f"{action} = {cost * task.unit}" for action, cost in zip(task.actions, task.costs, strict=True)),
         frozenset(fact.removeprefix("Atom ") for fact in facts if fact.startswith("Atom ")),
     )
 
@@ -142,7 +142,12 @@ def _grounded(task: Task) -> frozenset[tuple[object, ...]]:
         return meanings(one.conditions), meanings([(one.variable, one.value)])
 
     operators = [
-        (task.actions[one.action], meanings(one.preconditions), frozenset(map(effect, one.effects)))
+        (
+            task.actions[one.action],
+            task.costs[one.action],
+            meanings(one.preconditions),
+            frozenset(map(effect, one.effects)),
+        )
         for one in task.operators
     ]
-    return frozenset([*((facts,) for facts in every), *operators])
+    return frozenset([(task.unit,), *((facts,) for facts in every), *operators])

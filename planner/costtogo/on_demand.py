@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..grounding.semantics import derived
+from ..grounding.semantics import derived, plan_cost
 from ..grounding.task import Task
 from ..search.distances import UNREACHED
 from ..search.kernels import packed_successors
@@ -147,7 +147,9 @@ class OnDemand:
         return joined((counts, actions, self._meet(after)) for counts, actions, after in parts)
 
     def lookup(self, states: ArrayLike, progress: Callable[[int], None] | None = None) -> NDArray[np.float64]:
-        """Return h* of states, shape (N,), infinite at dead ends; unknown states are solved by Fast Downward.
+        """Return h* of states in the file's unit, shape (N,), infinite at dead ends.
+
+        Unknown states are solved by Fast Downward.
 
         Parameters
         ----------
@@ -160,9 +162,13 @@ class OnDemand:
         LimitError
             A search reached its limits. The results of the other searches are kept.
         """
+        return self.task.in_unit(self.whole(states, progress))
+
+    def whole(self, states: ArrayLike, progress: Callable[[int], None] | None = None) -> NDArray[np.float64]:
+        """Return h* of states as multiples of the task's `unit`, whole numbers; otherwise as `lookup`."""
         rows = self._rows(states)
         if self.orbits is not None:
-            h = self.orbits.lookup(rows)
+            h = self.orbits.whole(rows)
             if not np.isnan(h).any():
                 if progress is not None:
                     progress(len(h))
@@ -182,10 +188,11 @@ class OnDemand:
         return other
 
     def known(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Return h* of states, shape (N,), where it is known without a search; NaN elsewhere."""
+        """Return h* of states in the file's unit, shape (N,), where it is known without a search; NaN elsewhere."""
         rows = self._rows(states)
         h = self._costs(np.array([self._known.get(row.tobytes(), np.nan) for row in rows], dtype=np.float64))
-        return h if self.orbits is None else np.where(np.isnan(h), self.orbits.lookup(rows), h)
+        whole = h if self.orbits is None else np.where(np.isnan(h), self.orbits.whole(rows), h)
+        return self.task.in_unit(whole)
 
     def _costs(self, prices: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(np.isfinite(prices), np.floor(prices / self._unit), prices)
@@ -207,7 +214,7 @@ class OnDemand:
         if self._unit == 1 and len(set(self.task.costs)) > 1:
             counting = self._counting.under(self._limits, None)
             return counting.plan_lengths(counting.numbers(self.values(states)))
-        h = self.lookup(states)
+        h = self.whole(states)
         finite, found = np.isfinite(h), np.full(len(rows), UNREACHED)
         if self._unit == 1:
             found[finite] = h[finite] / max(self.task.costs, default=1)
@@ -241,11 +248,12 @@ class OnDemand:
         """
         if plan is None or self._unit == 1:
             return None
-        cost = self.task.plan_cost(plan)
+        cost = plan_cost(self.task, plan, self._values(row))
         if cost == 0 or math.prod(self.task.sizes) <= len(plan) + UNIT:
             return None
-        least, other = astar(self.task, self._values(row), search=self._search, limits=limits)
-        return other if least < cost else None
+        other = astar(self.task, self._values(row), search=self._search, limits=limits)[1]
+        assert other is not None  # the given plan is one
+        return other if plan_cost(self.task, other, self._values(row)) < cost else None
 
     def _ask(self, missing: Sequence[bytes], progress: Callable[[int], None] | None) -> None:
         if self._search is None:
@@ -309,17 +317,19 @@ class OnDemand:
         """Return the combined cost-to-go of every state on an optimal plan; None stands for a dead end."""
         if plan is None:
             return {row.tobytes(): np.inf}
-        price = float(self._priced.plan_cost(plan))
+        price = float(plan_cost(self._priced, plan, self._values(row)))
         if self._unit > 1 and (len(plan) >= UNIT or price >= OVERFLOW):
+            cost = (price - len(plan)) / self._unit
             raise LimitError(
-                f"a plan of {len(plan)} actions and cost {self.task.plan_cost(plan)}: where actions cost nothing, "
+                f"a plan of {len(plan)} actions and cost {cost:.0f}: where actions cost nothing, "
                 f"at most {UNIT - 1} actions and a cost below {OVERFLOW // UNIT} can be told apart"
             )
         found = {row.tobytes(): price}
         for action in plan:
-            number = self.task.action_index[action]
             _, actions, after = next(expanded(self._operators, row))
-            row = after[[actions.tolist().index(number)]]
-            price -= self._priced.costs[number]
+            applicable = [self.task.actions[number] for number in actions.tolist()]
+            slot = applicable.index(action)
+            row = after[[slot]]
+            price -= self._priced.costs[actions[slot]]
             found[row.tobytes()] = price
         return found

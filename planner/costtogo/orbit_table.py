@@ -39,7 +39,7 @@ class OrbitTable:
 
     index: RegistryIndex
     distance: NDArray[np.unsignedinteger]
-    """h* of each orbit; the type's largest value marks dead ends."""
+    """h* of each orbit, a multiple of the task's `unit`; the type's largest value marks dead ends."""
     lengths: NDArray[np.int64] | None
     """Least number of actions of an optimal plan from each orbit; None if all actions have positive costs."""
     order: int
@@ -52,8 +52,11 @@ class OrbitTable:
     def __len__(self) -> int:
         return len(self.distance)
 
-    def lookup(self, states: Words) -> NDArray[np.float64]:
-        """Return h* of packed states, shape (n, words): infinite at dead ends, NaN where the orbit is unknown."""
+    def whole(self, states: Words) -> NDArray[np.float64]:
+        """Return h* of packed states, shape (n, words), as multiples of the task's `unit`.
+
+        It is infinite at dead ends, and NaN where the orbit is unknown.
+        """
         rows = self.index.rows(states)
         return np.where(rows >= 0, as_floats(self.distance[rows]), np.nan)
 

@@ -30,8 +30,8 @@ class Table:
     ----------
     space : StateSpace
     distance : unsigned integer array, shape (n,)
-        h* in the task's cost units, in the smallest type that can represent it. The type's largest value marks
-        dead ends.
+        h* as a multiple of the task's `unit`, in the smallest type that can represent it. The type's largest value
+        marks dead ends.
     note : str or None
         Remark on how the table was computed, such as the reason for a slower method; None if there is none.
     """
@@ -86,12 +86,19 @@ class Table:
         return float(self.lookup([state])[0])
 
     def lookup(self, states: ArrayLike | slice) -> NDArray[np.float64]:
-        """Return h* of states, shape (N,); infinite at dead ends.
+        """Return h* of states in the file's unit of cost, shape (N,); infinite at dead ends.
 
         Raises
         ------
         IndexError
             One of them is not the number of a state.
+        """
+        return self.task.in_unit(self.whole(states))
+
+    def whole(self, states: ArrayLike | slice) -> NDArray[np.float64]:
+        """Return h* of states as multiples of the task's `unit`, shape (N,); infinite at dead ends.
+
+        These are whole numbers, so that sums of them are exact. An `IndexError` says as in `lookup`.
         """
         return as_floats(self.distance[states if isinstance(states, slice) else state_numbers(states, len(self))])
 
@@ -121,13 +128,13 @@ class Table:
         wanted = state_numbers(states, len(self))
         costs = np.asarray(self.task.costs)
         seen = np.zeros(len(self), dtype=bool)
-        layer = np.unique(wanted[np.isfinite(self.lookup(wanted))])
+        layer = np.unique(wanted[np.isfinite(self.whole(wanted))])
         edges = [np.empty((2, 0), dtype=np.int64)]
         while len(layer):
             seen[layer] = True
             rows = self.space.transitions if len(layer) == len(self) else self.choices(layer)
             sources = np.repeat(layer, np.diff(rows.offsets))
-            cheapest = costs[rows.actions] + self.lookup(rows.targets) == self.lookup(sources)
+            cheapest = costs[rows.actions] + self.whole(rows.targets) == self.whole(sources)
             edges.append(np.stack([rows.targets, sources])[:, cheapest])
             layer = np.unique(rows.targets[cheapest & ~seen[rows.targets]])
         result, known = np.full(len(wanted), UNREACHED), seen[wanted]

@@ -11,6 +11,7 @@ import io
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any, Literal
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import ArrayLike, NDArray
 
-from ..grounding.task import pddl_fact
+from ..grounding.task import in_unit, pddl_fact
 from ..search.distances import as_floats
 from ..states.packing import Ints, Packing, Words
 from ..states.state_space import state_numbers
@@ -38,12 +39,14 @@ class SavedTable:
     packing : Packing
     states : uint64 array, shape (n, words)
     distance : unsigned integer array, shape (n,)
-        h* of each state; the type's largest value marks dead ends.
+        h* of each state, a multiple of `unit`; the type's largest value marks dead ends.
     initial : int
         Number of the initial state.
     facts : text array, shape (variables, values)
         Meaning of each value of each variable: `(on a b)`, `(not (on a b))`, or `<none of those>`; empty for values
         that the variable does not have.
+    unit : Fraction
+        Cost in the file's unit that a distance of 1 stands for.
     """
 
     packing: Packing
@@ -51,6 +54,7 @@ class SavedTable:
     distance: NDArray[np.unsignedinteger]
     initial: int
     facts: NDArray[np.str_]
+    unit: Fraction
 
     __repr__ = outline
 
@@ -58,8 +62,8 @@ class SavedTable:
         return len(self.distance)
 
     def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Return h* of states, shape (N,); infinite at dead ends."""
-        return as_floats(self.distance[state_numbers(states, len(self))])
+        """Return h* of states in the file's unit of cost, shape (N,); infinite at dead ends."""
+        return in_unit(as_floats(self.distance[state_numbers(states, len(self))]), self.unit)
 
     def values(self, states: ArrayLike) -> Ints:
         """Return the values, shape (N, variables), of states, shape (N,)."""
@@ -80,6 +84,7 @@ def save_table(file: str | Path, table: Table) -> None:
     arrays = {
         "cost_to_go": table.distance,
         "initial": np.asanyarray(table.initial),
+        "unit": np.array([task.unit.numerator, task.unit.denominator], dtype=np.int64),
         "word": packing.word,
         "shift": packing.shift,
         "bits": packing.bits,
@@ -131,6 +136,7 @@ def _table(arrays: Mapping[str, NDArray[Any]]) -> SavedTable:
         ("cost_to_go", "u", 1),
         ("facts", "U", 2),
         ("initial", "iu", 0),
+        ("unit", "i", 1),
     ):
         array = arrays[name]
         if array.dtype.kind not in kinds or array.ndim != dimensions:
@@ -140,10 +146,13 @@ def _table(arrays: Mapping[str, NDArray[Any]]) -> SavedTable:
         raise ValueError(
             f"states, {states.dtype} {states.shape}, are not those of {len(distance)} costs-to-go and of the facts"
         )
+    unit = arrays["unit"].tolist()
+    if len(unit) != 2 or min(unit) <= 0:
+        raise ValueError(f"unit is {unit}; expected a numerator and a denominator")
     for name in ("word", "shift", "bits"):
         if not np.array_equal(arrays[name], getattr(packing, name)):
             raise ValueError(f"{name} is not where this version puts the variables")
-    return SavedTable(packing, states, distance, initial, facts)
+    return SavedTable(packing, states, distance, initial, facts, Fraction(*unit))
 
 
 def _mapped(file: Path, stream: io.BufferedReader, member: zipfile.ZipInfo) -> NDArray[Any]:

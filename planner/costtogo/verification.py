@@ -116,17 +116,17 @@ def check_successors(table: Table, count: int, rng: np.random.Generator, *, seco
             return done
         values = space.values([state])[0].tolist()
         if all(values[variable] == value for variable, value in task.goal):
-            expected = 0.0
+            least = np.zeros(1)
         else:
             after = semantics.successors(task, values)
             targets = np.array(list(after.values()), dtype=np.int64).reshape(len(after), len(values))
             try:
-                least = np.array([task.costs[action] for action in after]) + table.lookup(space.numbers(targets))
+                least = np.array([task.costs[action] for action in after]) + table.whole(space.numbers(targets))
             except KeyError as error:
                 raise MismatchError(f"state {state} leads to {error}, which is no state of the table") from error
-            expected = float(least.min(initial=np.inf))
-        if table[state] != expected:
-            raise mismatch(table, state, expected, "its successors say")
+        expected = float(least.min(initial=np.inf))
+        if table.whole([state])[0] != expected:
+            raise mismatch(table, state, task.in_unit(expected), "its successors say")
     return len(states)
 
 
@@ -137,16 +137,18 @@ def check_plan(known: CostToGo, plan: Sequence[str]) -> int:
     `MismatchError`.
     """
     task = known.task
-    values = semantics.states_along(task, plan)
-    costs = [task.costs[task.action_index[action]] for action in plan]
+    values, costs = semantics.steps_along(task, plan)
     rest = np.append(np.cumsum(costs[::-1], dtype=np.int64)[::-1], 0)
     try:
-        found = known.lookup(known.numbers(np.array(values, dtype=np.int64)))
+        found = known.whole(known.numbers(np.array(values, dtype=np.int64)))
     except KeyError as error:
         raise MismatchError(f"the plan leads to {error}, which is no state of the table") from error
     for step, (h, cost) in enumerate(zip(found.tolist(), rest.tolist(), strict=True)):
         if h != cost:
-            raise MismatchError(f"cost-to-go after step {step} of the plan is {h:g}, but its other steps cost {cost}")
+            after, others = task.in_unit(h), task.in_unit(cost)
+            raise MismatchError(
+                f"cost-to-go after step {step} of the plan is {after:g}, but its other steps cost {others:g}"
+            )
     return len(values)
 
 

@@ -15,29 +15,49 @@ from .task import Effect, Fact, Operator, Task
 def replay(task: Task, plan: Sequence[str]) -> int:
     """Execute a plan, ground actions as `(name arg ...)`, from the initial state, and return its cost.
 
-    An unknown or inapplicable action, or a goal that does not hold at the end, raises an `InvalidPlanError`.
+    The cost is a multiple of the task's `unit`. An unknown or inapplicable action, or a goal that does not hold at the
+    end, raises an `InvalidPlanError`.
     """
-    states_along(task, plan)
-    return task.plan_cost(plan)
+    return sum(steps_along(task, plan)[1])
 
 
-def states_along(task: Task, plan: Sequence[str]) -> list[list[int]]:
-    """Return the states of a plan, from the initial state to a goal state; errors are as in `replay`."""
-    state = derived(task, task.initial)
-    states = [state]
-    for step, name in enumerate(plan):
-        if name not in task.action_index:
-            raise InvalidPlanError(f"step {step}: {name} is no action of the task")
-        action = task.action_index[name]
-        operator = next((o for o in task.operators if o.action == action and _hold(o.preconditions, state)), None)
-        if operator is None:
-            raise InvalidPlanError(f"step {step}: {name} is not applicable")
-        state = derived(task, _applied(operator, state))
-        states.append(state)
+def steps_along(task: Task, plan: Sequence[str]) -> tuple[list[list[int]], list[int]]:
+    """Return the states of a plan, from the initial state to a goal state, and the cost of each step.
+
+    Costs and errors are as in `replay`.
+    """
+    states, costs = _executed(task, plan, task.initial)
+    state = states[-1]
     missing = [task.variables[variable].facts[value] for variable, value in task.goal if state[variable] != value]
     if missing:
         raise InvalidPlanError(f"the goal does not hold after the plan: {', '.join(missing)}")
-    return states
+    return states, costs
+
+
+def plan_cost(task: Task, plan: Sequence[str], state: Sequence[int] | None = None) -> int:
+    """Return the cost of a plan, a multiple of the task's `unit`.
+
+    If costs depend on the state, the plan is executed from the given state, by default the initial one; an action that
+    is not applicable then raises an `InvalidPlanError`.
+    """
+    if len(task.numbers_of) == len(task.actions):
+        return sum(task.costs[task.numbers_of[action][0]] for action in plan)
+    return sum(_executed(task, plan, task.initial if state is None else state)[1])
+
+
+def _executed(task: Task, plan: Sequence[str], start: Sequence[int]) -> tuple[list[list[int]], list[int]]:
+    """Return the states along a plan from a state, and the cost of each step."""
+    states, costs = [derived(task, start)], list[int]()
+    for step, name in enumerate(plan):
+        if name not in task.numbers_of:
+            raise InvalidPlanError(f"step {step}: {name} is no action of the task")
+        numbers, state = task.numbers_of[name], states[-1]
+        operator = next((o for o in task.operators if o.action in numbers and _hold(o.preconditions, state)), None)
+        if operator is None:
+            raise InvalidPlanError(f"step {step}: {name} is not applicable")
+        states.append(derived(task, _applied(operator, state)))
+        costs.append(task.costs[operator.action])
+    return states, costs
 
 
 def successors(task: Task, state: Sequence[int]) -> dict[int, list[int]]:

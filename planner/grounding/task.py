@@ -17,6 +17,10 @@ from fractions import Fraction
 from functools import cached_property
 from numbers import Integral
 from pathlib import Path
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..pddl import instances
 from ..system.arrays import outline
@@ -174,26 +178,74 @@ class Task:
         return self if divisor <= 1 else replace(self, costs=tuple(cost // divisor for cost in self.costs))
 
     @cached_property
-    def action_index(self) -> dict[str, int]:
-        """The index of each ground action in `actions`, by the action's text."""
-        return {action: index for index, action in enumerate(self.actions)}
+    def numbers_of(self) -> dict[str, tuple[int, ...]]:
+        """The numbers of each ground action, by its text; several if its cost depends on the state."""
+        found: dict[str, tuple[int, ...]] = {}
+        for number, action in enumerate(self.actions):
+            found[action] = (*found.get(action, ()), number)
+        return found
+
+    @cached_property
+    def first_of_name(self) -> NDArray[np.int32]:
+        """For each action, the number of the first action of the same name, shape (actions,); read-only.
+
+        As an action occurs several times only if its cost depends on the state, these are the actions that a person
+        tells apart.
+        """
+        found = np.array([self.numbers_of[action][0] for action in self.actions], dtype=np.int32)
+        found.flags.writeable = False
+        return found
+
+    @cached_property
+    def action_costs(self) -> NDArray[np.float64]:
+        """The cost of each action in the file's unit, shape (actions,); read-only."""
+        costs = np.asarray(self.in_unit(np.array(self.costs, dtype=np.float64)))
+        costs.flags.writeable = False
+        return costs
+
+    @overload
+    def in_unit(self, whole: NDArray[np.float64]) -> NDArray[np.float64]: ...
+
+    @overload
+    def in_unit(self, whole: float) -> float: ...
+
+    def in_unit(self, whole: NDArray[np.float64] | float) -> NDArray[np.float64] | float:
+        """Return costs in the file's unit, from multiples of `unit` (`in_unit`)."""
+        return in_unit(whole, self.unit)
 
     def facts(self, values: Sequence[int]) -> list[str]:
         """Return the PDDL atoms that hold in a state, among those that can change, sorted."""
         facts = (variable.facts[value] for variable, value in zip(self.variables, values, strict=True))
         return sorted(fact.removeprefix("Atom ") for fact in facts if fact.startswith("Atom "))
 
-    def plan_cost(self, plan: Sequence[str]) -> int:
-        """Return the sum of the costs of a plan's actions."""
-        return sum(self.costs[self.action_index[action]] for action in plan)
+
+@overload
+def in_unit(whole: NDArray[np.float64], unit: Fraction) -> NDArray[np.float64]: ...
+
+
+@overload
+def in_unit(whole: float, unit: Fraction) -> float: ...
+
+
+def in_unit(whole: NDArray[np.float64] | float, unit: Fraction) -> NDArray[np.float64] | float:
+    """Return costs in the file's unit, from multiples of `unit`: a number, or an array of any shape.
+
+    Each is the nearest floating-point number if it stays below 2^53 when multiplied by the numerator of `unit`.
+    """
+    return whole if unit == 1 else whole * unit.numerator / unit.denominator
 
 
 def pddl_fact(fact: str) -> str:
-    """Return the meaning of a variable's value in PDDL notation; `<none of those>` is returned unchanged."""
-    match = re.fullmatch(r"(Negated)?Atom ([^()]+)\((.*)\)", fact)
+    """Return the meaning of a variable's value in PDDL notation; `<none of those>` is returned unchanged.
+
+    The value of a function is `(= (stock bin-1) 3)`.
+    """
+    match = re.fullmatch(r"(Negated)?Atom ([^()]+)\(([^()]*)\)(?: = (.*))?", fact)
     if match is None:
         return fact
     atom = f"({' '.join([match[2], *(match[3].split(', ') if match[3] else [])])})"
+    if match[4] is not None:
+        atom = f"(= {atom} {match[4]})"
     return f"(not {atom})" if match[1] else atom
 
 
