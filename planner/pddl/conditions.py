@@ -8,6 +8,7 @@ reads a number without a value is not satisfied, negated or not. `(failed COMPAR
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from functools import lru_cache
 
 from .formulas import COMPARISONS, listed, word
 from .numeric_expressions import number
@@ -130,6 +131,7 @@ def substituted(expression: Expression, bound: Mapping[str, str]) -> Expression:
     return expression._replace(parts=tuple(substituted(part, bound) for part in expression.parts))
 
 
+@lru_cache(100_000)
 def free_variables(expression: Expression) -> dict[str, None]:
     """Return the variables of an expression that no quantifier within it binds, in their order."""
     if expression.word:

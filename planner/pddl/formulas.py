@@ -190,9 +190,9 @@ class Formulas:
         if part.word:
             if number(part.word) is not None:
                 return part
-            known = self.names.functions.keys() | {"total-cost"}
-            near = f"; write ({part})" if part.word in known else "; expected a number or (FUNCTION ARGUMENT ...)"
-            self.refuse(part, f"'{part}' is no number{near}")
+            if part.word in self.names.functions:  # PDDL 2.1 allows a function without arguments as a word
+                return self._function(Expression("", (part,), part.place), scope)
+            self.refuse(part, f"'{part}' is no number; expected a number or (FUNCTION ARGUMENT ...)")
         head, given = part.head, part.parts[1:]
         if head in ("+", "-", "*", "/"):
             fewest, most = {"-": (1, 2), "/": (2, 2)}.get(head, (1, len(given)))
@@ -328,8 +328,10 @@ class Formulas:
         self.numeric = True
         self._expect(formula, 2, f"({formula.head} (FUNCTION ARGUMENT ...) NUMBER)")
         changed, amount = formula.parts[1:]
+        if changed.word in self.names.functions:  # PDDL 2.1 allows a function without arguments as a word
+            changed = Expression("", (changed,), changed.place)
         if not changed.parts:
-            near = f"; write ({changed})" if changed.word in {*self.names.functions, "total-cost"} else ""
+            near = meant(changed.word, {*self.names.functions, "total-cost"})
             self.refuse(changed, f"action '{action}' changes '{changed}', which is no (FUNCTION ARGUMENT ...){near}")
         if changed.head == "total-cost" and formula.head != "increase":
             self.refuse(formula, f"action '{action}': costs only grow; expected (increase (total-cost) NUMBER)")

@@ -339,6 +339,10 @@ class Preparation:
             if not change.grows:
                 refuse(self.file, change.place, f"action '{schema.name}' assigns '{change.term}', which the metric "
                        "minimizes; expected that it only grows (increase)")  # fmt: skip
+            literal = literal_number(change.amount)
+            if literal is not None and literal < 0:
+                refuse(self.file, change.place, f"action '{schema.name}' lets '{change.term}' fall, which the metric "
+                       "minimizes; expected that it only grows (increase)")  # fmt: skip
             weights = {each[1:]: weight for each, weight in self.metric.weights.items() if each[0] == change.term.head}
             if () in weights:
                 parts.append(_times(weights[()], change.amount))

@@ -30,6 +30,7 @@ from .reader import Reading
 from .s_expressions import Expression, Place
 from .static_facts import Statics, TooManyError, literal_number
 from .value_sets import (
+    MOST_TOGETHER,
     Fluent,
     GroundChange,
     Saturation,
@@ -43,7 +44,7 @@ from .value_sets import (
 Fact = tuple[str, ...]
 Range = tuple[Number | None, Number | None]
 
-MOST_SECONDS = 20.0
+MOST_SECONDS = 10.0
 """Longest time for the proofs of one instance."""
 MOST_ROWS = 60_000
 """Largest number of ground actions in one linear program."""
@@ -62,10 +63,16 @@ def value_sets(
     """Return the values of all fluents; refuse a fluent without a bound, or with more than `most_values` values."""
     ranges: dict[Fluent, Range] = {}
     proofs: Proofs | None = None
+    together = MOST_TOGETHER
     while True:
         try:
-            return computed(changes, initial, limit=most_values, saturations=saturations, ranges=ranges)
+            return computed(
+                changes, initial, limit=most_values, saturations=saturations, ranges=ranges, together=together
+            )
         except TooIntricateError:
+            if together > 1:
+                together = 1
+                continue
             refuse(reading.instance.domain, _place(costed, changes, None), "the numbers of this domain have too many "
                    "combinations of values in one change; expected fewer values, or simpler expressions")  # fmt: skip
         except UnboundedError as error:

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
 
 from .conditions import COMPLEMENT, FALSE, comparisons, conjunction, conjuncts, free_variables
 from .durative import Schema, key
-from .numeric_expressions import NoValueError, Number, compared, terms_of, value_of
+from .numeric_expressions import OPERATIONS, NoValueError, Number, number, terms_of, whole
 from .s_expressions import Expression
 from .schemas import Change
-from .static_facts import Statics, literal_number
+from .static_facts import Statics
 
 Fluent = tuple[str, ...]
 """A function that changes, with its objects."""
@@ -25,9 +27,9 @@ Fluent = tuple[str, ...]
 Value = Number | None
 """A number, or None for a fluent that has no value."""
 
-MOST_STEPS = 3_000_000
+MOST_STEPS = 2_000_000
 """Largest number of combinations of values that are computed."""
-MOST_TOGETHER = 100_000
+MOST_TOGETHER = 10_000
 """Largest number of combinations of values at which a condition on several numbers is used."""
 
 
@@ -129,80 +131,111 @@ def _rows(
 
 def possible(condition: Expression, known: Mapping[str, Value]) -> bool:
     """Whether a ground condition may be true; the values of some fluents are known, by their texts."""
-    head, parts = condition.head, condition.parts[1:]
-    if head == "and":
-        return all(possible(part, known) for part in parts)
-    if head == "or":
-        return any(possible(part, known) for part in parts)
-    if head == "failed":
-        true = _truth(parts[0], known)
-        return not true
-    if head in COMPLEMENT:
-        return _truth(condition, known) is not False
-    return True
+    source = _Source({text: number for number, text in enumerate(known)})
+    return bool(source.function(source.condition(condition))(tuple(known.values())))
 
 
-def _truth(comparison: Expression, known: Mapping[str, Value]) -> bool | None:
-    """Return whether a comparison is satisfied; None if it is not known."""
-    texts = [str(term) for side in comparison.parts[1:] for term in terms_of(side)]
-    if not all(text in known for text in texts):
-        return None
-    if any(known[text] is None for text in texts):
-        return False
-    try:
-        left, right = (value_of(side, lambda term: known[str(term)]) for side in comparison.parts[1:])  # type: ignore[arg-type,return-value]
-    except (ZeroDivisionError, NoValueError):
-        return False
-    return compared(comparison.head, left, right)
+class _Source:
+    """Python text for conditions and numbers of ground fluents, whose values are in a tuple `v`."""
+
+    def __init__(self, positions: Mapping[str, int]) -> None:
+        self.positions = positions
+        self.names: dict[str, object] = {"divided": _divided}
+
+    def function(self, text: str) -> Callable[[tuple[Value, ...]], Any]:
+        """Return the function of a text that this object has written."""
+        function: Callable[[tuple[Value, ...]], Any] = eval(f"lambda v: {text}", self.names)
+        return function
+
+    def number(self, expression: Expression) -> str:
+        """Return the text of a numeric expression."""
+        if expression.word:
+            value = number(expression.word)
+            name = f"n{len(self.names)}"
+            self.names[name] = value
+            return name
+        if expression.head not in OPERATIONS:
+            return f"v[{self.positions[str(expression)]}]"
+        parts = [self.number(part) for part in expression.parts[1:]]
+        if expression.head == "-" and len(parts) == 1:
+            return f"(-{parts[0]})"
+        if expression.head == "/":
+            return f"divided({', '.join(parts)})"
+        return f"({f' {expression.head} '.join(parts)})"
+
+    def condition(self, condition: Expression) -> str:
+        """Return the text of a condition; what is not known may be true."""
+        head, parts = condition.head, condition.parts[1:]
+        if head in ("and", "or"):
+            inner = [self.condition(part) for part in parts]
+            return f"({f' {head} '.join(inner)})" if inner else str(head == "and")
+        comparison = parts[0] if head == "failed" else condition
+        if comparison.head not in COMPLEMENT:
+            return "True"
+        sides = comparison.parts[1:]
+        terms = dict.fromkeys(str(term) for side in sides for term in terms_of(side))
+        if not terms.keys() <= self.positions.keys():
+            return "True"
+        left, right = map(self.number, sides)
+        known = "".join(f"v[{self.positions[text]}] is not None and " for text in terms)
+        found = f"({known}{left} {comparison.head} {right})"
+        if "divided" in found:  # a division by zero satisfies no comparison
+            name = f"c{len(self.names)}"
+            self.names[name] = _without_zero(self.function(found))
+            found = f"{name}(v)"
+        return f"(not {found})" if head == "failed" else found
+
+
+def _divided(dividend: Number, divisor: Number) -> Number:
+    return whole(Fraction(dividend) / divisor)
+
+
+def _without_zero(function: Callable[[tuple[Value, ...]], Any]) -> Callable[[tuple[Value, ...]], Any]:
+    def checked(values: tuple[Value, ...]) -> Any:
+        try:
+            return function(values)
+        except ZeroDivisionError:
+            return False
+
+    return checked
 
 
 class _Rule:
     """A change as a function of the values of the fluents that it reads."""
 
-    def __init__(self, change: GroundChange, sizes: Mapping[Fluent, int]) -> None:
+    def __init__(self, change: GroundChange, sizes: Mapping[Fluent, int], together: int) -> None:
         self.fluent = change.fluent
-        self.grows = change.grows
-        self.amount = change.amount
-        self.constant = literal_number(change.amount)
         own = [change.fluent] if change.grows else []
-        reads = dict.fromkeys([*own, *map(key, terms_of(change.amount))])
-        self.guards: list[Expression] = []
+        needed = dict.fromkeys([*own, *map(key, terms_of(change.amount))])
+        reads = dict(needed)
+        guards: list[Expression] = []
         for guard in conjuncts(change.guard):
             inner = [key(t) for each in comparisons(guard) for side in each.parts[1:] for t in terms_of(side)]
             if not inner:
                 continue
-            self.guards.append(guard)
+            guards.append(guard)
             more = dict.fromkeys([*reads, *inner])
             product = 1
             for each in more:
                 product *= max(sizes.get(each, 1), 1)
-            if (set(inner) & set(reads) and product <= MOST_TOGETHER) or len(more) == 1:
+            if (set(inner) & set(reads) and product <= together) or len(more) == 1:
                 reads = more
         self.reads: tuple[Fluent, ...] = tuple(reads)
-        self.texts = tuple(f"({' '.join(each)})" for each in self.reads)
+        source = _Source({f"({' '.join(each)})": number for number, each in enumerate(self.reads)})
+        conditions = [f"v[{number}] is not None" for number in range(len(needed))]
+        conditions += [source.condition(guard) for guard in guards]
+        after = source.number(change.amount)
+        after = f"v[0] + {after}" if change.grows else after
+        allowed = " and ".join(conditions)
+        self._function = source.function(f"{after} if {allowed} else None" if allowed else after)
 
     def result(self, values: tuple[Value, ...]) -> Number | None:
         """Return the value after the change, given those of the fluents that are read; None if it is not made."""
-        known = dict(zip(self.texts, values, strict=True))
-        if not all(possible(guard, known) for guard in self.guards):
-            return None
-        if self.constant is not None:
-            if not self.grows:
-                return self.constant
-            return None if values[0] is None else values[0] + self.constant
         try:
-            amount = value_of(self.amount, lambda term: _defined(known[str(term)]))
-        except (ZeroDivisionError, NoValueError):
+            found: Number | None = self._function(values)
+        except ZeroDivisionError:
             return None
-        if not self.grows:
-            return amount
-        return None if values[0] is None else values[0] + amount
-
-
-def _defined(value: Value) -> Number:
-    if value is None:
-        raise NoValueError
-    return value
+        return found
 
 
 def computed(
@@ -212,12 +245,12 @@ def computed(
     limit: int,
     saturations: Mapping[Fluent, Saturation],
     ranges: Mapping[Fluent, tuple[Number | None, Number | None]],
-    most_steps: int = MOST_STEPS,
+    together: int = MOST_TOGETHER,
 ) -> ValueSets:
     """Return the values of all fluents.
 
-    A fluent with more than `limit` values raises an `UnboundedError`, and more than `most_steps` combinations raise a
-    `TooIntricateError`.
+    A fluent with more than `limit` values raises an `UnboundedError`, and more than `MOST_STEPS` combinations raise a
+    `TooIntricateError`. A condition on several fluents is used up to `together` combinations of their values.
     """
     changes = list(changes)
     begin = dict(initial)
@@ -225,7 +258,7 @@ def computed(
         begin.setdefault(change.fluent, None)
     found = ValueSets({fluent: set() for fluent in begin}, begin)
     sizes = {fluent: min(limit, 50) for fluent in begin}
-    rules = [_Rule(change, sizes) for change in changes]
+    rules = [_Rule(change, sizes, together) for change in changes]
     readers: dict[Fluent, list[_Rule]] = defaultdict(list)
     for rule in rules:
         for fluent in rule.reads:
@@ -267,7 +300,7 @@ def computed(
                 steps += 1
                 if (after := rule.result(values)) is not None:
                     reached(rule.fluent, after)
-            if steps > most_steps:
+            if steps > MOST_STEPS:
                 raise TooIntricateError
     return found
 

@@ -1,0 +1,200 @@
+"""Wrong files with numbers and durations, of kinds that people write, get one line with the place and what is right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from planner import Instance, PDDLError
+from planner.pddl.compilation import compiled
+from planner.pddl.reader import read
+
+DOMAIN = """(define (domain cell)
+(:requirements :typing :fluents :durative-actions)
+(:types bin)
+(:predicates (ready) (open ?b - bin))
+(:functions (stock ?b - bin) (level) (rate) (far ?a ?b - bin) (spent))
+(:action take :parameters (?b - bin)
+ :precondition (>= (stock ?b) 1)
+ :effect (and (decrease (stock ?b) 1) (increase (spent) 2)))
+(:durative-action move :parameters (?a ?b - bin)
+ :duration (= ?duration (far ?a ?b))
+ :condition (and (at start (open ?a)) (over all (open ?b)))
+ :effect (and (at start (not (open ?a))) (at end (ready))))
+)
+"""
+PROBLEM = """(define (problem p) (:domain cell)
+(:objects x y - bin)
+(:init (= (stock x) 3) (= (stock y) 2) (= (level) 0) (= (rate) 0)
+ (= (far x y) 2) (= (far y x) 2) (open x) (open y))
+(:goal (and (ready) (<= (stock x) 1)))
+(:metric minimize (+ (total-time) (spent)))
+)
+"""
+WRONG = {
+    "an unbounded counter": (
+        "(>= (stock ?b) 1)\n :effect (and (decrease (stock ?b) 1)",
+        "(ready)\n :effect (and (increase (level) 3) (when (open ?b) (decrease (level) 4))",
+        "(<= (stock x) 1)", "(= (level) 5)", "domain.pddl:8: (level) grows without a limit (take) and falls",
+    ),
+    "what would bound it": (
+        "(>= (stock ?b) 1)", "(ready)", "(<= (stock x) 1)", "(= (stock x) (stock y))",
+        "domain.pddl:8: (stock x) falls without a limit (take); expected conditions that bound it",
+    ),
+    "division by zero": (
+        "(far ?a ?b))", "(/ (far ?a ?b) (rate)))", "", "",
+        "domain.pddl:10: action 'move' divides by zero in '(/ (far ?a ?b) (rate))' for (x y)",
+    ),
+    "an undefined function": (
+        "(decrease (stock ?b) 1)", "(decrease (stok ?b) 1)", "", "",
+        "domain.pddl:8: no such function 'stok' in (:functions ...); did you mean 'stock'?",
+    ),
+    "an undefined function in the initial state": (
+        "", "", "(= (level) 0)", "(= (levl) 0)", "p.pddl:3: no such function 'levl' in (:functions ...)",
+    ),
+    "a number where a name stands": (
+        "(open ?a))", "(open 3))", "", "", "domain.pddl:11: '3' is a number, and the name of an object is",
+    ),
+    "a name where a number stands": (
+        "(>= (stock ?b) 1)", "(>= (stock ?b) ?b)", "", "",
+        "domain.pddl:7: '?b' is no number; expected a number or (FUNCTION ARGUMENT ...)",
+    ),
+    "a word where a number stands": (
+        "", "", "(= (stock x) 3)", "(= (stock x) three)", "p.pddl:3: 'three' is no number; expected a number such as 3",
+    ),
+    "no duration": (
+        " :duration (= ?duration (far ?a ?b))\n", "", "", "",
+        "domain.pddl:9: durative action 'move' has no :duration; expected :duration (= ?duration NUMBER)",
+    ),
+    "at start, misspelt": (
+        "(at start (open ?a))", "(at strat (open ?a))", "", "",
+        "domain.pddl:11: durative action 'move': '(at strat (open ?a))' is no time with one formula",
+    ),
+    "over all, misspelt": (
+        "(over all (open ?b))", "(over al (open ?b))", "", "", "domain.pddl:11: durative action 'move': '(over al",
+    ),
+    "a condition without a time": (
+        "(at start (open ?a))", "(open ?a)", "", "",
+        "domain.pddl:11: durative action 'move': '(open ?a)' has no time; expected (at start CONDITION)",
+    ),
+    "an effect without a time": (
+        "(at end (ready))", "(ready)", "", "",
+        "domain.pddl:12: durative action 'move': '(ready)' has no time; expected (at start EFFECT) or (at end EFFECT)",
+    ),
+    "an effect over all": (
+        "(at end (ready))", "(over all (ready))", "", "", "domain.pddl:12: durative action 'move': effects happen",
+    ),
+    "a precondition of a durative action": (
+        " :condition", " :precondition", "", "",
+        "domain.pddl:11: ':precondition' is not expected in action 'move'; did you mean ':condition'?",
+    ),
+    "an unknown unit of the metric": (
+        "", "", "(total-time)", "(total-tme)", "p.pddl:6: no such function 'total-tme' in (:functions ...)",
+    ),
+    "a metric over what shrinks": (
+        "", "", "(+ (total-time) (spent))", "(stock x)", "domain.pddl:8: action 'take' lets '(stock ?b)' fall",
+    ),
+    "a metric over what is assigned": (
+        "(increase (spent) 2)", "(assign (spent) 2)", "", "",
+        "domain.pddl:8: action 'take' assigns '(spent)', which the metric minimizes; expected that it only grows",
+    ),
+    "a metric that subtracts": (
+        "", "", "(+ (total-time) (spent))", "(- (total-time) (spent))", "p.pddl:6: the metric subtracts '(spent)'",
+    ),
+    "a metric that is not linear": (
+        "", "", "(+ (total-time) (spent))", "(* (total-time) (spent))", "p.pddl:6: the metric is not linear",
+    ),
+    "maximize": ("", "", "minimize", "maximize", "p.pddl:6: metric maximize is not supported"),
+    "negative costs": (
+        "(increase (spent) 2)", "(increase (spent) -2)", "", "", "domain.pddl:8: action 'take' lets '(spent)' fall",
+    ),
+    "a negative duration": (
+        "", "", "(= (far x y) 2)", "(= (far x y) -2)", "domain.pddl:9: (move x y) has a duration of -2",
+    ),
+    "a change with too many numbers": (
+        "(decrease (stock ?b) 1)", "(decrease (stock ?b) 1 2)", "", "",
+        "domain.pddl:8: 'decrease' expects exactly two arguments; expected (decrease (FUNCTION ARGUMENT ...) NUMBER)",
+    ),
+    "a wrong number of arguments": (
+        "(decrease (stock ?b) 1)", "(decrease (stock) 1)", "", "", "domain.pddl:8: 'stock' takes 1 argument, not 0",
+    ),
+    "a predicate as a number": (
+        "(>= (stock ?b) 1)", "(>= (open ?b) 1)", "", "", "domain.pddl:7: 'open' is a predicate, and a number is",
+    ),
+    "a number as a condition": (
+        "(>= (stock ?b) 1)", "(stock ?b)", "", "", "domain.pddl:7: unknown predicate 'stock': it is a function",
+    ),
+    "continuous effects": (
+        "(at end (ready))", "(increase (level) (* #t 2))", "", "", "domain.pddl:12: continuous effects (#t) are not",
+    ),
+    "timed initial literals": (
+        "", "", "(open x)", "(at 5 (open x))", "p.pddl:4: timed initial literals are not supported: (at 5 (open x))",
+    ),
+    "a preference": ("", "", "(ready)", "(preference a (ready))", "p.pddl:5: preferences are not supported"),
+    "constraints": (
+        "", "", "(:metric", "(:constraints (always (ready)))\n(:metric",
+        "p.pddl:6: trajectory constraints (:constraints) are not supported; write them as conditions of actions",
+    ),
+    "a duration outside a durative action": (
+        "(>= (stock ?b) 1)", "(>= (stock ?b) ?duration)", "", "",
+        "domain.pddl:7: ?duration is known in durative actions only",
+    ),
+    "a duration with a strict bound": (
+        "(= ?duration (far ?a ?b))", "(> ?duration 2)", "", "",
+        "domain.pddl:10: durative action 'move': '(> ?duration 2)' is no duration; expected (= ?duration NUMBER)",
+    ),
+    "a number that changes twice at once": (
+        "(decrease (stock ?b) 1)", "(decrease (stock ?b) 1) (assign (stock ?b) 4)", "", "",
+        "domain.pddl:8: action 'take' changes '(stock ?b)' twice at one time",
+    ),
+}  # fmt: skip
+
+
+def faults(folder: Path, domain: str, problem: str) -> str:
+    """Return the message for the two texts of files."""
+    instance = Instance(folder / "p.pddl", folder / "domain.pddl")
+    instance.domain.write_text(domain)
+    instance.problem.write_text(problem)
+    with pytest.raises(PDDLError) as error:
+        compiled(read(instance))
+    assert "\n" not in str(error.value)
+    assert error.value.line is not None
+    return str(error.value)
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_file_gets_one_line_with_its_place(tmp_path: Path, name: str) -> None:
+    old, new, before, after, said = WRONG[name]
+    assert old in DOMAIN
+    assert before in PROBLEM
+    message = faults(tmp_path, DOMAIN.replace(old, new) if old else DOMAIN, PROBLEM.replace(before, after))
+    assert said in message.replace(str(tmp_path) + "/", "")
+
+
+def test_the_files_without_faults_are_compiled(tmp_path: Path) -> None:
+    instance = Instance(tmp_path / "p.pddl", tmp_path / "domain.pddl")
+    instance.domain.write_text(DOMAIN)
+    instance.problem.write_text(PROBLEM)
+    compilation = compiled(read(instance))
+    assert dict(compilation.compiled) == {"durations": 1, "numbers": 1}
+
+
+def test_a_free_duration_cannot_be_read(tmp_path: Path) -> None:
+    domain = DOMAIN.replace("(= ?duration (far ?a ?b))", "(>= ?duration 2)").replace(
+        "(at end (ready))", "(at end (ready)) (at end (increase (spent) ?duration))"
+    )
+    assert "reads ?duration, and the duration is free; expected (= ?duration NUMBER)" in faults(
+        tmp_path, domain, PROBLEM
+    )
+
+
+def test_more_values_than_the_limit_are_named_with_their_number(tmp_path: Path) -> None:
+    problem = PROBLEM.replace("(= (stock x) 3)", "(= (stock x) 3000)").replace("(<= (stock x) 1)", "(= (stock x) 1)")
+    domain = DOMAIN.replace("(decrease (stock ?b) 1)", "(assign (stock ?b) (* 0.999 (stock ?b)))")
+    assert "domain.pddl:8: (stock x)" in faults(tmp_path, domain, problem)
+
+
+def test_costs_beyond_the_largest_after_scaling_are_refused(tmp_path: Path) -> None:
+    domain = DOMAIN.replace("(increase (spent) 2)", "(increase (spent) 100000000000.001)")
+    assert "more than 1000000000000 units of 0.001, the unit in which" in faults(tmp_path, domain, PROBLEM)
