@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from fractions import Fraction
 
@@ -10,7 +11,7 @@ import pytest
 
 from assist import Assistant
 from assist.people.choices import Choices
-from planner import OnDemand, astar, sweep, verify
+from planner import OnDemand, PDDLError, astar, load, sweep, verify
 from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
 from planner.grounding.sas_reader import from_sas
@@ -86,3 +87,24 @@ def test_people_tell_actions_apart_by_their_names(stock: Task) -> None:
 
 def test_a_stored_task_keeps_them(stock: Task) -> None:
     assert replace(from_sas(stock.sas, stock.instance), unit=stock.unit) == stock
+
+
+def test_bounds_of_a_type_are_not_lost() -> None:
+    """Without its lower bound, the counter would fall below 0."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from unified_planning.shortcuts import Equals, Fluent, InstantaneousAction, IntType, Problem
+
+        for bounds, refused in (((0, 9), True), ((None, None), False)):
+            stock, problem = Fluent("stock", IntType(*bounds)), Problem("one")
+            take = InstantaneousAction("take")
+            take.add_precondition(stock >= 1)
+            take.add_decrease_effect(stock, 1)
+            problem.add_fluent(stock, default_initial_value=2)
+            problem.add_action(take)
+            problem.add_goal(Equals(stock, 0))
+            if refused:
+                with pytest.raises(PDDLError, match="fluent 'stock' changes and has the type"):
+                    load(problem)
+            else:
+                assert astar(load(problem))[1] == ["(take)", "(take)"]

@@ -38,6 +38,7 @@ def write(problem: Problem, folder: Path) -> tuple[Instance, dict[str, str]]:
     from unified_planning.exceptions import UPException
     from unified_planning.io import PDDLWriter
 
+    _require_no_bounds(problem)
     instance = Instance(folder / "problem.pddl", folder / "domain.pddl")
     try:
         with warnings.catch_warnings():
@@ -139,6 +140,18 @@ def _never(problem: Problem) -> Fluent:
     never = Fluent(name, problem.environment.type_manager.BoolType(), environment=problem.environment)
     problem.add_fluent(never, default_initial_value=False)
     return never
+
+
+def _require_no_bounds(problem: Problem) -> None:
+    """Refuse a fluent that changes and has a bounded type: PDDL has no bounds, so that they would be lost."""
+    static = problem.get_static_fluents()
+    for fluent in problem.fluents:
+        kind = fluent.type
+        if fluent in static or not (kind.is_int_type() or kind.is_real_type()):
+            continue
+        if kind.lower_bound is not None or kind.upper_bound is not None:
+            message = f"fluent '{fluent.name}' changes and has the type {kind}, whose bounds PDDL lacks; expected an "
+            raise PDDLError(named(problem).problem, None, f"{message}unbounded type, and the bounds as preconditions")
 
 
 def with_plain_costs(problem: Problem) -> Problem:
