@@ -157,6 +157,12 @@ class Row:
         ))  # fmt: skip
 
 
+def _changed(costed: Costed) -> set[str]:
+    """Return the predicates and functions that a schema changes."""
+    literals, changes = costed.schema.literals, costed.schema.changes
+    return {each.atom.head for each in literals} | {each.term.head for each in changes}
+
+
 class Proofs:
     """The search for potentials of one instance."""
 
@@ -229,10 +235,11 @@ class Proofs:
         """Return the ground actions that change a function, or what is changed together with it."""
         if name in self.rows:
             return self.rows[name]
-        own = [each for each in self.costed if any(change.term.head == name for change in each.schema.changes)]
-        heads = {literal.atom.head for each in own for literal in each.schema.literals}
-        heads |= {change.term.head for each in own for change in each.schema.changes}
-        heads -= {other for other in heads if other != name and other in self.assigned | self.varying}
+        heads = {name}
+        for _ in range(2):  # what changes together with the function, and what changes together with that
+            own = [each for each in self.costed if heads & _changed(each)]
+            heads = heads.union(*map(_changed, own))
+            heads -= {other for other in heads if other != name and other in self.assigned | self.varying}
         found: dict[str, Row] = {}
         for each in self.costed:
             for row in self._ground(each, heads):
