@@ -39,8 +39,8 @@ ROOMS = {
     "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model
         weighted_choice human mixture spread belief influence_kernels trust_rules user_code action_names signals""",
     "assist.person": """leaf_bounds observation_model pomdp known_goals visiting_robot policy lazy_policy archive
-        problem_arrays belief_filter reached_goals dynamics joint_belief qmdp solution_cache alpha_vectors upper_hull
-        convex_bound hsvi search memory_needed further_beliefs solver""",
+        problem_arrays belief_filter reached_goals dynamics joint_belief rounding action_values policy_iteration qmdp
+        solution_cache alpha_vectors upper_hull convex_bound hsvi search memory_needed further_beliefs solver""",
     "assist.learning": """log_steps log_json log_files log advice_log trust_scores advice_rules advice_model advice_fit
         replay observations likelihood choosing profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
         diagnostics population person_estimate fit joint_states goals goal_fit comparison rule_families trust_log

@@ -50,7 +50,7 @@ from ..people.decision import Floats
 from ..people.human import Human
 from ..people.misconception import Misconception
 from ..person.problem_arrays import read_only
-from ..person.qmdp import ROUNDING
+from ..person.rounding import rounding
 from .truncated_task import never_erring, perceived_of_states
 
 Ints = NDArray[np.int64]
@@ -151,7 +151,9 @@ def compliance_bounds(
                 break
             if _sweep(value, stamp, sweep, *arrays, beta, gamma, c_suggest, lapse, optimal) <= tolerance:
                 break
-        return value[: len(states)] * (1 - ROUNDING / (1 - gamma))  # values are negative
+        # values only fall, so that rounding is all that the theorem of `policy_iteration` adds
+        margin = rounding(int(np.diff(rows.offsets).max(initial=0))) / (1 - gamma) * np.abs(value).max(initial=0.0)
+        return np.minimum(value[: len(states)] + margin, 0.0)
 
     with ThreadPoolExecutor(processors()) as threads:
         return ComplianceBounds(states, np.stack(list(threads.map(one, betas.tolist())), axis=1))

@@ -37,8 +37,9 @@ from ..people.human import Human, Population
 from ..people.mixture import Mixture
 from ..people.trust_rules import counts_of
 from ..person.policy import Policy
+from ..person.policy_iteration import SOLVING
 from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import QMDP, SOLVING, look_ahead
+from ..person.qmdp import QMDP, look_ahead
 from ..person.visiting_robot import VisitingRobot
 from ..team.attention_subproblem import AttentionSubproblem
 from ..team.priority import SolvedSubproblem

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from .qmdp import ROUNDING
+from .rounding import rounding
 from .upper_hull import ABSENT, FAST, Program, new_program, solve
 
 PIVOTS = 5000  # limit against cycling; rarely more than a hundred are needed, and the bound is valid after any number
@@ -44,7 +44,7 @@ def uppers(
         for j in range(weigh(beliefs[n], base, point, drop, begin, end, pivots, program)):
             worth += program.weight[j] * drop[program.used[j]]
         value[n] = base + worth
-        value[n] += ROUNDING * abs(value[n])
+        value[n] += rounding(2 * size) * abs(value[n])
 
 
 @njit(fastmath=FAST)

@@ -11,7 +11,7 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from . import hsvi
-from .qmdp import ROUNDING
+from .rounding import rounding
 from .search import Search, relative_gap
 from .upper_hull import new_program
 
@@ -68,6 +68,7 @@ def _upper_backups(start, states, beliefs, step, trial, hull, q, m):
     Improvements up to `step` are not stored. Return where to continue if memory is short.
     """
     work, room = np.empty((4, beliefs.shape[1])), new_program(beliefs.shape[1])
+    margin = rounding(beliefs.shape[1] + m.targets.shape[1])
     for i in range(start, len(states)):
         if len(hull.drop) == hull.space[0]:
             return i
@@ -76,7 +77,7 @@ def _upper_backups(start, states, beliefs, step, trial, hull, q, m):
         hsvi.start_node(hsvi.ZERO, beliefs[i], 1.0, q, trial, m)
         belief = trial.belief[0]  # given that the goal is none that is reached in x
         value = trial.q[0, hsvi.most_promising(hsvi.ZERO, work, room, trial, hull, m)]
-        value += 2 * ROUNDING * abs(value)
-        if value < hsvi.upper(x, belief, hull, room) - step - 4 * ROUNDING * abs(value):
+        value += 2 * margin * abs(value)
+        if value < hsvi.upper(x, belief, hull, room) - step - 4 * margin * abs(value):
             hsvi.add_point(x, belief, value, hull)
     return len(states)

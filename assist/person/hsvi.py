@@ -21,8 +21,8 @@ from planner.system.jit import njit
 from ..people.decision import Floats
 from ..people.influence_kernels import influence_factors
 from .belief_filter import child, split
-from .qmdp import ROUNDING
 from .reached_goals import leave_out_reached
+from .rounding import rounding
 from .upper_hull import new_program, solve
 
 FEW_VECTORS = 32  # length up to which the vector list of a state is not pruned; pruning takes time, long lists too
@@ -231,7 +231,7 @@ def add_point(x, belief, value, hull):
     A stored belief is redundant if the new one alone gives at least as low a bound there.
     """
     after, head, space, drops, inverse, state = hull.after, hull.head, hull.space, hull.drop, hull.inverse, hull.state
-    drop = value + ROUNDING * abs(value) - dot(hull.corner[x], belief)
+    drop = value + rounding(len(belief)) * abs(value) - dot(hull.corner[x], belief)
     if drop >= 0.0:
         return
     new = space[1]
@@ -400,7 +400,7 @@ def _bound_below(d, r, work, trial, picked, vectors, m):
 def _backup_vector(x, r, picked, vector, vectors, m):
     """Fill in the alpha vector of a robot action that is followed by the picked vectors.
 
-    The margin `ROUNDING` moves each entry downwards, so that the vector is a lower bound in floating-point arithmetic
+    The margin `rounding` moves each entry downwards, so that the vector is a lower bound in floating-point arithmetic
     too.
     """
     thetas, betas = len(m.theta), m.chosen.shape[2]
@@ -409,7 +409,7 @@ def _backup_vector(x, r, picked, vector, vectors, m):
     if m.final[acting]:
         _fill(vector, -m.robot_costs[x, r])
         return
-    count = m.counts[acting]
+    count, margin = m.counts[acting], rounding(m.targets.shape[1])
     declined, mean, followed, complied = np.empty(thetas), np.empty(thetas), np.empty(thetas), np.empty(thetas)
     for hidden in range(len(vector) // thetas):
         goal, b = hidden // betas, hidden % betas
@@ -438,7 +438,7 @@ def _backup_vector(x, r, picked, vector, vectors, m):
             if slot >= 0:
                 v = _entry_after_suggestion(followed, declined, complied, mean, goal * states + x, r, b, t, m)
             v -= m.robot_costs[x, r]
-            part[t] = v - ROUNDING * abs(v)
+            part[t] = v - margin * abs(v)
 
 
 @njit()
@@ -474,7 +474,7 @@ def _backup_lower(d, step, work, trial, backup, vectors, m):
             if value > best:
                 best, robot = value, r
                 _copy(kept, picked)
-    if not best > lower(x, belief, vectors)[0] + step + 4 * ROUNDING * abs(best):
+    if not best > lower(x, belief, vectors)[0] + step + 4 * rounding(len(belief) + m.targets.shape[1]) * abs(best):
         return False
     _backup_vector(x, robot, kept, vector, vectors, m)
     add_vector(x, robot, vector, belief, vectors)
@@ -585,18 +585,19 @@ def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
 def _ascend(depth, target, fineness, work, room, backup, trial, vectors, hull, m):
     """Back up both bounds from the last node of a trial to its first; return whether one has improved."""
     improved, lowered = False, 0.0
+    margin = rounding(hull.corner.shape[1] + m.targets.shape[1])
     for d in range(depth, -1, -1):
         x, belief = trial.state[d], trial.belief[d]
         trial.q[d, trial.robot[d]] -= m.gamma * trial.chance[d] * lowered if d < depth else 0.0
         value = trial.q[d, most_promising(d, work, room, trial, hull, m)]
-        value += ROUNDING * abs(value)
+        value += margin * abs(value)
         step = fineness[0] * target
         target *= m.gamma
         lowered = 0.0
-        if value < trial.bound[d] - step - 4 * ROUNDING * abs(value):
+        if value < trial.bound[d] - step - 4 * margin * abs(value):
             # Pivots stop early, so that the bound of the belief with another mass may differ a little.
             now = upper(x, belief, hull, room)
-            if value < now - step - 4 * ROUNDING * abs(value):
+            if value < now - step - 4 * margin * abs(value):
                 add_point(x, belief, value, hull)
                 improved = True
             lowered = trial.bound[d] - min(value, now)
@@ -614,6 +615,7 @@ def renew(start, order, step, backups, trial, vectors, hull, q, m):
     size = hull.corner.shape[1]
     work, room = np.empty((4, size)), new_program(size)
     slots, done = m.targets.shape[1], 0
+    margin = 2 * rounding(size + slots)
     backup = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(size)
     for at in range(start, len(order)):
         x = order[at]
@@ -628,7 +630,7 @@ def renew(start, order, step, backups, trial, vectors, hull, q, m):
             belief = hull.belief[i]
             start_node(ZERO, belief, 1.0, q, trial, m)
             value = trial.q[0, most_promising(ZERO, work, room, trial, hull, m)]
-            value += 2 * ROUNDING * abs(value)
+            value += margin * abs(value)
             hull.drop[i] = min(hull.drop[i], value - dot(hull.corner[x], belief))
             i = hull.after[i]
             done += 1

@@ -14,9 +14,11 @@ from ..people.arguments import whole
 from ..people.decision import Floats
 from ..people.goals import Value, in_task_states
 from . import hsvi
+from .policy_iteration import rounding_error
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
-from .qmdp import QMDP, ROUNDING, evaluate, sweep_order
+from .qmdp import QMDP, evaluate, sweep_order
+from .rounding import ROUNDING, rounding
 from .upper_hull import new_program
 
 
@@ -63,9 +65,9 @@ class Search:
     def __init__(self, pomdp: AssistPOMDP, best: QMDP, options: SolverOptions) -> None:
         self.pomdp, self.arrays, self.options = pomdp, ProblemArrays.of_hidden_goal(pomdp), options
         states, size = pomdp.task_states, pomdp.prior.size
-        margin = ROUNDING / (1 - pomdp.gamma)
-        corner = self.by_state(best.value_mdp + margin * np.abs(best.value_mdp))
-        self.q = self.by_state(best.q_mdp) * (1 - margin)  # values are negative
+        margin = np.where(pomdp.final[:, None, None], 0.0, 2 * rounding_error(best.value_mdp, ProblemArrays.of(pomdp)))
+        corner = self.by_state(best.value_mdp + margin)
+        self.q = self.by_state(best.q_mdp + margin[:, None])
         self.hull = hsvi.empty_hull(corner, 2 * options.depth)
         self.vectors = hsvi.empty_vectors(states, size, 4 * states + 2 * options.depth)
         robots, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
@@ -157,7 +159,8 @@ class Search:
         belief = _own(belief)
         lower, _ = hsvi.lower(x, belief, self.vectors)
         upper = hsvi.upper(x, belief, self.hull, new_program(len(belief)))
-        return lower - ROUNDING * abs(lower), upper + ROUNDING * abs(upper)
+        margin = rounding(2 * len(belief))  # the upper bound sums over cells, and over as many stored beliefs
+        return lower - margin * abs(lower), upper + margin * abs(upper)
 
     def make_room(self, memory_limit_mb: float) -> bool:
         """Double the capacity of arrays that are nearly full; return False if the memory limit forbids it."""
