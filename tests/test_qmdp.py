@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import pickle
 
 import numba
@@ -133,16 +132,6 @@ def test_qmdp_is_the_best_action_value_and_below_the_bound(policy: QMDP, belief:
 def test_parameters_are_checked(tiny_choices: Choices, options: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="expected"):
         make(tiny_choices, **options)
-
-
-def test_people_who_are_never_helped_have_the_same_values_from_equations_as_from_sweeps(tiny_choices: Choices) -> None:
-    h = np.where(tiny_choices.goal, 0.0, tiny_choices.h + np.random.default_rng(0).normal(0, 1, len(tiny_choices)))
-    pomdp = AssistPOMDP.of(HumanModel.own(tiny_choices, Human(1.0, 0.7, 1.0, h)))
-    never = np.zeros(len(tiny_choices), dtype=np.int64)
-    module = importlib.import_module("assist.person.qmdp")  # and not the function of that name
-    solved = module.evaluate(pomdp, never, tolerance=1e-9)
-    swept = module.evaluate(pomdp, never, tolerance=1e-9, max_equations=0)
-    np.testing.assert_allclose(solved, swept, atol=1e-8)
 
 
 @pytest.mark.parametrize("sent", [False, True])

@@ -359,14 +359,16 @@ def _fill_rows(
                     at, up = m.followed_low[x, r, t], m.followed_weight[x, r, t]
                 elif slot >= 0:
                     at, up = m.low[x, r, t], m.weight[x, r, t]
-                y = m.targets[acting, a]
-                for cell, share in ((at, 1.0 - up), (at + 1, up)):
-                    if share == 0.0:
-                        continue
-                    if place[y] < 0:
-                        constant += m.gamma * p * share * value[y, 0, cell]
-                    else:
-                        rows.column[k], rows.share[k] = place[y] * thetas + cell, m.gamma * p * share
-                        k += 1
+                y, p = m.targets[acting, a], m.gamma * p
+                if place[y] < 0:
+                    constant += p * (1.0 - up) * value[y, 0, at]
+                    if up > 0.0:
+                        constant += p * up * value[y, 0, at + 1]
+                    continue
+                rows.column[k], rows.share[k] = place[y] * thetas + at, p * (1.0 - up)
+                k += 1
+                if up > 0.0:
+                    rows.column[k], rows.share[k] = place[y] * thetas + at + 1, p * up
+                    k += 1
             rows.constant[row] = constant
     rows.first[len(order) * thetas] = k
