@@ -192,9 +192,10 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5,
 
     It is twice the number of actions of the longest optimal plan. For a large team it may be more: the number of steps
     in which more than `at_work` people per robot are at work if none is helped, but at most `plans` times that number
-    of actions. The number of actions is estimated as the cost of the plan divided by the smallest positive cost.
+    of actions.
     """
-    shortest = max(float(c.h[c.of_goals(np.array([c.initial]))].max()) / c.unit for c in map(pool.choices, team))
+    begins = {id(c): (c, c.of_goals(np.array([c.initial]))[:, 0]) for c in map(pool.choices, team)}
+    shortest = max(c.plan_length(int(row)) for c, rows in begins.values() for row in rows)
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
     steps = np.arange(math.ceil(plans * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)

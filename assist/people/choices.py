@@ -6,6 +6,7 @@ state `x`. The rest of this package uses these arrays, and does not depend on PD
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
@@ -179,6 +180,27 @@ class Choices:
         """The smallest positive cost of a choice, in cost units: the scale of the task's costs; 1 if all are free."""
         costs = self.costs[self.applicable]
         return float(costs[costs > 0].min(initial=np.inf)) if (costs > 0).any() else 1.0
+
+    def plan_length(self, row: int) -> float:
+        """Return the smallest number of actions of an optimal plan from a row; infinite in a dead end.
+
+        If the choices end before a goal, the rest of the plan counts in proportion to its cost.
+        """
+        if np.isinf(self.h[row]):
+            return math.inf
+        reached, seen = np.array([row]), np.zeros(len(self), dtype=bool)
+        for length in range(len(self)):
+            if self.goal[reached].any():
+                return length
+            ends = reached[~self.optimal[reached].any(axis=1)]
+            if len(ends):
+                left = float(self.h[ends].min())
+                done = float(self.h[row]) - left
+                return length + left * (length / done if done > 0 else 1 / self.unit)
+            seen[reached] = True
+            following = np.unique(self.targets[reached][self.optimal[reached]])
+            reached = following[~seen[following]]
+        return math.inf
 
     @property
     def task_states(self) -> int:
