@@ -75,6 +75,7 @@ CASES = {
         "--instance kitting/tiny --people 4 --populations 1 --suggestions 8 --setting constant",
     ),
     "orbits": ("kitting/ladder-4x8 --compare 5 --seconds 5", "kitting/tiny --compare 1"),
+    "observed": ("", "kitting/tiny stations/one-way --limit 1"),
     "on_demand": ("--states 10", "--states 2"),
     "people tower": ("--made-up 20 --quick", "--made-up 4 --quick"),
     "people recover": ("--people 40 --seeds 1", "--instance kitting/tiny --people 4 --actions 20 --seeds 1"),

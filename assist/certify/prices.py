@@ -192,10 +192,11 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5,
 
     It is twice the number of actions of the longest optimal plan. For a large team it may be more: the number of steps
     in which more than `at_work` people per robot are at work if none is helped, but at most `plans` times that number
-    of actions.
+    of actions. Free actions do not count: if the plan costs less than so many of the cheapest actions that are not
+    free, then it counts as that many.
     """
     begins = {id(c): (c, c.of_goals(np.array([c.initial]))[:, 0]) for c in map(pool.choices, team)}
-    shortest = max(c.plan_length(int(row)) for c, rows in begins.values() for row in rows)
+    shortest = max(min(c.plan_length(x), float(c.h[x]) / c.unit) for c, rows in begins.values() for x in rows.tolist())
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
     steps = np.arange(math.ceil(plans * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)

@@ -27,7 +27,8 @@ fixed point, which is therefore at most u.
 In the same way w - (gamma f + e) / (1 - gamma) is a lower bound, where f is the largest fall. The error of one backup
 is at most `rounding` times its absolute value. So e = rounding(N) max(abs(w)), where N is the largest number of choices
 (`rounding_error`); users of the bounds add this part. Nothing is assumed about v: it may come from an inexact solution
-of the equations, or from a Krylov method that has failed.
+of the equations, or from a Krylov method that has failed. Before the first solution of equations, v are the bounds at
+the start or sweeps from them. Then w are bounds without c, as T is monotone.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ SOLVING = "solving a person's POMDP: sweeps"
 MOST_ENTRIES = 20_000_000
 """Largest number of entries of a policy's matrix, at 12 bytes each. Problems with more are swept only."""
 
+FEW_SWEEPS = 20  # over a region, after which equations are solved rarely; a dozen are enough almost everywhere
 PLAIN_SWEEPS = 12  # sweeps over a policy's matrix before a Krylov method takes over: they converge fast, or slowly
 ONLY = np.int64(0)  # the place of the only beta; numba would compile again for a literal
 KRYLOV_STEPS = 200  # of two products each; 20 to 60 converge in all tasks that were tried
@@ -95,8 +97,8 @@ def improve(
 ) -> bool:
     """Replace values, shape (n, B, T), by those of the best policy or of a given one; return whether they converged.
 
-    Values that converged are bounds whatever the values at the start: upper ones, or lower ones with `below`. If a
-    limit ends the iteration, they are bounds if the values at the start were.
+    They are upper bounds, or lower ones with `below`, if the values at the start were. That is so, too, if a limit ends
+    the iteration.
 
     Parameters
     ----------
@@ -185,28 +187,33 @@ class _Region:
             return True
         horizon, least = m.gamma / (1 - m.gamma), rounding(m.targets.shape[1]) / (1 - m.gamma)
         found, policy = self.value.copy(), np.zeros((len(self.value), len(m.theta)), dtype=np.int32)
-        asked = self.robot[order]
+        asked, solved = self.robot[order], False
         if not asked.any() or (silent_first and bool((asked < 0).all())):
             dearest = float(m.costs[order].max() + m.robot_costs[order, 0].max())
-            self._follow(found, policy, self._precise(dearest / (1 - m.gamma)))
+            solved = self._follow(found, policy, self._precise(dearest / (1 - m.gamma)))
         before, settled = math.inf, False
-        for _ in range(self.limits.sweeps):
+        for number in range(self.limits.sweeps):
             if self.stop():
                 return False
+            # Where rounding makes the equations less precise than a sweep, sweeps alone go on, for longer each time.
+            late = number >= FEW_SWEEPS
             rise, fall, changed = _sweep(found, order, self.robot, policy, m)
             self.count()
-            off, change = fall if self.below else rise, max(rise, fall)
+            off = 0.0 if not solved else fall if self.below else rise
+            change = max(rise, fall)
             bound = found[order] + (-horizon if self.below else horizon) * off
             scale = float(np.abs(bound).max())
             error = horizon * (off + change)
-            if error <= tolerance or (settled and error <= least * scale):
+            if error <= tolerance or ((settled or late) and error <= least * scale):
                 self.value[order] = bound
                 return True
             self.value[order] = (np.maximum if self.below else np.minimum)(self.value[order], bound)
-            if change > 0.1 * before:  # otherwise sweeps alone are fast
+            slow = change > 0.1 * before and (not late or number.bit_count() == 1)
+            if slow:  # otherwise sweeps alone are fast
                 precise = self._precise(scale)
                 goal = max(0.05 * change, precise) if changed else precise
-                settled = not self._follow(found, policy, goal) or goal == precise
+                followed = self._follow(found, policy, goal)
+                solved, settled = solved or followed, not followed or goal == precise
             before = change
         return False
 

@@ -20,7 +20,7 @@ off the paths of later trials would keep their first bounds. Therefore the solve
 time the trials have done as many backups as the hull has beliefs. It does so in the order of increasing cost-to-go (as
 in point-based value iteration: Pineau, Gordon and Thrun, 2003).
 
-Both bounds hold in floating-point arithmetic: every stored number is moved outwards by `qmdp.ROUNDING`. They are bounds
+Both bounds hold in floating-point arithmetic: every stored number is moved outwards by `rounding`. They are bounds
 for the problem on its grid of beta and theta, and for people as `AssistPOMDP` models them.
 """
 
