@@ -177,7 +177,7 @@ def test_people_with_one_model_share_one_problem(tiny_choices: Choices) -> None:
     assert max(total for what, _, total in told if what == "bounding people's problems") == 1
     certificate = found.certify(pool.policy("priority"), episodes=200)
     assert certificate.humans == 40
-    assert certificate.gap_percent == pytest.approx(2.48, abs=0.1)  # with these random numbers; +- 0.6 with others
+    assert certificate.gap_percent == pytest.approx(2.63, abs=0.1)  # with these random numbers; +- 0.6 with others
 
 
 def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choices) -> None:
