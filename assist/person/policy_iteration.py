@@ -204,7 +204,9 @@ class _Region:
             bound = found[order] + (-horizon if self.below else horizon) * off
             scale = float(np.abs(bound).max())
             error = horizon * (off + change)
-            if error <= tolerance or ((settled or late) and error <= least * scale):
+            # Bounds that are moved outwards by little are also good values; equations are solved that precisely.
+            near = horizon * (100 * off + change) <= tolerance
+            if near or ((settled or late) and error <= max(tolerance, least * scale)):
                 self.value[order] = bound
                 return True
             self.value[order] = (np.maximum if self.below else np.minimum)(self.value[order], bound)
