@@ -221,7 +221,7 @@ class _Region:
 
     def _precise(self, scale: float) -> float:
         """Return the largest change of a sweep over values that have converged, given the largest absolute value."""
-        return max(0.01 * self.limits.tolerance * (1 - self.m.gamma), 1e-14 * scale)
+        return max(1e-4 * self.limits.tolerance * (1 - self.m.gamma), 1e-14 * scale)
 
     def _follow(self, found: Floats, policy: NDArray[np.int32], goal: float) -> bool:
         """Replace the region's values by those of a policy, up to a change of `goal` in a sweep over its matrix.
