@@ -18,8 +18,8 @@ import numpy as np
 from tables import Columns, cell, record_option, write_record
 
 from assist.interop.gymnasium import TeamVectorEnv
-from assist.interop.teams import pool_of
 from assist.simulation.pool import Pool
+from planner import load, sweep
 
 RATE: Columns = {
     "teams": cell("teams", ","), "people": cell("humans"), "beliefs": lambda row: "seen" if row["beliefs"] else "no",
@@ -50,7 +50,7 @@ def rate(pool: Pool, teams: int, humans: int, *, beliefs: bool, steps: int, repe
 @record_option
 def main(instance: str, teams: int, steps: int, repeat: int, record: Path | None) -> None:
     """Measure teams of several sizes, with beliefs and without."""
-    pool = pool_of(instance, size=12, seed=0, setting=None, population=None)
+    pool = Pool.sample(sweep(load(instance)), 12, seed=0)
     rows = []
     for humans in (1, 3, 6):
         for beliefs in (True, False):
