@@ -48,7 +48,7 @@ SHIPPED = find_instances([DOMAINS])
 LARGE = {
     "ladder-2x8", "ladder-4x6", "ladder-4x7", "ladder-4x8", "ladder-4x9", "ladder-4x10", "ladder-6x12", "balls-10",
     "balls-13", "blocks-7", "blocks-8", "two-walls", "rush", "five-parcels", "two-vans", "three-benches",
-    "four-boxes", "five-items", "six-items", "eight-items", "nine-items",
+    "four-boxes", "five-items", "six-items", "eight-items", "nine-items", "day", "five-parts",
 }  # fmt: skip
 PROGRESS = re.compile(r"^.+, \d+ s(: [\d,]+(,| of) .+)?\n", re.M)
 SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]

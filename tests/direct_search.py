@@ -134,7 +134,10 @@ class Direct:
     Attributes
     ----------
     initial : State
-    costs_are_durations : bool
+    changing : set of str
+        Functions that an action changes.
+    live, priced : set of str
+        Functions that something reads, and those that only the metric reads.
     """
 
     def __init__(self, domain: str | Path, problem: str | Path) -> None:
@@ -160,6 +163,7 @@ class Direct:
         if metric and metric[0] != "minimize":
             raise UnsupportedError("maximize")
         self.metric = metric[1] if metric else None
+        self.changing: set[str] = set()
         self.live, self.priced = self._roles()
         atoms: set[Term] = set()
         values: dict[Term, Fraction] = {}
@@ -224,6 +228,7 @@ class Direct:
                 read.update(mentioned(tree[1]))
                 effects(tree[2])
             elif tree[0] in CHANGES:
+                self.changing.add(tree[1][0])
                 sources.append((tree[1][0], mentioned(tree[2])))
 
         for schema in self.schemas:

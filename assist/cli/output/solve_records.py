@@ -48,14 +48,14 @@ class Answers:
         if self._json or not self._alone or self._shown:
             return
         if record["note"].endswith(PLANNING):
-            click.echo(f"{record['instance']}: cost {record['cost']:,}; A* searches for the plan", err=True)
+            click.echo(f"{record['instance']}: cost {_shown(record['cost'])}; A* searches for the plan", err=True)
             return
         self._shown = True
         if record["plan"]:
             self._print("\n".join(record["plan"]))
         if not record["note"].endswith(SWEEPING):
             return  # the complete record follows soon
-        known = "unsolvable" if record["cost"] is None else f"cost {record['cost']:,}, by the plan above"
+        known = "unsolvable" if record["cost"] is None else f"cost {_shown(record['cost'])}, by the plan above"
         click.echo(f"{record['instance']}: {known}; computing the cost-to-go of all states", err=True)
 
     def show(self, records: list[SolveRecord]) -> None:
@@ -115,9 +115,14 @@ def _cells(record: SolveRecord) -> tuple[str, ...]:
     return (
         record["instance"],
         record["status"],
-        *("-" if number is None else f"{number:,}" for number in numbers),
+        *("-" if number is None else _shown(number) for number in numbers),
         "-" if seconds is None else f"{seconds:.2f}",
     )
+
+
+def _shown(number: float) -> str:
+    """Return a number for people: exact if it is whole, else with up to four decimals. Records have all digits."""
+    return f"{number:,.0f}" if number == int(number) else f"{number:,.4f}".rstrip("0")
 
 
 def _line(cells: Sequence[str], widths: Sequence[int]) -> str:

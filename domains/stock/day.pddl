@@ -1,0 +1,17 @@
+; Three kinds on two trays, with three packs for each bin: about a million states.
+(define (problem day)
+  (:domain stock)
+  (:objects bolt nut pin - kind bin-bolt bin-nut bin-pin - bin tray-1 tray-2 - tray)
+  (:init
+    (= (total-cost) 0)
+    (holds bin-bolt bolt) (= (parts bin-bolt) 5) (= (size bin-bolt) 11) (= (packs bin-bolt) 3) (= (pack bin-bolt) 4)
+    (holds bin-nut nut) (= (parts bin-nut) 4) (= (size bin-nut) 10) (= (packs bin-nut) 3) (= (pack bin-nut) 3)
+    (holds bin-pin pin) (= (parts bin-pin) 5) (= (size bin-pin) 9) (= (packs bin-pin) 3) (= (pack bin-pin) 3)
+    (= (placed bolt tray-1) 0) (= (ordered bolt tray-1) 4) (= (room bolt tray-1) 6)
+    (= (placed nut tray-1) 0) (= (ordered nut tray-1) 2) (= (room nut tray-1) 4)
+    (= (placed pin tray-1) 0) (= (ordered pin tray-1) 2) (= (room pin tray-1) 4)
+    (= (placed bolt tray-2) 0) (= (ordered bolt tray-2) 3) (= (room bolt tray-2) 5)
+    (= (placed nut tray-2) 0) (= (ordered nut tray-2) 4) (= (room nut tray-2) 6)
+    (= (placed pin tray-2) 0) (= (ordered pin tray-2) 2) (= (room pin tray-2) 4))
+  (:goal (and (sent tray-1) (sent tray-2)))
+  (:metric minimize (total-cost)))

@@ -1,0 +1,17 @@
+; Three kinds on two trays.
+(define (problem order)
+  (:domain stock)
+  (:objects bolt nut pin - kind bin-bolt bin-nut bin-pin - bin tray-1 tray-2 - tray)
+  (:init
+    (= (total-cost) 0)
+    (holds bin-bolt bolt) (= (parts bin-bolt) 3) (= (size bin-bolt) 4) (= (packs bin-bolt) 1) (= (pack bin-bolt) 2)
+    (holds bin-nut nut) (= (parts bin-nut) 2) (= (size bin-nut) 4) (= (packs bin-nut) 1) (= (pack bin-nut) 3)
+    (holds bin-pin pin) (= (parts bin-pin) 3) (= (size bin-pin) 3) (= (packs bin-pin) 0) (= (pack bin-pin) 1)
+    (= (placed bolt tray-1) 0) (= (ordered bolt tray-1) 2) (= (room bolt tray-1) 3)
+    (= (placed nut tray-1) 0) (= (ordered nut tray-1) 1) (= (room nut tray-1) 2)
+    (= (placed pin tray-1) 0) (= (ordered pin tray-1) 1) (= (room pin tray-1) 2)
+    (= (placed bolt tray-2) 0) (= (ordered bolt tray-2) 2) (= (room bolt tray-2) 3)
+    (= (placed nut tray-2) 0) (= (ordered nut tray-2) 2) (= (room nut tray-2) 3)
+    (= (placed pin tray-2) 0) (= (ordered pin tray-2) 1) (= (room pin tray-2) 2))
+  (:goal (and (sent tray-1) (sent tray-2)))
+  (:metric minimize (total-cost)))

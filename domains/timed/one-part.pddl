@@ -1,0 +1,16 @@
+; One part from one shelf.
+(define (problem one-part)
+  (:domain timed)
+  (:objects shelf-1 - place cover - part)
+  (:init
+    (person-at bench) (free) (fastened frame)
+    (= (speed) 30) (= (charge) 1) (= (full) 2)
+    (= (distance bench dock) 2.5)
+    (= (distance bench shelf-1) 7.5)
+    (= (distance dock bench) 2.5)
+    (= (distance dock shelf-1) 5)
+    (= (distance shelf-1 bench) 7.5)
+    (= (distance shelf-1 dock) 5)
+    (lies-at cover shelf-1) (= (handling cover) 0.5) (onto cover frame))
+  (:goal (and (fastened cover)))
+  (:metric minimize (total-time)))

@@ -1,0 +1,17 @@
+; Two parts from one shelf, and a charge for one fastening.
+(define (problem two-parts)
+  (:domain timed)
+  (:objects shelf-1 - place base cover - part)
+  (:init
+    (person-at bench) (free) (fastened frame)
+    (= (speed) 30) (= (charge) 1) (= (full) 2)
+    (= (distance bench dock) 2.5)
+    (= (distance bench shelf-1) 7.5)
+    (= (distance dock bench) 2.5)
+    (= (distance dock shelf-1) 5)
+    (= (distance shelf-1 bench) 7.5)
+    (= (distance shelf-1 dock) 5)
+    (lies-at base shelf-1) (= (handling base) 0.75) (onto base frame)
+    (lies-at cover shelf-1) (= (handling cover) 0.5) (onto cover base))
+  (:goal (and (fastened base) (fastened cover)))
+  (:metric minimize (total-time)))
