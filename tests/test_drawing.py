@@ -37,7 +37,7 @@ from planner.grounding.fast_downward import optimal_plan
 SVG = "{http://www.w3.org/2000/svg}"
 INSTANCES = [
     "kitting/paper", "kitting/costs/ways", "stations/two-benches", "lockers/two-lockers", "gripper/balls-03",
-    "blocks/blocks-4", "delivery/three-parcels", "depot/two-boxes", "tower/swap",
+    "blocks/blocks-4", "delivery/three-parcels", "depot/two-boxes", "tower/swap", "stock/refill", "timed/cell",
 ]  # fmt: skip
 
 

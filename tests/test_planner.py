@@ -40,7 +40,7 @@ def test_cost_to_go_equals_fast_downwards(instance: Instance) -> None:
 @pytest.mark.parametrize("instance", WITH_STATES, ids=named)
 def test_cost_to_go_is_consistent_along_every_transition(instance: Instance) -> None:
     table = table_of(instance)
-    space, h = table.space, table.h
+    space, h = table.space, table.whole(np.arange(len(table)))
     through = space.costs + h[space.transitions.targets]
     assert (h[space.sources] <= through).all()
     assert (h[space.goal] == 0).all()
@@ -60,7 +60,7 @@ def test_cost_to_go_equals_scipys_dijkstra(instance: Instance) -> None:
     shape = (len(space), len(space))
     graph = csr_array((space.costs[order][keep].astype(float), (pair[1][keep], pair[0][keep])), shape=shape)
     expected = dijkstra(graph, indices=np.flatnonzero(space.goal), min_only=True)
-    np.testing.assert_array_equal(table.h, expected)
+    np.testing.assert_array_equal(table.h, table.task.in_unit(expected))
 
 
 @pytest.mark.parametrize("instance", thinned(WITH_STATES), ids=named)
@@ -68,9 +68,9 @@ def test_plan_read_off_the_table_reaches_the_goal_at_its_cost(instance: Instance
     table = table_of(instance)
     finite = np.flatnonzero(~table.dead_end)
     for state in np.random.default_rng(2).choice(finite, min(6, len(finite)), replace=False):
-        plan = table.optimal_plan(int(state))
+        plan, values = table.optimal_plan(int(state)), table.values([state])[0].tolist()
         assert plan is not None
-        assert plan_cost(table.space.task, plan) == table[int(state)]
+        assert table.task.in_unit(plan_cost(table.task, plan, state=values)) == table[int(state)]
         assert table.space.goal[table.space.follow(plan, int(state))]
 
 

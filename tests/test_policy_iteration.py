@@ -138,14 +138,20 @@ def test_values_are_those_of_plain_policy_iteration(gamma: float, draw: st.DataO
         problems.append(AttentionSubproblem.of(alone, 0.5, 1, [0.3, 0.1]).pomdp)
     for problem in problems:
         plain = PlainBackup(problem)
+        # No decision is made in a state that only an execution reaches: a second one may lead out of its step.
+        known = (problem.afterstate >= 0).all(axis=1)
         found = qmdp(problem, tolerance=1e-9).value_mdp
-        np.testing.assert_allclose(found, plain.best(initial_upper_bounds(problem)), rtol=1e-10, atol=1e-8)
+        best = plain.best(initial_upper_bounds(problem))
+        np.testing.assert_allclose(found[known], best[known], rtol=1e-10, atol=1e-8)
         robot = problem.robot_actions - 1
         least = evaluate(problem, robot, tolerance=1e-9)
         policy = np.broadcast_to(robot[:, None, None], least.shape)
         rtol = 1e-12 + ROUNDING / (1 - gamma)  # the margin of a certified bound
         np.testing.assert_allclose(
-            least, plain.of(least, policy), rtol=0, atol=1e-8 + 2 * rtol * np.abs(least).max(initial=0.0)
+            least[known],
+            plain.of(least, policy)[known],
+            rtol=0,
+            atol=1e-8 + 2 * rtol * np.abs(least).max(initial=0.0),
         )
 
 

@@ -18,6 +18,7 @@ from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, swe
 from planner.costtogo.astar import ADMISSIBLE
 from planner.grounding import fast_downward
 from planner.grounding.sas_reader import from_sas
+from planner.pddl.compilation import compiled
 from planner.pddl.reader import read
 
 
@@ -63,8 +64,10 @@ def test_fast_downward_accepts_what_is_written(seed: int, axioms: bool) -> None:
 
 @pytest.mark.parametrize("instance", thinned(solvable(SMALL), 3), ids=named)
 def test_shipped_tasks_are_written_as_the_translator_writes_them(instance: Instance) -> None:
-    text = fast_downward.translate(read(instance))
+    text = fast_downward.translate(compiled(read(instance)).reading)
     task = from_sas(text, instance)
+    if set(task.costs) == {1}:  # a metric under which all actions cost 1 is none
+        text = text.replace("begin_metric\n1\n", "begin_metric\n0\n")
     assert task.sas == text
     assert from_sas(task.sas, instance) == task
 

@@ -115,7 +115,7 @@ def check(task: Task, *, symmetric: bool = True) -> set[str]:
         assert symmetries(task) is None
         return found
     states = list(expected)
-    h = by_orbits.lookup(Packing.of(task).pack(np.array(states)))
+    h = by_orbits.whole(Packing.of(task).pack(np.array(states)))
     assert dict(zip(states, h.tolist(), strict=True)) == expected
     return found | {"orbits"}
 

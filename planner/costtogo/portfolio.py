@@ -114,7 +114,12 @@ def cost_to_go(
 
 
 def known_costs(problem: AnyTask) -> CostToGo:
-    """Return a cost-to-go as it is, or compute that of a task; a `TypeError` says what was expected."""
+    """Return a cost-to-go as it is, or compute that of a task; a `TypeError` says what was expected.
+
+    Parameters
+    ----------
+    problem : cost-to-go, or a task in any form that `task_of` takes
+    """
     if all(hasattr(problem, name) for name in ("lookup", "choices", "task")):
         return cast(CostToGo, problem)
     return cost_to_go(problem)

@@ -32,11 +32,15 @@ class HasTask(Protocol):
 
 
 AnyTask: TypeAlias = "str | Path | instances.Instance | Task | HasTask | Problem"
-"""Whatever stands for a task."""
+"""All types that stand for a task: a name, a file, an instance, a task, a cost-to-go, or a built problem."""
 
 
 def task_of(problem: AnyTask) -> Task:
     """Return the task of a problem in any form: all that `load` takes, or a cost-to-go.
+
+    Parameters
+    ----------
+    problem : str, Path, Instance, Task, cost-to-go, or Problem of unified-planning
 
     Raises
     ------

@@ -58,6 +58,8 @@ def _short(value: Any) -> str:
     if isinstance(value, tuple | list) and not hasattr(value, "_fields"):
         inner = ", ".join(map(_short, value))
         text = f"[{inner}]" if isinstance(value, list) else f"({inner}{',' * (len(value) == 1)})"
+    elif isinstance(value, set | frozenset) and value:  # in one order, whatever the seed of hashes
+        text = f"{type(value).__name__}({{{', '.join(sorted(map(_short, value)))}}})"
     else:
         text = repr(value)
     return text if len(text) < shown else f"<{type(value).__name__}>"
