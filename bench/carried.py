@@ -10,6 +10,7 @@ Influence theta goes on from task to task in both.
 from __future__ import annotations
 
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import click
@@ -43,7 +44,7 @@ class Task(Run):
         people = np.arange(len(pool.people))
         super().__init__(
             pool, pool.policy("attention"), teams=people[:, None], numbers=people, seed=seed, name="attention",
-            travel=pool.setting.travel(1), presence=Schedule.of(1), world="people", progress=lambda _: None,
+            travel=pool.setting.travel(1), presence=Schedule.of(1), world="people", over=Event(),
             parts=parts, goals="inferred",
         )  # fmt: skip
         self.declined = np.zeros(self.x.shape, dtype=np.int64)

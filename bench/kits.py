@@ -83,7 +83,7 @@ def compared(
     goals = replace(goals_of(kits(seed)[:count]), sharpness=sharpness)
     pool = Pool.sample(goals, size, seed=seed, setting=Setting(c_suggest=c_suggest))
     asks = replace(pool, setting=replace(pool.setting, c_ask=c_ask))
-    options: dict[str, Any] = {"humans": humans, "episodes": episodes, "seed": seed, "explain": False}
+    options: dict[str, Any] = {"humans": humans, "episodes": episodes, "seed": seed}
     alone = simulate(pool, "none", **options).discounted_return
     for policy in ("attention", "priority"):
         row: dict[str, Any] = {"kits": count, "policy": policy}

@@ -130,7 +130,7 @@ def main(
     if missing:
         sys.exit(f"the report lacks {', '.join(missing)}")
     for key, found in summary["headline"].items():
-        if isinstance(found, dict) and key != "instances":
+        if isinstance(found, dict) and "mean" in found:
             print(f"{key}: {found['mean']:.1f} %")
     found = {name: summary[name] for name in KEPT}
     if record:
