@@ -31,9 +31,9 @@ def compared(seed: int, folder: Path) -> bool:
         made = compiled(read(instance(folder / "p.pddl")))
         task = load(folder / "p.pddl")
     except PDDLError as error:
-        if answer.states is not None:
-            raise AssertionError(f"seed {seed} has {answer.states} states, and is refused: {error}") from error
-        return False
+        if not re.search(r"without a limit|no proven limit|more than \d+ values", error.message):
+            raise
+        return False  # no bound is proven, which is no wrong answer
     if task.decided_by_translator:
         cost, plan = astar(task)
     else:
@@ -58,3 +58,8 @@ def test_random_tasks_have_the_cost_and_the_states_of_their_meaning(first: int, 
 @pytest.mark.parametrize("first", range(1_000, 2_400, 100))
 def test_more_random_tasks_have_the_cost_and_the_states_of_their_meaning(first: int, tmp_path: Path) -> None:
     assert sum(compared(seed, tmp_path) for seed in range(first, first + 100)) >= 30
+
+
+def test_functions_that_nothing_reads_or_changes_leave_a_classical_task(tmp_path: Path) -> None:
+    """The domain requires numeric fluents, which Fast Downward's translator does not know."""
+    assert compared(1266, tmp_path)

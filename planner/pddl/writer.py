@@ -12,6 +12,7 @@ from itertools import groupby
 from .declarations import OBJECT, Symbol, Typed
 from .numeric_expressions import as_shown
 from .reader import TOTAL_COST, Action, DurativeAction, Reading, Rule
+from .supported_fragment import REQUIREMENTS
 
 
 def domain(reading: Reading, *, list_object: bool = False) -> str:
@@ -19,7 +20,7 @@ def domain(reading: Reading, *, list_object: bool = False) -> str:
     read = reading.domain
     return _defined(
         _list("domain", read.name),
-        *_section(":requirements", map(str, read.requirements)),
+        *_section(":requirements", (str(each) for each in read.requirements if each.word in REQUIREMENTS)),
         *_section(":types", [*_types(reading), *[OBJECT] * list_object]),
         *_section(":constants", _objects(read.constants.values())),
         _list(":predicates", *(_symbol(each, reading) for each in read.predicates.values())),
@@ -38,7 +39,7 @@ def problem(reading: Reading) -> str:
     return _defined(
         _list("problem", read.name),
         _list(":domain", reading.domain.name),
-        *_section(":requirements", map(str, read.requirements)),
+        *_section(":requirements", (str(each) for each in read.requirements if each.word in REQUIREMENTS)),
         *_section(":objects", _objects(read.objects.values())),
         _list(
             ":init",
