@@ -157,7 +157,7 @@ def main(
         f"refused: {row['kind']}" if row["status"] == "refused" else row["status"] for row in rows if row.get("known")
     )
     table = [{"outcome": what, "pairs": n, "compared": compared[what]} for what, n in counts.most_common()]
-    write_record(COLUMNS, table, record)
+    write_record(record, COLUMNS, table)
     sys.exit(any(row["violation"] for row in rows))
 
 

@@ -66,10 +66,8 @@ class StudySession(Session):
 
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], folder: str | Path) -> None:
         self.study = study
-        self._remains, self._tried = (
-            False,
-            0.0,
-        )  # whether something withdrawn could not be removed, and the last attempt
+        # Whether something withdrawn could not be removed, and when that was last tried.
+        self._remains, self._tried = False, 0.0
         self._policies = {one.name: _policy(study, one.policy) for one in study.conditions}
         # Solved once for all teams with the same setting.
         self._solved: list[tuple[Setting, dict[str, Any]]] = []
