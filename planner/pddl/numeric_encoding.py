@@ -527,7 +527,7 @@ class Scope:
         self.atoms.append(disjunction(ways))
 
     def _inner(self, fill: Callable[[Scope], None]) -> Expression:
-        """Return what `fill` requires in a scope within this one."""
+        """Return the condition that `fill` collects in a scope of its own, for some values of its variables."""
         inner = Scope(self.encoder, self.kinds, self.conditions, self.name, self.place, self)
         fill(inner)
         body = conjunction(inner.atoms)
