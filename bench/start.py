@@ -40,6 +40,7 @@ def measured(kitassist: Path) -> dict[str, float]:
     commands = {
         "`kitassist solve domains/kitting/tiny.pddl`": [str(kitassist), "solve", TINY, "--json"],
         "`kitassist --help`": [str(kitassist), "--help"],
+        "`kitassist serve --help`": [str(kitassist), "serve", "--help"],
         "`kitassist --version`": [str(kitassist), "--version"],
         "`import planner`": [str(kitassist.with_name("python")), "-c", "import planner"],
     }

@@ -45,8 +45,8 @@ ROOMS = {
         replay observations likelihood choosing profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
         diagnostics population person_estimate fit joint_states goals goal_fit comparison rule_families trust_log
         posterior_sample influence_population rule_search trust_fit trust_comparison""",
-    "assist.team": """by_policy robots travel travel_of_each state extra_costs hidden_states action_check settings
-        plain_setting setting_table assignment attention attention_never questions time_expansion memory_needed
+    "assist.team": """policy_names by_policy robots travel travel_of_each state extra_costs hidden_states action_check
+        settings plain_setting setting_table assignment attention attention_never questions time_expansion memory_needed
         subproblem_frontier attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
@@ -226,6 +226,24 @@ def test_what_is_not_needed_is_not_loaded(module: str) -> None:
     script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+HELP = """
+import sys
+from click.testing import CliRunner
+from assist.cli import main
+from assist.cli.command_group import COMMANDS
+heavy = ("numba", "scipy", "matplotlib", "pandas", "unified_planning", "fastapi", "networkx")
+for command in COMMANDS:
+    assert CliRunner().invoke(main, [command, "--help"]).exit_code == 0, command
+    print(command, [name for name in heavy if name in sys.modules])
+"""
+
+
+def test_help_loads_no_heavy_package() -> None:
+    done = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True, check=True)
+    assert [line for line in done.stdout.splitlines() if not line.endswith("[]")] == []
+    assert len(done.stdout.splitlines()) > 10
 
 
 PLAIN = """

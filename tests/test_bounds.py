@@ -22,7 +22,7 @@ from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.team.attention_subproblem import AttentionSubproblem
-from assist.team.policies import POLICIES
+from assist.team.policy_names import POLICIES
 from assist.team.settings import Setting
 from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.team.time_expansion import AWAY, HERE

@@ -34,7 +34,7 @@ from assist.study.protocol import read
 from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.plain_setting import plain_setting
-from assist.team.policies import POLICIES
+from assist.team.policy_names import POLICIES
 from assist.team.robots import ExtraCosts, Robot, best_robots, each_alone, extra_costs
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState

@@ -21,7 +21,7 @@ from assist.interop.pettingzoo import RobotsEnv, StationsEnv, parallel_env
 from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.people.trust_rules import outcome_at_disagreement
-from assist.team.policies import POLICIES
+from assist.team.policy_names import POLICIES
 from assist.team.robots import Robot
 from assist.team.settings import Setting
 

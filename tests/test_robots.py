@@ -31,7 +31,7 @@ from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.plain_setting import plain_setting
-from assist.team.policies import POLICIES
+from assist.team.policy_names import POLICIES
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
 from assist.team.travel import Travel

@@ -29,7 +29,7 @@ from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
 from assist.team.attention import AttentionSwitching, NoAssistance
-from assist.team.policies import POLICIES
+from assist.team.policy_names import POLICIES
 from assist.team.settings import Setting
 from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.team.travel import Travel

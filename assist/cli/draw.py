@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner import load
+import planner
 from planner.system.files import each_record
 
 from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option
@@ -66,7 +66,7 @@ def draw(
     found = one_instance(instance, domain)
     goals = several_goals(instance, problems, goal_prior, domain=domain)
     try:
-        artist = Artist(load(found), goal=goals is None)
+        artist = Artist(planner.load(found), goal=goals is None)
         if plan:
             lines = (line.partition(";")[0].strip() for line in plan.read_text(encoding="utf-8").splitlines())
             rows = plan_frames(artist, [line for line in lines if line and line != "SequentialPlan:"])

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from planner import Table
+import planner
 
 from .options.common import MEGABYTES, OUTPUT_FILE, instance_argument, is_given
 from .options.help import command
@@ -50,7 +50,7 @@ def export(instance: str, form: str | None, out: Path, size_limit: float, as_jso
                 "constant"
             )
         try:
-            table = problem.known if isinstance(problem.known, Table) else None
+            table = problem.known if isinstance(problem.known, planner.Table) else None
             observed = Observed.of(pomdp, table)
             if named == "pomdp":
                 flat.require_size(observed)

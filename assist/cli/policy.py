@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner import CostToGo, Instance
+from planner import Instance
 from planner.batch.solve_record import versions
 from planner.system.progress import status_line
 
@@ -29,6 +29,8 @@ from .output.person_bounds import line_of, show_bounds
 from .terminal.console import one_line_errors, print_json
 
 if TYPE_CHECKING:
+    from planner import CostToGo
+
     from ..people.goals import Goals
 
 

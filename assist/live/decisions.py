@@ -17,7 +17,8 @@ from ..people.human import Population
 from ..people.mixture import Mixture
 from ..person.policy import Policy
 from ..team.action_check import check
-from ..team.policies import POLICIES, named, prepare
+from ..team.policies import named, prepare
+from ..team.policy_names import POLICIES
 from ..team.robots import extra_costs
 from ..team.settings import Setting
 from ..team.state import NOBODY, Ask, TeamPolicy, TeamState

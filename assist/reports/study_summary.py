@@ -15,7 +15,7 @@ import numpy as np
 from planner.system.files import finite
 
 from ..study.study import SCHEMA, Study
-from ..team.policies import POLICIES
+from ..team.policy_names import POLICIES
 from ..team.settings import Setting
 from . import statistics
 from .statistics import IntervalEstimate

@@ -42,7 +42,7 @@ from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..people.terms import TERMS
 from ..people.user_code import UserChoiceModel, UserCodeError, parse
-from ..team.policies import POLICIES
+from ..team.policy_names import POLICIES
 from ..team.setting_table import SettingTable
 from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study

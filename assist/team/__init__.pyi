@@ -2,9 +2,9 @@ from .attention import AttentionSwitching as AttentionSwitching
 from .attention import NoAssistance as NoAssistance
 from .attention import Reactive as Reactive
 from .attention_subproblem import AttentionSubproblem as AttentionSubproblem
-from .policies import POLICIES as POLICIES
 from .policies import UserPolicy as UserPolicy
 from .policies import named as named
+from .policy_names import POLICIES as POLICIES
 from .priority import Priority as Priority
 from .robots import Robot as Robot
 from .rollout import Rollout as Rollout

@@ -20,14 +20,12 @@ from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from .attention import AttentionSwitching, NoAssistance, Reactive
 from .attention_never import AttentionAgainstNever
+from .policy_names import POLICIES
 from .priority import Priority
 from .rollout import Rollout
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
 from .travel import Travel
 from .whittle import Whittle
-
-POLICIES = ("none", "reactive", "attention", "attention-never", "priority", "whittle", "rollout")
-"""The names that `named` accepts."""
 
 
 def named(

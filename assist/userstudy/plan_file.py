@@ -37,7 +37,7 @@ from planner.system.errors import expected as meant
 from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..people.user_code import parse
-from ..team.policies import POLICIES
+from ..team.policy_names import POLICIES
 from ..team.setting_table import SettingTable
 from ..team.settings import Setting
 from ..texts.catalogue import FIRST, Catalogue, catalogue

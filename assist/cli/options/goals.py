@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from planner import Cache, CostToGo, Instance, LimitError, Limits, OnDemand, find_instances, load, sweep_goals
+import planner
+from planner import Instance, LimitError, Limits, find_instances
 from planner.batch.solve_record import SolveOptions
-from planner.costtogo.goals import require_same_states
 from planner.system.machine import processors
 from planner.system.progress import stages
 from planner.system.threads import on_threads
@@ -21,6 +21,8 @@ from .common import Command, with_options
 from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
+    from planner import CostToGo
+
     from ...people.goals import Goals
 
 
@@ -32,10 +34,12 @@ def goals_of(
 
     If there are too many states for tables, states are solved on demand, or, with `tables`, a `LimitError` is raised.
     """
+    from planner.costtogo.goals import require_same_states
+
     found = find_instances(problems, domain)
     _same_domain(found)
     tell_of_compiling()
-    tasks = on_threads(load, found, jobs or processors())
+    tasks = on_threads(planner.load, found, jobs or processors())
     for task in tasks:
         tell_note(task)
     require_same_states(tasks)
@@ -44,13 +48,13 @@ def goals_of(
     every: Sequence[CostToGo]
     try:
         with stages() as show:
-            every = sweep_goals(tasks, max_states=max_states, threads=jobs, progress=show)
+            every = planner.sweep_goals(tasks, max_states=max_states, threads=jobs, progress=show)
     except LimitError as error:
         if tables:
             raise
         click.echo(f"evaluating states on demand: {error}", err=True)
         limits = Limits(seconds=time_limit)
-        every = [OnDemand(task, cache=Cache(task, cache), jobs=jobs, limits=limits) for task in tasks]
+        every = [planner.OnDemand(task, cache=planner.Cache(task, cache), jobs=jobs, limits=limits) for task in tasks]
     for costs in every:
         if costs.lookup([costs.initial])[0] == float("inf"):
             fail(f"{costs.task.instance}: the goal cannot be reached from the initial state", ExitCode.FAILED)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from planner import CostToGo, Instance, InstanceError, find_instances
+from planner import Instance, InstanceError, find_instances
 from planner.batch.solve_record import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
@@ -38,6 +38,8 @@ from .task import costs_of
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
+    from planner import CostToGo
+
     from ...live.events import Event
     from ...live.session import Session
     from ...people.goals import Goals

@@ -9,7 +9,8 @@ import click
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, find_instances, load
+import planner
+from planner import Instance, LimitError, Limits, find_instances
 from planner.system.machine import processors
 from planner.system.progress import progress_bar, stages
 
@@ -32,6 +33,8 @@ from .population import choice_model, people_option
 from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
+    from planner import CostToGo, OnDemand
+
     from ...learning.comparison import Comparison
     from ...learning.fit import FittedPeople
     from ...learning.likelihood import Method
@@ -153,12 +156,12 @@ def replayed(
         raise click.UsageError(str(error)) from None
     log = log_of(file, columns, gaps=gaps)
     tell_of_compiling()
-    task = load(found)
+    task = planner.load(found)
     tell_note(task)
     if task.decided_by_translator:
         why = "the goal is unreachable or holds in the initial state, so nothing can be estimated"
         fail(f"{found}: {why}", ExitCode.FAILED)
-    walked = OnDemand(task)
+    walked = planner.OnDemand(task)
     try:
         recording, more = replay(log, walked, drop=drop, rename=names)
     except ValueError as error:
@@ -193,7 +196,9 @@ def people_of(
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     task = known.walked.task
-    table = None if chooses is None else cost_to_go(task, max_states=min(WHOLE, max_states), cache=Cache(task))
+    table: CostToGo | None = None
+    if chooses is not None:
+        table = planner.cost_to_go(task, max_states=min(WHOLE, max_states), cache=planner.Cache(task))
     if table is not None and not is_whole(table):
         raise click.UsageError(f"--people: expected a task of at most {min(WHOLE, max_states):,} states")
     try:
@@ -305,16 +310,16 @@ def _evaluate(
     from ...learning.observations import EvaluatedStates
 
     values, limits = walked.values(wanted), Limits(seconds=time_limit)
-    kept = Cache(walked.task, cache)
+    kept = planner.Cache(walked.task, cache)
     what = f"evaluating {len(wanted):,} states"
     with stages() as show:
         show(what, 0, None)
-        costs = cost_to_go(
+        costs = planner.cost_to_go(
             walked.task, values, max_states=max_states, cache=kept, jobs=jobs, limits=limits,
             progress=lambda of_all, done, total: show(f"{what}; all of the task, {of_all}", done, total),
         )  # fmt: skip
     numbers = costs.numbers(values)
-    if not isinstance(costs, OnDemand):
+    if not isinstance(costs, planner.OnDemand):
         return EvaluatedStates.of(costs, numbers, costs.lookup(numbers), wanted, len(walked))
     if np.isnan(costs.known(numbers)).any():
         click.echo(f"evaluating {len(wanted)} states on demand: {costs.reason}", err=True)

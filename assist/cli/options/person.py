@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner import CostToGo, Instance
+from planner import Instance
 from planner.system.progress import progress_bar
 
 from .common import (
@@ -32,6 +32,8 @@ TRUST = ("paper", "constant", "outcome", "outcome-at-disagreement", "reliability
 """Names of `assist.people.trust_rules.RULES`, without loading numpy."""
 
 if TYPE_CHECKING:
+    from planner import CostToGo
+
     from ...large_tasks.person_problem import PersonProblem
     from ...people.goals import Goals
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from planner.system.errors import expected
 
 from ...people.user_code import parse
-from ...team.policies import POLICIES, UserPolicy
-from ...team.state import PolicyError
+from ...team.policy_names import POLICIES
 from ..terminal.console import ExitCode, fail
 from .common import Option
+
+if TYPE_CHECKING:
+    from ...team.policies import UserPolicy
 
 CHOICES = f"{', '.join(POLICIES)}, or FILE.py:FUNCTION"
 """Values of `--policy`, as the help shows them."""
@@ -50,6 +52,8 @@ def policy_option(help_text: str) -> Option[Any]:
 
 def policies_of(names: tuple[str, ...]) -> dict[str, str | UserPolicy]:
     """Return each policy, keyed by its name in the results."""
+    from ...team.policies import UserPolicy
+
     found: dict[str, str | UserPolicy] = {}
     for name in dict.fromkeys(names):
         place = parse(name)
@@ -63,6 +67,8 @@ def policies_of(names: tuple[str, ...]) -> dict[str, str | UserPolicy]:
 @contextmanager
 def policy_errors() -> Iterator[None]:
     """Report an error of a policy in one line, with file and line number."""
+    from ...team.state import PolicyError
+
     try:
         yield
     except PolicyError as error:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 
-from planner import Cache, CostToGo, Instance, InstanceError, Table, Task, cost_to_go, find_instances, load
+import planner
+from planner import Instance, InstanceError, find_instances
 from planner.system.progress import compiling_line, stages
 
 from ..terminal.console import ExitCode, fail
+
+if TYPE_CHECKING:
+    from planner import CostToGo, Table, Task
 
 
 def one_instance(instance: str, domain: str | None) -> Instance:
@@ -54,11 +60,11 @@ def costs_of(instance: Instance, *, max_states: int, memory_limit_mb: float | No
     from ...people.arguments import require_goal
 
     tell_of_compiling()
-    task = load(instance)
+    task = planner.load(instance)
     tell_note(task)
     with stages() as show:
-        known = cost_to_go(
-            task, max_states=max_states, memory_limit_mb=memory_limit_mb, cache=Cache(task), progress=show
+        known = planner.cost_to_go(
+            task, max_states=max_states, memory_limit_mb=memory_limit_mb, cache=planner.Cache(task), progress=show
         )
     try:
         require_goal(float(known.lookup([known.initial])[0]))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from planner import CostToGo, Instance, LimitError
+from planner import Instance, LimitError
 
 from ..terminal.console import ExitCode, fail
 from .common import (
@@ -37,6 +37,8 @@ from .task import costs_of, one_instance
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
+    from planner import CostToGo
+
     from ...people.goals import Goals
     from ...people.human import Population
     from ...people.mixture import Mixture
