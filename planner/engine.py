@@ -12,13 +12,18 @@ user's home:
     class_name: Engine
 
 Then `OneshotPlanner(name="kitassist")` finds plans that are proven to be optimal: of least cost if the problem
-minimises costs, else with the fewest actions.
+minimises costs, else with the fewest actions. Numbers may change as long as they have finitely many values, by their
+types (`IntType(0, 9)`) or by what bounds them in the problem.
+
+Where actions have durations, a plan is a `TimeTriggeredPlan` of one action after the other, with the least cost or
+makespan of all such plans. Other plans may overlap: these may be better, or the only ones.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
+from fractions import Fraction
 from math import inf, isfinite
 from typing import IO, TYPE_CHECKING, Any
 from warnings import warn
@@ -27,43 +32,36 @@ from unified_planning import engines
 from unified_planning.engines import Credits, OptimalityGuarantee, PlanGenerationResult
 from unified_planning.engines import PlanGenerationResultStatus as Status
 from unified_planning.engines.mixins import OneshotPlannerMixin
-from unified_planning.io import PDDLWriter
+from unified_planning.engines.results import LogLevel, LogMessage
 from unified_planning.model import ProblemKind
-from unified_planning.plans import ActionInstance, SequentialPlan
+from unified_planning.plans import ActionInstance, Plan, SequentialPlan, TimeTriggeredPlan
 
 from .costtogo.astar import astar
 from .costtogo.sweep import sweep
 from .grounding.fast_downward import FastDownwardError
 from .grounding.load import load
 from .grounding.task import Task
-from .pddl.built_problems import plain
+from .pddl import built_actions
+from .pddl.built_problems import SUPPORTED, Written, written
+from .pddl.compilation import NO_SEQUENTIAL_PLAN
 from .pddl.instances import PDDLError
+from .pddl.plan_execution import execute
+from .pddl.validation import InvalidPlanError
 from .system.limits import CostLimitError, LimitError, Limits, MemoryLimitError
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem
 
-KIND = {
-    "problem_class": ("ACTION_BASED",),
-    "typing": ("FLAT_TYPING", "HIERARCHICAL_TYPING"),
-    "conditions_kind": (
-        "NEGATIVE_CONDITIONS", "DISJUNCTIVE_CONDITIONS", "EQUALITIES", "EXISTENTIAL_CONDITIONS", "UNIVERSAL_CONDITIONS",
-    ),
-    "effects_kind": (
-        "CONDITIONAL_EFFECTS", "FORALL_EFFECTS", "STATIC_FLUENTS_IN_BOOLEAN_ASSIGNMENTS",
-        "FLUENTS_IN_BOOLEAN_ASSIGNMENTS",
-    ),
-    "quality_metrics": ("ACTIONS_COST", "PLAN_LENGTH"),
-    "actions_cost_kind": ("STATIC_FLUENTS_IN_ACTIONS_COST", "INT_NUMBERS_IN_ACTIONS_COST"),
-}  # fmt: skip
-"""Supported features of unified-planning problems, by kind: classical planning with action costs."""
+GAP = Fraction(1, 1000)
+"""Time between two actions of a temporal plan, unless the problem has an epsilon; unified-planning requires some."""
 
 
 class Engine(engines.Engine, OneshotPlannerMixin):
     """A one-shot planner for optimal plans.
 
     The results `SOLVED_OPTIMALLY` and `UNSOLVABLE_PROVEN` are proven. With `TIMEOUT` and `MEMOUT` nothing is known.
-    `UNSUPPORTED_PROBLEM` means that the problem cannot be written in PDDL, or not be read by Fast Downward.
+    Temporal problems end with `SOLVED_SATISFICING`, or with `UNSOLVABLE_INCOMPLETELY` if there is no plan of one action
+    after the other. `UNSUPPORTED_PROBLEM` comes with a message that says what is not supported.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -81,20 +79,27 @@ class Engine(engines.Engine, OneshotPlannerMixin):
     def supported_kind() -> ProblemKind:
         """Return the supported features."""
         kind = ProblemKind(version=2)
-        for what, features in KIND.items():
+        for what, features in SUPPORTED.items():
             for feature in features:
                 getattr(kind, f"set_{what}")(feature)
         return kind
 
     @staticmethod
     def supports(problem_kind: ProblemKind) -> bool:
-        """Return whether all features of a problem are supported: at most one metric, and integer costs."""
-        metrics = problem_kind.features & set(KIND["quality_metrics"])
+        """Return whether all features of a problem are supported: for instance, at most one metric.
+
+        Features do not tell values. A problem of a supported kind is refused by `solve` if a number has no bound, a
+        duration or cost is negative, an interval of durations is open on the left, or a number is no decimal.
+        """
+        metrics = problem_kind.features & set(SUPPORTED["quality_metrics"])
         return bool(problem_kind <= Engine.supported_kind()) and len(metrics) < 2
 
     @staticmethod
     def satisfies(optimality_guarantee: OptimalityGuarantee) -> bool:  # noqa: ARG004  every guarantee holds
-        """Return whether plans have the given guarantee: always, since they are optimal."""
+        """Return whether plans have the given guarantee: always, as plans without durations are optimal.
+
+        unified-planning asks before it knows the problem. For temporal problems, the result's status says what holds.
+        """
         return True
 
     @staticmethod
@@ -123,22 +128,34 @@ class Engine(engines.Engine, OneshotPlannerMixin):
             return Limits(seconds=max(0.01, timeout - (time.monotonic() - start)))
 
         try:
-            task = load(problem, limits=left())
-            plan = _cheapest_plan(task, left)
+            with written(problem) as files:
+                temporal = built_actions.is_temporal(problem)
+                task = load(files.instance, limits=left())
+                words = _cheapest_plan(task, left)
+                durations = execute(files.instance, words).durations if temporal and words is not None else ()
         except MemoryLimitError as error:
             return self._without(Status.MEMOUT, error)
         except PDDLError as error:
             return self._without(Status.UNSUPPORTED_PROBLEM, error)
         except LimitError as error:
             return self._without(Status.TIMEOUT, error)
-        except (FastDownwardError, OSError) as error:
+        except (FastDownwardError, InvalidPlanError, OSError) as error:
             return self._without(Status.INTERNAL_ERROR, error)
-        if plan is None:
-            return PlanGenerationResult(Status.UNSOLVABLE_PROVEN, None, self.name)
-        return PlanGenerationResult(Status.SOLVED_OPTIMALLY, _read_plan(problem, plan), self.name)
+        notes = [task.note] if task.note else []
+        if words is None:
+            status = Status.UNSOLVABLE_INCOMPLETELY if temporal else Status.UNSOLVABLE_PROVEN
+            return self._with(status, None, [*notes, NO_SEQUENTIAL_PLAN] if temporal else notes)
+        steps = [_step(problem, files, word) for word in words]
+        if temporal:
+            return self._with(Status.SOLVED_SATISFICING, _in_sequence(problem, steps, durations), notes)
+        return self._with(Status.SOLVED_OPTIMALLY, SequentialPlan(steps, problem.environment), notes)
+
+    def _with(self, status: Status, plan: Plan | None, notes: list[str]) -> PlanGenerationResult:
+        messages = [LogMessage(LogLevel.INFO, note) for note in notes]
+        return PlanGenerationResult(status, plan, self.name, log_messages=messages)
 
     def _without(self, status: Status, error: Exception) -> PlanGenerationResult:
-        message = engines.results.LogMessage(engines.results.LogLevel.ERROR, str(error))
+        message = LogMessage(LogLevel.ERROR, str(error))
         return PlanGenerationResult(status, None, self.name, log_messages=[message])
 
 
@@ -155,29 +172,20 @@ def _cheapest_plan(task: Task, left: Callable[[], Limits]) -> list[str] | None:
         return table.optimal_plan() if isfinite(table[table.initial]) else None
 
 
-def _read_plan(problem: Problem, plan: list[str]) -> SequentialPlan:
-    """Return a plan, ground actions as `(name argument ...)`, as a plan of unified-planning.
+def _step(problem: Problem, files: Written, action: str) -> ActionInstance:
+    """Return a ground action of the files, `(name argument ...)`, as an action of the problem."""
+    name, *arguments = action[1:-1].split()
+    make = problem.environment.expression_manager
+    objects = [make.ObjectExp(problem.object(files.items[word].name)) for word in arguments]
+    return ActionInstance(problem.action(files.items[name].name), tuple(objects))
 
-    The actions have the problem's own names, or else the names in its PDDL files.
-    """
-    own_actions = {action.name: action for action in problem.actions}  # an object may have the name of an action
-    own_objects = {each.name: each for each in problem.all_objects}
-    written: dict[str, Any] = {}
 
-    def find(word: str, own: Mapping[str, Any]) -> Any:
-        if word in own:
-            return own[word]
-        if not written:
-            writer = PDDLWriter(plain(problem))
-            writer.get_domain()
-            writer.get_problem()
-            written.update(writer.nto_renamings)
-        return own[written[word].name]
-
-    steps = []
-    for action in plan:
-        name, *arguments = action[1:-1].split()
-        variables = problem.environment.expression_manager
-        objects = [variables.ObjectExp(find(word, own_objects)) for word in arguments]
-        steps.append(ActionInstance(find(name, own_actions), tuple(objects)))
-    return SequentialPlan(steps, problem.environment)
+def _in_sequence(
+    problem: Problem, steps: Sequence[ActionInstance], durations: Sequence[Fraction | None]
+) -> TimeTriggeredPlan:
+    """Return a plan in which each action begins after the one before it has ended."""
+    time, timed = Fraction(0), []
+    for step, duration in zip(steps, durations, strict=True):
+        timed.append((time, step, duration))
+        time += (duration or 0) + (problem.epsilon or GAP)
+    return TimeTriggeredPlan(timed, problem.environment)

@@ -12,7 +12,7 @@ from conftest import KITTING, thinned
 from unified_planning.engines import OptimalityGuarantee, PlanGenerationResultStatus
 from unified_planning.environment import Environment, get_environment
 from unified_planning.exceptions import UPUsageError
-from unified_planning.model import Fluent, InstantaneousAction, Object, Problem
+from unified_planning.model import DurativeAction, Fluent, InstantaneousAction, Object, Problem
 from unified_planning.model.metrics import MinimizeActionCosts, MinimizeSequentialPlanLength
 from unified_planning.shortcuts import (
     BoolType,
@@ -22,7 +22,6 @@ from unified_planning.shortcuts import (
     OneshotPlanner,
     PlanValidator,
     Plus,
-    RealType,
     Times,
     UserType,
 )
@@ -32,6 +31,8 @@ from planner import LimitError, Limits, load, sweep
 from planner.engine import Engine
 
 EXAMPLES = get_example_problems()
+OVERLAPPING = {"matchcellar", "matchcellar_static_duration", "temporal_conditional"}
+"""Examples that need two actions at once."""
 OURS = sorted(name for name, example in EXAMPLES.items() if Engine.supports(example.problem.kind))
 
 
@@ -50,8 +51,8 @@ def length_or_cost(problem: Problem, plan: Any) -> float:
     metric = next(iter(problem.quality_metrics), None)
     if not isinstance(metric, MinimizeActionCosts):
         return len(plan.actions)
-    costs = [metric.get_action_cost(step.action) for step in plan.actions]
-    return sum(cost.constant_value() for cost in costs if cost is not None)
+    with PlanValidator(problem_kind=problem.kind) as validator:
+        return next(iter(validator.validate(problem, plan).metric_evaluations.values()))
 
 
 @pytest.mark.parametrize("name", thinned(OURS))
@@ -60,13 +61,18 @@ def test_the_library_s_own_examples(name: str) -> None:
     problem = example.problem
     with OneshotPlanner(name="kitassist", optimality_guarantee=OptimalityGuarantee.SOLVED_OPTIMALLY) as planner:
         result = planner._solve(problem)  # `solve` refuses problems without a metric where plans have to be optimal
+    timed = any(isinstance(action, DurativeAction) for action in problem.actions)
     if not example.solvable:
         assert result.status is PlanGenerationResultStatus.UNSOLVABLE_PROVEN
         return
-    assert result.status is PlanGenerationResultStatus.SOLVED_OPTIMALLY
-    with PlanValidator(problem_kind=problem.kind) as validator:
+    if name in OVERLAPPING:
+        assert result.status is PlanGenerationResultStatus.UNSOLVABLE_INCOMPLETELY
+        return
+    solved = PlanGenerationResultStatus.SOLVED_SATISFICING if timed else PlanGenerationResultStatus.SOLVED_OPTIMALLY
+    assert result.status is solved
+    with PlanValidator(problem_kind=problem.kind, plan_kind=result.plan.kind) as validator:
         assert validator.validate(problem, result.plan)
-    for plan in example.valid_plans:
+    for plan in [] if timed else example.valid_plans:
         assert length_or_cost(problem, result.plan) <= length_or_cost(problem, plan)
 
 
@@ -107,9 +113,7 @@ def test_the_cheapest_plan_under_the_problem_s_own_names() -> None:
 
 def test_what_it_does_not_support_it_says() -> None:
     problem = ways()
-    problem.add_fluent(Fluent("fuel", RealType()), default_initial_value=1)
-    problem.add_action(InstantaneousAction("fill"))
-    problem.action("fill").add_increase_effect(problem.fluent("fuel"), 1)
+    problem.add_fluent(Fluent("holder", problem.user_type("Place.Type")), default_initial_value=problem.object("Home"))
     assert not Engine.supports(problem.kind)
     with OneshotPlanner(name="kitassist") as planner:
         planner.error_on_failed_checks = True
@@ -178,8 +182,8 @@ def trip() -> tuple[Problem, InstantaneousAction]:
 @pytest.mark.parametrize(
     ("cost", "said"),
     [
-        (lambda t: Minus(t.there, 29), "is -19 for .home, far."),
-        (lambda t: Minus(t.toll, 3), "is -1; expected a whole number of 0 or more"),
+        (lambda t: Minus(t.there, 29), "has a cost of -17; expected"),
+        (lambda t: Minus(t.toll, 3), "has a cost of -1; expected"),
         (lambda _: Int(-1), "may not be negative"),
     ],
 )  # fmt: skip

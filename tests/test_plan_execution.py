@@ -48,7 +48,7 @@ PICK, SHIP = "(pick bin-1 tray-1)", "(ship tray-1)"
     ],
 )
 def test_a_plan_costs_what_the_metric_says(tmp_path: Path, metric: str, cost: Fraction) -> None:
-    assert execute(files(tmp_path, DOMAIN, PROBLEM.replace("METRIC", metric)), [PICK, PICK, SHIP]) == cost
+    assert execute(files(tmp_path, DOMAIN, PROBLEM.replace("METRIC", metric)), [PICK, PICK, SHIP]).cost == cost
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_derived_predicates_follow_numbers(tmp_path: Path) -> None:
     (:action end :parameters (?x ?y) :precondition (and (not (= ?x ?y)) (chain ?x ?y)) :effect (done)))"""
     problem = """(define (problem p) (:domain d) (:objects a b) (:init (= (n a) 1) (= (n b) 1)) (:goal (done)))"""
     instance = files(tmp_path, domain, problem)
-    assert execute(instance, ["(add a)", "(add b)", "(end a b)"]) == 3
+    assert execute(instance, ["(add a)", "(add b)", "(end a b)"]).cost == 3
     for wrong in (["(add a)", "(add a)"], ["(add a)", "(end a b)"]):
         with pytest.raises(InvalidPlanError, match=r"step 1: .* is not applicable"):
             execute(instance, wrong)
@@ -115,7 +115,7 @@ def test_random_plans_are_judged_as_by_a_direct_search(tmp_path: Path) -> None:
                 except AssertionError:
                     expected = None
                 if expected is not None:
-                    assert execute(instance, plan) == expected
+                    assert execute(instance, plan).cost == expected
                 else:
                     with pytest.raises(InvalidPlanError):
                         execute(instance, plan)

@@ -23,7 +23,7 @@ from ..grounding.fast_downward import FastDownwardError
 from ..grounding.load import ground
 from ..grounding.semantics import plan_cost, replay
 from ..grounding.task import Effect, Operator, Task, Variable
-from ..pddl.compilation import Compilation, compiled
+from ..pddl.compilation import NO_SEQUENTIAL_PLAN, Compilation, compiled
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.plan_execution import execute
 from ..pddl.reader import read
@@ -344,7 +344,7 @@ def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phase
             if not task.decided_by_translator and task.in_unit(replay(task, plan)) != cost:
                 raise MismatchError(f"{task.instance}: the plan does not cost {cost:g} when it is replayed")
     elif phases.compiled.get("durations") and not isfinite(cost):
-        notes.append("no plan for one person who acts in sequence")
+        notes.append(NO_SEQUENTIAL_PLAN)
     return record | {"note": _joined(*notes)}
 
 
@@ -410,7 +410,7 @@ def _outcome(task: Task, cost: float, plan: list[str] | None) -> SolveRecord:
 def _execute(task: Task, record: SolveRecord, phases: _Phases) -> None:
     """Execute the plan of compiled files by their meaning; raise a `MismatchError` if it costs something else."""
     with phases.phase("validate"):
-        if (cost := float(execute(task.instance, record["plan"]))) != record["cost"]:
+        if (cost := float(execute(task.instance, record["plan"]).cost)) != record["cost"]:
             raise MismatchError(f"{task.instance}: the plan costs {cost:g} by the files, not {record['cost']:g}")
 
 

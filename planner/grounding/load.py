@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -136,11 +135,7 @@ def ground(compilation: Compilation, limits: Limits = NO_LIMITS) -> Task:
 
 
 def _load_built(problem: Problem, limits: Limits) -> Task:
+    with built_problems.written(problem) as files:
+        task = ground(compiled(read(files.instance)), limits)
     named = built_problems.named(problem)
-    with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
-        instance, names = built_problems.write(problem, Path(folder))
-        try:
-            task = ground(compiled(read(instance)), limits)
-        except instances.PDDLError as error:  # the user does not know the temporary files
-            raise instances.PDDLError(named.problem, None, error.message) from None
-    return replace(from_sas(built_problems.restore_names(task.sas, names), named, task.note), unit=task.unit)
+    return replace(from_sas(built_problems.restore_names(task.sas, files.own_names), named, task.note), unit=task.unit)

@@ -14,6 +14,9 @@ from . import numeric_compiler
 from .numeric_compiler import MOST_VALUES
 from .reader import Reading
 
+NO_SEQUENTIAL_PLAN = "no plan for one person who acts in sequence"
+"""Note where files with durations have no plan here: they may need two actions at once."""
+
 
 @dataclass(frozen=True)
 class Compilation:

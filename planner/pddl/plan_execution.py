@@ -63,13 +63,20 @@ class _Effect(NamedTuple):
     change: Expression
 
 
-def execute(instance: Instance, plan: Sequence[str]) -> Fraction:
-    """Return the cost of a plan, ground actions as `(name argument ...)`, by the meaning of the files.
+class Executed(NamedTuple):
+    """The cost of a plan, and the duration of each of its actions, None for one without a duration."""
+
+    cost: Fraction
+    durations: tuple[Fraction | None, ...]
+
+
+def execute(instance: Instance, plan: Sequence[str]) -> Executed:
+    """Execute a plan, ground actions as `(name argument ...)`, by the meaning of the files.
 
     If an action is unknown or not applicable, or the goal does not hold at the end, this raises an `InvalidPlanError`.
     """
     files = _Files(instance)
-    state, clock, spent = files.initial, Fraction(0), Fraction(0)
+    state, durations = files.initial, list[Fraction | None]()
     for step, action in enumerate(plan):
         try:
             state, duration = files.after(state, action)
@@ -77,11 +84,15 @@ def execute(instance: Instance, plan: Sequence[str]) -> Fraction:
             raise InvalidPlanError(f"step {step}: {action} reads {error or 'a quotient by zero'}") from None
         except InvalidPlanError as error:
             raise InvalidPlanError(f"step {step}: {action} {error}") from None
-        clock += (0 if files.durative else 1) if duration is None else duration
-        spent += 1 if duration is None else duration
+        durations.append(duration)
     if not files.holds(files.goal, {}, _Moments(state, state)):
         raise InvalidPlanError("the goal does not hold after the plan")
-    return spent if files.metric is None else files.minimized(state, clock)
+    if files.metric is None:
+        cost = sum((Fraction(1) if each is None else each for each in durations), Fraction(0))
+    else:
+        plain = Fraction(0 if files.durative else 1)
+        cost = files.minimized(state, sum((plain if each is None else each for each in durations), Fraction(0)))
+    return Executed(cost, tuple(durations))
 
 
 class _Files:

@@ -14,7 +14,16 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
-from .conditions import COMPLEMENT, FALSE, comparisons, conjunction, conjuncts, free_variables
+from .conditions import (
+    COMPLEMENT,
+    FALSE,
+    comparisons,
+    conjunction,
+    conjuncts,
+    disjunction,
+    free_variables,
+    unsatisfied,
+)
 from .durative import Schema, key
 from .numeric_expressions import OPERATIONS, NoValueError, Number, number, terms_of, whole
 from .s_expressions import Expression
@@ -107,7 +116,8 @@ def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -
                 variables.update(own)
                 numeric.append(condition)
         for bound in _rows(statics, change, {name: scope[name] for name in variables}, conditions):
-            guard = conjunction(statics.simplified(each, bound) for each in numeric)
+            known = {str(statics.simplified(each, bound)) for each in conditions if each.head != "or"}
+            guard = conjunction(_resolved(statics.simplified(each, bound), known) for each in numeric)
             if guard == FALSE:
                 continue
             fluent = tuple(bound.get(word, word) for word in key(change.term))
@@ -118,6 +128,13 @@ def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -
             one = GroundChange(schema.name, fluent, amount, change.grows, guard)
             found.setdefault((fluent, str(amount), change.grows, str(guard)), one)
     return list(found.values())
+
+
+def _resolved(condition: Expression, known: set[str]) -> Expression:
+    """Return a condition without the ways in which it cannot hold, given the texts of conditions that do hold."""
+    if condition.head != "or":
+        return condition
+    return disjunction(part for part in condition.parts[1:] if str(unsatisfied(part)) not in known)
 
 
 def _rows(
