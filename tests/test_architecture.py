@@ -31,8 +31,8 @@ ROOMS = {
     "planner.search.symmetry": "automorphisms canonical_states",
     "planner.search": """distances search_space successor_generator state_registry ranked_index
         forward_search backward_search""",
-    "planner.costtogo": """watched_states number_values load cost_to_go table astar cache verification first_answer sweep goals
-        orbit_table table_file on_demand portfolio""",
+    "planner.costtogo": """watched_states number_values load cost_to_go table astar cache verification first_answer
+        sweep goals orbit_table table_file on_demand portfolio""",
     "planner.batch": "solve_record solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.texts": "typed_toml catalogue",
