@@ -1,4 +1,4 @@
-"""Numbers that no condition bounds: values are tried until they are proven to be all, or a plan within them is optimal."""
+"""Numbers that no condition bounds: values are tried until they are all, or a plan within them is optimal."""
 
 from __future__ import annotations
 
