@@ -1,7 +1,7 @@
 """The sweep: all reachable states of a task and their exact cost-to-go, fast and in little memory.
 
 `sweep` computes a `Table` in three steps: it constructs a ranking of the states (`ranking`), finds the reachable states
-and their distances (`forward_search`, `backward_search`), and numbers the states in the order of their ranks.
+and their distances (`forward_search`, `backward_search`), and numbers the states as `states.state_space` says.
 
 Tasks with derived variables, with ranks beyond 62 bits, or with operators that split into very many moves use a slower
 method: a registry of packed states, with all transitions in memory.

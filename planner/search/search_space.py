@@ -5,8 +5,8 @@ such blocks with compiled code. There are three, each with its own `StateIndex`:
 
 - `RankedSpace` is the fastest. Keys are ranks, the reachable ones are a bitmap, and the backward search applies inverse
   operators, so that no transitions are stored.
-- `RegistrySpace` works for every task. Keys are the numbers of packed states in the order of their discovery, and the
-  transitions are stored.
+- `RegistrySpace` works for every task. Keys are the numbers of packed states, in the order of their discovery until
+  `finish` sorts each layer, and the transitions are stored.
 - A `RegistrySpace` with a function that replaces each state by the canonical state of its orbit.
 """
 

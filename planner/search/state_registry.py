@@ -1,4 +1,4 @@
-"""States numbered in the order of their discovery by a hash table, and the search on them, which stores transitions."""
+"""States numbered by layer and packed words in a hash table, and the search on them, which stores transitions."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ STATES_AT_A_TIME = 1 << 12
 
 @dataclass(frozen=True)
 class RegistryIndex:
-    """The states of a registry, numbered in the order of their discovery.
+    """The states of a registry, numbered by layer, then by packed words.
 
     If `forms` are given, these are canonical states, which stand for the orbits of all reachable states. Transitions
     are those of the canonical states, and lead to the orbits of their successors.
@@ -153,6 +154,21 @@ class StateRegistry:
         with self._lock:  # the rows may be moved when they grow
             return self._states.rows[numbers].copy()
 
+    def sort(self, layers: Sequence[int]) -> NDArray[np.int32]:
+        """Renumber the states by packed words within each layer; return the new numbers of all states.
+
+        Layer `i` is the states that have been numbered from `layers[i]` on, below `layers[i + 1]`.
+        """
+        number = np.empty(self._held, dtype=np.int32)
+        with self._lock:
+            for start, stop in pairwise(layers):
+                rows = self._states.rows[start:stop]
+                order = np.lexsort(rows.T[::-1]) if rows.shape[1] > 1 else rows[:, 0].argsort()
+                rows[:] = rows[order]
+                number[start + order] = np.arange(start, stop, dtype=np.int32)
+            state_hash.renumber(self.slots, number)
+        return number
+
     def trimmed(self) -> Words:
         """Return all states, shape (n, words), in the registry's own memory. No state may be added afterwards."""
         return self._states.trimmed(self._held)
@@ -176,6 +192,7 @@ class RegistrySpace:
             form(start)
         self._met.numbers(start)
         self.initial = self._expanded = self.transitions = 0
+        self._layers = [0]  # where each layer begins
         self.costs, self._kind_of = np.unique(task.costs, return_inverse=True)
         self._counts, self._targets = _Growing(np.int32), _Growing(np.int32)
         self._kinds = _Growing(np.uint16 if len(self.costs) <= 1 << 16 else np.uint32)
@@ -201,6 +218,7 @@ class RegistrySpace:
         """
         if isinstance(layer[0], range):
             numbers: Any = range(layer[0].start, layer[-1].stop)
+            self._layers.append(numbers.stop)
         else:
             numbers = np.concatenate(layer)
         layer.clear()
@@ -231,14 +249,15 @@ class RegistrySpace:
         return [range(before, len(self))] if len(self) > before else []
 
     def finish(self) -> None:
-        """Build the index, and sort the transitions by their targets."""
+        """Number the states by layer and packed words, build the index, and sort the transitions by their targets."""
+        number = self._met.sort(self._layers)
         self.index = RegistryIndex(self._packing, self._operators, self._met.trimmed(), self._met.slots, self._sizes)
         targets = self._targets.trimmed(self.transitions)
         kinds = self._kinds.trimmed(self.transitions if len(self.costs) > 1 else 0)
         self._into = np.zeros(len(self) + 2, dtype=np.int64)
         self._sources, sorted_kinds = np.empty_like(targets), np.empty_like(kinds)
         distance_updates.transpose(
-            self._counts.trimmed(self._expanded), targets, kinds, self._into, self._sources, sorted_kinds
+            self._counts.trimmed(self._expanded), targets, kinds, number, self._into, self._sources, sorted_kinds
         )
         self._kinds.rows = sorted_kinds
         self._counts, self._targets = _Growing(np.int32), _Growing(np.int32)

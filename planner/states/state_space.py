@@ -1,8 +1,20 @@
 """The reachable states of a task, numbered, with their transitions.
 
 A `StateSpace` is the result of a sweep: the number of states, the number of each state, and, computed when first used,
-the transitions of all states. A `StateIndex` defines the numbering. `RegistryIndex` stores the packed states in the
-order of their discovery. `RankedIndex` is more compact.
+the transitions of all states. A `StateIndex` defines the numbering. `RegistryIndex` stores the packed states.
+`RankedIndex` is more compact.
+
+**The numbers of states** follow one rule, so that every search gives the same ones:
+
+- If a ranking by single variables (`StateRanking.of`) has at most `SweepOptions.small_bitmap` ranks, states are
+  numbered by ascending rank. The rank is the sum of some variables' values, each times a stride.
+- Otherwise, a task with few transitions (`SweepOptions` says how many), or without a ranking, is numbered by layer, the
+  least number of actions from the initial state. Within a layer, states ascend by their packed words, the first word
+  first. So do the canonical states of orbits.
+- All other tasks are numbered by ascending rank, in the dense ranking if it has fewer ranks.
+
+The rule depends on the task alone, unless memory or time ends the search for a ranking. On demand (`OnDemand`), where
+states are never all known, they are numbered in the order of their first use.
 """
 
 from __future__ import annotations

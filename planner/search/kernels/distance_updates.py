@@ -98,12 +98,14 @@ def by_kind(out, through, begin, ordered):
 
 
 @njit(nogil=True, error_model="numpy")
-def transpose(counts, targets, kinds, into, sources, source_kinds):
+def transpose(counts, targets, kinds, number, into, sources, source_kinds):
     """Sort transitions by target: those into state `s` are `into[s]:into[s + 1]`.
 
-    `into` must be zero, with two entries more than there are states.
+    States are given by former numbers, and get new ones: state `i` gets `number[i]`. `into` must be zero, with two
+    entries more than there are states.
     """
     for row in range(len(targets)):
+        targets[row] = number[targets[row]]
         into[targets[row] + 2] += 1
     for state in range(2, len(into)):
         into[state] += into[state - 1]
@@ -112,7 +114,7 @@ def transpose(counts, targets, kinds, into, sources, source_kinds):
         for _ in range(counts[state]):
             place = into[targets[row] + 1]
             into[targets[row] + 1] += 1
-            sources[place] = state
+            sources[place] = number[state]
             if len(kinds):
                 source_kinds[place] = kinds[row]
             row += 1

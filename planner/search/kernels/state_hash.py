@@ -97,3 +97,12 @@ def fill_slots(slots, states, first, stop):
         while slots[at] != 0:
             at = (at + 1) & (len(slots) - 1)
         slots[at] = entry_of(mixed, number)
+
+
+@njit(nogil=True, error_model="numpy")
+def renumber(slots, number):
+    """Give state `i` in the slots the number `number[i]`."""
+    own = np.uint64((1 << NUMBER) - 1)
+    for at in range(len(slots)):
+        if slots[at] != 0:
+            slots[at] = slots[at] & ~own | np.uint64(number[np.int64(slots[at] & own) - 1] + 1)
