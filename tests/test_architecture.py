@@ -74,7 +74,7 @@ ROOMS = {
         metrics websocket openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
     "assist.bridges": """messages ordering session_client tasks team_watch mqtt_settings mqtt opcua_settings opcua
-        opcua_server ros2_settings ros2 behaviour_tree""",
+        opcua_server ros2_settings ros2""",
     "assist.cli.terminal": "interrupts console",
     "assist.cli.options": "common config task population person travel team policies help goals live log trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables

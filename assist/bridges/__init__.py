@@ -1,4 +1,4 @@
-"""Bridges between a live session and the protocols of a line (extras `mqtt`, `opcua`, `ros2`, `py-trees`)."""
+"""Bridges between a live session and the protocols of a line (extras `mqtt`, `opcua`, `ros2`)."""
 
 from planner.system.lazy_imports import lazy_exports
 

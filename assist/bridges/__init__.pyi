@@ -1,9 +1,3 @@
-from .behaviour_tree import GetAdvice as GetAdvice
-from .behaviour_tree import GoTo as GoTo
-from .behaviour_tree import ReportArrival as ReportArrival
-from .behaviour_tree import Robot as Robot
-from .behaviour_tree import Suggest as Suggest
-from .behaviour_tree import assistance as assistance
 from .mqtt import MqttBridge as MqttBridge
 from .mqtt_settings import MqttSettings as MqttSettings
 from .opcua import OpcUaBridge as OpcUaBridge
