@@ -74,6 +74,7 @@ CASES = {
         "--populations 1",
         "--instance kitting/tiny --people 4 --populations 1 --suggestions 8 --setting constant",
     ),
+    "pairs": (". --pairs 1 --only rate --only environments", ". --smallest"),
     "orbits": ("kitting/ladder-4x8 --compare 5 --seconds 5", "kitting/tiny --compare 1"),
     "observed": ("", "kitting/tiny stations/one-way --limit 1"),
     "on_demand": ("--states 10", "--states 2"),
