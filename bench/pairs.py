@@ -83,10 +83,10 @@ def main(other: Path, only: tuple[str, ...], pairs: int, most: float, smallest: 
             run(checkout, command)  # which compiles
         begun, ratios, looked = time.perf_counter(), list[float](), list[int | None]()
         for number in range(1 if smallest else pairs):
-            order = both if number % 2 == 0 else both[::-1]
-            found = {checkout: run(checkout, command) for checkout in order}
-            ratios.append(found[both[1]].seconds / found[both[0]].seconds)
-            looked = [found[checkout].lookups for checkout in both]
+            found = [run(checkout, command) for checkout in (both if number % 2 == 0 else both[::-1])]
+            before, after = found if number % 2 == 0 else found[::-1]
+            ratios.append(after.seconds / before.seconds)
+            looked = [before.lookups, after.lookups]
         middle = statistics.median(ratios)
         late |= middle > most and not smallest
         states = "" if looked[0] is None else f"; states looked up: {looked[0]:,} and {looked[1]:,}"
