@@ -2,7 +2,7 @@
 
     python bench/line.py [--people 200] [--seconds 60] [--every 5] [--instance FILE] [--record FILE]
 
-People act first through a broker on loopback and the bridge of `kitassist serve`, then over HTTP and WebSocket as in
+People act first through a broker on loopback and the bridge of `kitassist serve`, then over HTTP as in
 `live_load.py`. The time is from an action until the person's advice after it arrives. Each person acts at a pace of
 their own: the times between two actions are drawn from a gamma distribution of shape 4, as for simulated people, with a
 mean of five seconds, about that of picking one part. So 200 people report 40 actions a second, not in step.

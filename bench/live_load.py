@@ -34,8 +34,6 @@ from urllib.parse import quote, urlsplit
 import click
 import numpy as np
 from tables import Columns, cell, record_option, write_record
-from websockets.asyncio.client import connect
-from websockets.exceptions import WebSocketException
 
 from assist.live.events import Event
 from assist.live.session import Session
@@ -86,19 +84,26 @@ class Worker:
         seen.acknowledged[self.name] = []
 
     async def listen(self) -> None:
-        headers = {"Authorization": f"Bearer {self.token}"}
-        url = f"ws://{self.parts.netloc}/api/people/{quote(self.name)}/events"
+        asks = (
+            f"GET /api/people/{quote(self.name)}/events HTTP/1.1\r\nHost: {self.parts.netloc}\r\n"
+            f"Authorization: Bearer {self.token}\r\n\r\n"
+        ).encode()
         while True:
-            try:
-                async with connect(url, additional_headers=headers, compression=None) as connection:
-                    async for message in connection:
-                        view = json.loads(message)
+            with suppress(OSError):
+                reader, writer = await asyncio.open_connection(self.parts.hostname, self.parts.port, limit=1 << 20)
+                writer.write(asks)
+                kind = b""
+                while line := await reader.readline():
+                    name, _, value = line.rstrip().partition(b": ")
+                    kind = value if name == b"event" else kind
+                    if name == b"data" and kind == b"view":
+                        view = json.loads(value)
                         async with self.changed:
                             if view["seq"] >= self.view.get("seq", 0):
                                 self.view = view
                             self.changed.notify_all()
-            except (TimeoutError, OSError, WebSocketException):
-                await asyncio.sleep(RETRY)
+                writer.close()
+            await asyncio.sleep(RETRY)
 
     async def post(self, what: str, body: dict) -> dict:
         """Post a request until it is answered."""

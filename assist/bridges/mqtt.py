@@ -91,8 +91,6 @@ class MqttBridge:
     settings : MqttSettings
     link : str
         The operator's link, as `kitassist serve` prints it.
-    every : float
-        Seconds between two looks at who is in the team. Fewer add load, more delay the first advice to those who join.
     longest_pause : float
         Largest number of seconds between two attempts to reach the broker. The first pause is a tenth of a second;
         each next one is twice as long, with a random part, so that not all clients return at once.
@@ -113,9 +111,7 @@ class MqttBridge:
         The extra `mqtt` is not installed.
     """
 
-    def __init__(
-        self, settings: MqttSettings, link: str, *, every: float = 5.0, longest_pause: float = 30.0, publishers: int = 8
-    ) -> None:
+    def __init__(self, settings: MqttSettings, link: str, *, longest_pause: float = 30.0, publishers: int = 8) -> None:
         self.settings, self._mqtt = settings, library()
         self.counts, self.connected = Counter[str](), False
         self._session = SessionClient(link)
@@ -123,11 +119,20 @@ class MqttBridge:
         self._senders: dict[str, _Sender] = {}
         self._tasks = Tasks()
         instructed = None if settings.robot is None else self._instructed
-        self._watch = TeamWatch(self._session, self._advise, instructed, every=every, robots=settings.robots)
+        self._watch = TeamWatch(self._session, self._advise, instructed)
         self._kept: dict[str, bytes] = {}  # retained messages by topic
         self._waiting: dict[str | int, tuple[str, bytes, bool]] = {}  # to be published, in this order
         self._keys = count()
         self._wake = asyncio.Event()
+
+    @property
+    def waits(self) -> list[str]:
+        """What reports wait for that have arrived before others of their sender."""
+        return [
+            f"MQTT: {person}: {len(order.held)} reports wait for the number {order.next}, which has not arrived"
+            for person, order in ((person, sender.order) for person, sender in self._senders.items())
+            if order.held
+        ]
 
     async def run(self) -> None:
         """Work until cancelled. Lost connections to the broker and to the service are restored.
@@ -336,7 +341,6 @@ class MqttBridge:
                 if error.status == ABSENT and report.number is None and sender.queue.empty():
                     self._senders.pop(person, None)  # a message about nobody costs no memory
             else:
-                self._watch.follow(person)
                 self._answer(person, report.id, report.number, "recorded", seq=view["seq"])
             acknowledge()
 
@@ -369,7 +373,6 @@ class MqttBridge:
             fields = fields_of(payload)
             body = {"person": fields.get("person")} | ({"id": fields["id"]} if "id" in fields else {})
             await self._session.ask("POST", f"{robot_path(int(robot))}/arrived", body)
-            self._watch.moved()
         except (MessageError, RefusedError) as error:
             LOG.warning("MQTT: arrival of a robot: %s", error)
         acknowledge()

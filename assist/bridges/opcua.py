@@ -28,6 +28,7 @@ from .messages import MessageError, fields_of_value
 from .opcua_settings import Observed, OpcUaSettings, password
 from .session_client import SessionClient
 from .tasks import together
+from .team_watch import TeamWatch
 
 LOG = logging.getLogger(__name__)
 
@@ -83,6 +84,8 @@ class OpcUaBridge:
         Numbers of `values`, of reports `recorded` and `refused`, and of `connections` to the server.
     connected : bool
         Whether the bridge is connected to the server, and subscribed.
+    waits : tuple
+        Empty: no report waits for another one.
 
     Raises
     ------
@@ -94,7 +97,7 @@ class OpcUaBridge:
         self, settings: OpcUaSettings, link: str, *, period: float = 50.0, longest_pause: float = 30.0
     ) -> None:
         self.settings, self._library = settings, library()
-        self.counts, self.connected = Counter[str](), False
+        self.counts, self.connected, self.waits = Counter[str](), False, ()
         self._session = SessionClient(link)
         self._period, self._longest_pause = period, longest_pause
         self._observed = {one.node: one for one in settings.observed}
@@ -106,10 +109,10 @@ class OpcUaBridge:
 
     async def run(self) -> None:
         """Work until cancelled. Lost connections to the server and to the service are restored."""
-        people = {person for _, person in self.settings.advice}
-        work = [self._server(), self._deliver(), *map(self._advise, sorted(people))]
+        for node, _ in self.settings.advice:
+            self._write(node, "")  # until the service has told more
         try:
-            await together(*work)
+            await together(self._server(), self._deliver(), TeamWatch(self._session, self._advise).run())
         finally:
             await self._session.close()
 
@@ -228,14 +231,9 @@ class OpcUaBridge:
         if observed.answer is not None:
             self._write(observed.answer, json.dumps({"id": identifier, "status": status, **more}))
 
-    async def _advise(self, person: str) -> None:
+    def _advise(self, person: str, view: dict[str, Any] | None) -> None:
         """Write a person's suggestion after every change, and an empty text where there is none."""
-        nodes, pause = [node for node, whose in self.settings.advice if whose == person], 5.0
-        while True:
-            async for view in self._session.watch(person):
-                for node in nodes:
-                    if self._kept.get(node) != (view["suggestion"] or ""):
-                        self._write(node, view["suggestion"] or "")
-            for node in nodes:
-                self._write(node, "")
-            await asyncio.sleep(pause)  # seconds, until the person may have come back
+        suggestion = "" if view is None else view["suggestion"] or ""
+        for node, whose in self.settings.advice:
+            if whose == person and self._kept.get(node) != suggestion:
+                self._write(node, suggestion)

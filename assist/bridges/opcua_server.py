@@ -79,8 +79,6 @@ class OpcUaServer:
     settings : OwnServerSettings
     link : str
         The operator's link, as `kitassist serve` prints it.
-    every : float
-        Seconds between two looks at who is in the team. Fewer add load, more delay the nodes of those who join.
     longest_pause : float
         Largest number of seconds between two attempts to listen at the address. The first pause is a second.
 
@@ -90,6 +88,8 @@ class OpcUaServer:
         Numbers of `values` written, of `calls`, and of reports `recorded` and `refused`.
     connected : bool
         Whether the server listens.
+    waits : tuple
+        Empty: no report waits for another one.
 
     Raises
     ------
@@ -97,13 +97,11 @@ class OpcUaServer:
         The extra `opcua` is not installed.
     """
 
-    def __init__(
-        self, settings: OwnServerSettings, link: str, *, every: float = 5.0, longest_pause: float = 30.0
-    ) -> None:
+    def __init__(self, settings: OwnServerSettings, link: str, *, longest_pause: float = 30.0) -> None:
         self.settings, self._library = settings, library()
-        self.counts, self.connected = Counter[str](), False
+        self.counts, self.connected, self.waits = Counter[str](), False, ()
         self._session = SessionClient(link)
-        self._watch = TeamWatch(self._session, self._seen, self._instructed, every=every, robots=settings.robots)
+        self._watch = TeamWatch(self._session, self._seen, self._instructed)
         self._longest_pause = longest_pause
         self._tasks = Tasks()
         self._people: dict[str, _Nodes] = {}
@@ -323,6 +321,5 @@ class OpcUaServer:
         async with nodes.turn:
             try:
                 await self._session.ask("POST", f"{robot_path(robot)}/arrived", {"person": person})
-                self._watch.moved()
             except RefusedError as error:
                 LOG.warning("OPC UA: arrival of a robot: %s", error)

@@ -73,8 +73,7 @@ class Ros2Bridge:
     link : str
         The operator's link, as `kitassist serve` prints it.
     every : float
-        Seconds between two looks at who is in the team, and after which advice is repeated for those who have joined
-        the topic meanwhile. Fewer add load.
+        Seconds after which advice is repeated for those who have joined the topic meanwhile. Fewer add load.
     again : float
         Seconds after which the robot gets another goal, if the last one failed.
     longest_pause : float
@@ -87,6 +86,8 @@ class Ros2Bridge:
         `published`, of `goals` and of `arrivals`.
     connected : bool
         Whether the bridge is connected to the server.
+    waits : tuple
+        Empty: no report waits for another one.
     """
 
     def __init__(
@@ -97,13 +98,13 @@ class Ros2Bridge:
         self._every, self._again, self._longest_pause = every, again, longest_pause
         self._observed = {one.topic: one for one in settings.observed}
         instructed = None if settings.go_to is None else self._instructed
-        self._watch = TeamWatch(self._session, self._advise, instructed, every=every, robots=settings.robots)
+        self._watch = TeamWatch(self._session, self._advise, instructed)
         self._tasks = Tasks()
         self._reports: dict[str, asyncio.Queue[Report]] = {}
         self._kept: dict[str | int, dict[str, Any]] = {}  # the last advice to each person, as messages
         self._waiting: dict[str | int, dict[str, Any]] = {}  # to be sent, in this order
         self._keys, self._wake = count(), asyncio.Event()
-        self.connected = False
+        self.connected, self.waits = False, ()
         self._ways = [_Way(number) for number in range(1, settings.robots + 1)]
 
     async def run(self) -> None:
@@ -243,7 +244,6 @@ class Ros2Bridge:
                 except RefusedError as error:
                     self._answer(person, report.id, "refused", str(error))
                 else:
-                    self._watch.follow(person)
                     self._answer(person, report.id, "recorded", seq=view["seq"])
         finally:
             del self._reports[person]
@@ -322,7 +322,8 @@ class Ros2Bridge:
         if _succeeded(message):
             self.counts["arrivals"] += 1
             try:
-                await self._session.ask("POST", f"{robot_path(way.robot)}/arrived", {"person": person, "id": goal})
+                there = {"person": person, "id": goal}
+                way.instruction = await self._session.ask("POST", f"{robot_path(way.robot)}/arrived", there)
             except RefusedError as error:
                 LOG.warning("ROS 2: arrival of the robot: %s", error)
         else:
@@ -330,4 +331,4 @@ class Ros2Bridge:
             await asyncio.sleep(self._again)
         if way.goal is None and way.to == person:
             way.to = None
-        self._watch.moved()
+        self._go(way)

@@ -1,4 +1,4 @@
-"""A client of the running service for event loops: requests over connections that stay open, and pushed views."""
+"""A client of the running service for event loops: requests over open connections, and a stream of changes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ from typing import Any
 from urllib.parse import quote, urlsplit
 
 import httpx2
-from websockets.asyncio.client import connect
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 
-from ..web.client import AGAIN, Client, RefusedError
+from ..web.client import AGAIN, Client, EventReader, RefusedError
 from .messages import Report
 
-REMOVED = 4404  # close code of the service when a person leaves
 UNUSABLE = 422  # status of a report without an action
 
 
@@ -33,6 +30,8 @@ class SessionClient:
         Seconds after which an unanswered request is sent again. It must exceed the time of a slow decision.
     most : int
         Requests at a time. More share a write to the disk, but the client looks at every connection at each request.
+    silence : float
+        Seconds without a sign of life after which the stream counts as lost. The service sends one every 15 s.
 
     Attributes
     ----------
@@ -40,16 +39,17 @@ class SessionClient:
         A short text that identifies the session; the links cannot be told from it.
     """
 
-    def __init__(self, link: str, *, pause: float = 0.5, patience: float = 60.0, most: int = 8) -> None:
-        self._url = Client(link).url
-        parts = urlsplit(link)
-        token = parts.fragment or parts.path.rstrip("/").rpartition("/")[2]
+    def __init__(
+        self, link: str, *, pause: float = 0.5, patience: float = 60.0, most: int = 8, silence: float = 40.0
+    ) -> None:
+        token = urlsplit(link).fragment
         self.session = hashlib.sha256(token.encode()).hexdigest()[:16]
-        self._pause, self._headers = pause, {"Authorization": f"Bearer {token}"}
-        # A request waits without limit for one of the connections.
+        self._pause, self._silence = pause, httpx2.Timeout(silence, pool=None)
+        # A request waits without limit for one of the connections; one more has the stream.
         self._http = httpx2.AsyncClient(
-            base_url=self._url, headers=self._headers, timeout=httpx2.Timeout(patience, pool=None),
-            limits=httpx2.Limits(max_connections=most, max_keepalive_connections=most), trust_env=False,
+            base_url=Client(link).url, headers={"Authorization": f"Bearer {token}"},
+            timeout=httpx2.Timeout(patience, pool=None), trust_env=False,
+            limits=httpx2.Limits(max_connections=most + 1, max_keepalive_connections=most + 1),
         )  # fmt: skip
 
     async def ask(self, method: str, path: str, body: Any = None) -> Any:
@@ -89,24 +89,27 @@ class SessionClient:
             raise RefusedError(UNUSABLE, report.fault)
         return await self.ask("POST", f"/api/people/{quote(report.person, safe='')}/{what}", body)
 
-    async def watch(self, person: str) -> AsyncIterator[dict[str, Any]]:
-        """Yield a person's view now and after every change, until they leave. A lost connection is restored."""
-        url = f"ws{self._url[4:]}/api/people/{quote(person, safe='')}/events"
+    async def changes(self) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+        """Yield what changes in the team, as `Client.changes` does. A lost connection is restored.
+
+        Raises
+        ------
+        RefusedError
+            The service does not accept the link.
+        """
         while True:
             try:
-                async with connect(url, additional_headers=self._headers, proxy=None) as socket:
-                    async for message in socket:
-                        yield json.loads(message)
-                    if socket.close_code == REMOVED:
-                        return
-            except InvalidStatus as error:
-                if error.response.status_code < 500:
-                    return  # the person is not in the team any more
-            except ConnectionClosed as error:
-                if error.rcvd is not None and error.rcvd.code == REMOVED:
-                    return
-            except (OSError, InvalidHandshake):
-                pass
+                async with self._http.stream("GET", "/api/team/changes", timeout=self._silence) as answer:
+                    if answer.is_success:
+                        reader = EventReader()
+                        async for line in answer.aiter_lines():
+                            if (found := reader.take(line)) is not None:
+                                yield found
+                    elif answer.status_code not in AGAIN:
+                        content = json.loads(await answer.aread())
+                        raise RefusedError(answer.status_code, str(content["detail"]))
+            except (httpx2.TransportError, KeyError, TypeError, json.JSONDecodeError):
+                pass  # the stream was cut, or the answer is one of a proxy
             await asyncio.sleep(self._pause)
 
     async def close(self) -> None:

@@ -126,6 +126,8 @@ class Course:
         """
         if event.kind not in KINDS:
             raise InvalidError(f"event {event.kind[:40]!r}: expected one of {', '.join(sorted(KINDS))}")
+        if event.stage is not None:
+            raise InvalidError(f"stage {event.stage[:80]!r}: expected none outside of a user study")
         record = {"n": self.count + 1, "time": round(time, 3), "event": event.kind, **self._facts(event)}
         step = self.desk.step
         self._take(record)

@@ -98,6 +98,8 @@ class Event:
         What is known of an action that was not seen as it is, as in `Assistant.observe`.
     answer : str, bool or None
         The answer to a question, as in `Assistant.answer`.
+    stage : str or None
+        In a user study, the stage that a participant completes, or at which they acted; another tab may be further.
     """
 
     kind: str
@@ -113,6 +115,7 @@ class Event:
     likelihoods: Mapping[str, float] | None = field(default=None, hash=False)
     missed: float | None = None
     answer: str | bool | None = None
+    stage: str | None = None
 
     def __post_init__(self) -> None:
         if self.person is not None:

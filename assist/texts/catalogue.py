@@ -62,8 +62,14 @@ class Catalogue:
             return message
         for key, text in first.texts.items():
             if key.startswith(REFUSALS) and (found := _pattern(text).fullmatch(message)):
-                return self(key, **found.groupdict())
+                given = found.groupdict()
+                return self(key, **given | ({"day": self.day(given["day"])} if "day" in given else {}))
         return self(f"{REFUSALS}other")
+
+    def day(self, iso: str) -> str:
+        """Return a day, given as in 2026-11-30, as it is written in this language."""
+        year, month, day = iso.split("-")
+        return self.texts["date"].format(year=year, month=month, day=day)
 
     def action(self, pddl: str, words: str | None) -> str:
         """Return an action as a part of a sentence; `words` is the domain's wording, if there is one."""

@@ -174,8 +174,8 @@ class Cohort:
             ends = self.study.group.then == "end" and person.group is None
             return facts | ({"status": UNMATCHED, "completion": self._completion()} if ends else {})
         if kind == "acted":
-            if isinstance(event, StudyEvent) and event.stage not in (None, stage.name):
-                raise InapplicableError(f"{person.code} is at {stage.name}, not at {(event.stage or '')[:80]!r}")
+            if event.stage is not None and event.stage != stage.name:
+                raise InapplicableError(f"{person.code} is at {stage.name}, not at {event.stage[:80]!r}")
             if self.is_over(person):
                 raise InapplicableError("this task is over")
             own = Event("acted", person.code, event.action, event.followed, event.seen)

@@ -144,6 +144,9 @@ class UserStudy:
         How participants form groups that share a robot; None if each has a team of their own.
     cost_to_go : bool
         Whether participants' views have the cost-to-go, which tells how far they are.
+    per_address : int or None
+        Largest number of participants of one network address who hold a place without having begun a task; None: no
+        limit. Signed links have none.
     """
 
     file: Path
@@ -173,6 +176,7 @@ class UserStudy:
     catalogue: Catalogue
     group: Grouping | None = None
     cost_to_go: bool = False
+    per_address: int | None = None
 
     @cached_property
     def stages(self) -> tuple[Stage, ...]:

@@ -95,6 +95,7 @@ class FileTable(Struct, forbid_unknown_fields=True):
     again: Truth = True
     reasons: Truth = False
     cost_to_go: Truth = False
+    per_address: Whole | None = None
     replace: Truth = False
     away: Minutes = 10.0
     minutes: Minutes | None = None
@@ -168,7 +169,7 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         setting, _population(file, table.population),
         {"consent": table.consent, "instructions": table.instructions,
          "thanks": table.thanks or words("study.thanks_text")},
-        questionnaires, words, group, table.cost_to_go,
+        questionnaires, words, group, table.cost_to_go, table.per_address,
     )  # fmt: skip
 
 

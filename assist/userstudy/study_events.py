@@ -23,8 +23,6 @@ class StudyEvent(Event):
 
     Attributes
     ----------
-    stage : str or None
-        The stage that the participant completes, or at which they act; another tab may show an earlier one.
     answers : mapping of str, or None
         Answers, if the stage is a questionnaire.
     simulated : bool
@@ -35,7 +33,6 @@ class StudyEvent(Event):
         Whether the researchers withdraw the data, which they may do after the study's last day for withdrawals.
     """
 
-    stage: str | None = None
     answers: Mapping[str, Any] | None = None
     simulated: bool = False
     reason: str | None = None

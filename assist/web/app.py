@@ -21,10 +21,13 @@ from planner import LimitError
 from ..live.events import AbsentError
 from ..live.live_task import InapplicableError
 from ..live.store import JournalError
-from . import metrics, page_routes, routes, websocket
+from . import metrics, page_routes, routes, streams
 from .request_limits import Allowance, Guard, Networks
 from .service import BusyError, Service
 from .task_drawings import Pictures
+
+END_STREAMS = "end_streams"
+"""Key, in the state of the application's lifespan, of the function that a server calls before it ends."""
 
 
 def make_app(
@@ -48,9 +51,9 @@ def make_app(
     """
 
     @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(_: FastAPI) -> AsyncIterator[dict[str, Any]]:
         service.start()
-        yield
+        yield {END_STREAMS: service.end_streams}
         await service.stop()
 
     app = FastAPI(
@@ -60,7 +63,7 @@ def make_app(
     )  # fmt: skip
     app.state.service, app.state.pictures = service, Pictures(str(service.texts.file))
     _says_what_is_wrong(app)
-    for router in (routes.router, metrics.router, websocket.router, page_routes.router, *more):
+    for router in (routes.router, metrics.router, streams.router, page_routes.router, *more):
         app.include_router(router)
     app.add_middleware(
         Guard, access=service.access, allowance=allowance, trusted=trusted_proxies,
@@ -79,6 +82,8 @@ def _says_what_is_wrong(app: FastAPI) -> None:
 
     @app.exception_handler(StarletteHTTPException)
     async def refused(request: Request, error: StarletteHTTPException) -> Response:
+        if error.status_code == 404 and "text/html" in request.headers.get("accept", ""):  # somebody follows a link
+            return await page_routes.nowhere(request)
         return says(request, error.status_code, str(error.detail), error.headers)
 
     @app.exception_handler(RequestValidationError)

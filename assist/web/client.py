@@ -6,6 +6,7 @@ if the network fails or the service restarts.
 
 from __future__ import annotations
 
+import http.client
 import json
 import re
 import time
@@ -16,17 +17,13 @@ from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote, unquote, urlencode, urlsplit
 
-from planner.system.errors import MissingExtraError
-
 AGAIN = {408, 425, 429, 502, 503, 504, 507}
 """Status codes of temporary failures: too many requests, an overloaded service, a full disk, or a proxy that does not
 reach the service.
 """
 
-LINK = re.compile(r"(?P<root>(/[^/]+)*?)/(join/(?P<name>[^/]+)|(study/)?operator)(/(?P<token>[^/]+))?/?")
-"""Pattern of a link's path. The token is behind `#`, or at the end of the path in links of earlier versions. The path
-of the service (`root`) contains none of these names.
-"""
+LINK = re.compile(r"(?P<root>(/[^/]+)*?)/(join/(?P<name>[^/]+)|(study/)?operator)/?")
+"""Pattern of a link's path, before the token. The path of the service (`root`) contains none of these names."""
 
 
 class RefusedError(ValueError):
@@ -57,18 +54,20 @@ class Client:
         Seconds for which requests to a service that does not answer are repeated.
     pause : float
         Seconds between two attempts. Fewer add load to a service that restarts, more add delay.
+    silence : float
+        Seconds without a sign of life after which a stream counts as lost. The service sends one every 15 s.
     """
 
-    def __init__(self, link: str, *, patience: float = 30.0, pause: float = 0.2) -> None:
+    def __init__(self, link: str, *, patience: float = 30.0, pause: float = 0.2, silence: float = 40.0) -> None:
         parts = urlsplit(link)
         found = LINK.fullmatch(parts.path)
-        token = parts.fragment or (found and found["token"])
+        token = parts.fragment
         if found is None or not token or parts.scheme not in ("http", "https") or not parts.netloc:
             raise ValueError(f"{link[:40]!r}: expected a join link or the operator's link")
         self.url = f"{parts.scheme}://{parts.netloc}{found['root']}"
         self.name = None if found["name"] is None else unquote(found["name"])
         self._token = token
-        self.patience, self._pause = patience, pause
+        self.patience, self._pause, self._silence = patience, pause, silence
 
     def ask(self, method: str, path: str, body: Any = None) -> Any:
         """Send a request, repeatedly until it is answered, and return the answer.
@@ -199,37 +198,63 @@ class Client:
     def watch(self, person: str | None = None) -> Iterator[dict[str, Any]]:
         """Yield a person's view now and after every change; with the operator's link, the operator's view.
 
-        A lost connection is restored.
+        A lost connection is restored. Changes that follow each other closely are one.
 
         Raises
         ------
-        MissingExtraError
-            The extra `web` is not installed.
+        RefusedError
+            The service refuses the request; with status 404, the person has left.
         OSError
-            The service cannot be reached within `patience`, or refuses the connection.
+            The service cannot be reached within `patience`.
         """
-        try:
-            from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
-            from websockets.sync.client import connect
-        except ImportError:
-            raise MissingExtraError("watching needs", "websockets", "web") from None
         path = "/api/team" if (person or self.name) is None else self._path(person)
+        for kind, view in self._events(f"{path}/events"):
+            if kind in ("view", "team"):
+                yield view
+
+    def changes(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield what changes in the team, with the operator's link: the kind of each event, and its content.
+
+        First, and after each lost connection, come the names of all who are present (`people`), the view of each
+        (`view`) and the instruction of each robot (`robot`); then each of these that has changed, and who has left
+        (`left`). Errors are those of `watch`.
+        """
+        yield from self._events("/api/team/changes")
+
+    def _events(self, path: str) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield the events of a stream, which is opened again whenever it ends or nothing is heard of it."""
         headers = {"Authorization": f"Bearer {self._token}"}
         heard = time.monotonic()
         while True:
             try:
-                with connect(f"ws{self.url[4:]}{path}/events", additional_headers=headers) as socket:
-                    for message in socket:
+                request = urllib.request.Request(self.url + path, headers=headers)
+                with urllib.request.urlopen(request, timeout=self._silence) as answer:
+                    reader = EventReader()
+                    for line in answer:
                         heard = time.monotonic()
-                        yield json.loads(message)
-            except InvalidHandshake as error:
-                status = error.response.status_code if isinstance(error, InvalidStatus) else 0
-                if status not in AGAIN or time.monotonic() > heard + self.patience:
-                    raise ConnectionRefusedError(f"{self.url}{path}: {error}") from None
-            except (OSError, ConnectionClosed):
+                        if (found := reader.take(line.decode())) is not None:
+                            yield found
+            except urllib.error.HTTPError as error:
+                if error.code not in AGAIN or time.monotonic() > heard + self.patience:
+                    raise RefusedError(error.code, _detail(error)) from None
+            except (OSError, http.client.HTTPException):
                 if time.monotonic() > heard + self.patience:
                     raise
             time.sleep(self._pause)
+
+
+class EventReader:
+    """Puts the lines of a stream together to events."""
+
+    def __init__(self) -> None:
+        self._kind = ""
+
+    def take(self, line: str) -> tuple[str, dict[str, Any]] | None:
+        """Return the event that a line completes, as its kind and content; None for a sign of life and other lines."""
+        name, _, value = line.strip().partition(": ")
+        if name == "event":
+            self._kind = value
+        return (self._kind, json.loads(value)) if name == "data" and self._kind != "ping" else None
 
 
 def robot_path(number: int) -> str:

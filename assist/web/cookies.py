@@ -1,8 +1,7 @@
 """Cookies of pages: a page exchanges the token of its link for a cookie, and the token leaves the address.
 
 A browser may have pages of several people, so there is a cookie for each person and each service. A request names the
-one that it uses, in a header or, for a WebSocket, in a subprotocol. Browsers send cookies also with requests of other
-sites' pages, which are refused.
+one that it uses in a header. Browsers send cookies also with requests of other sites' pages, which are refused.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from .tokens import AccessTokens, Caller
 KEPT = timedelta(days=30)
 """Time for which a browser keeps a cookie, so that a study can continue in the next week."""
 
-NAMED, PROTOCOL = b"kitassist-caller", "caller."
-"""Header and beginning of the subprotocol that name the cookie's owner, as `subject` does, percent-encoded."""
+NAMED = b"kitassist-caller"
+"""Header that names the cookie's owner, as `subject` does, percent-encoded."""
 
 
 def subject(caller: Caller) -> str:
@@ -44,7 +43,6 @@ def keep(answer: Response, access: AccessTokens, name: str, value: str) -> None:
 def token_in(scope: Scope, base: str) -> str:
     """Return the token in the cookie that a request names; empty if there is none."""
     named = [value.decode("latin-1") for name, value in scope["headers"] if name == NAMED]
-    named += [one.removeprefix(PROTOCOL) for one in scope.get("subprotocols", ()) if one.startswith(PROTOCOL)]
     if not named:
         return ""
     wanted = cookie_of(base, unquote(named[0]))
@@ -64,7 +62,7 @@ def is_own_page(scope: Scope, base: str) -> bool:
         return False
     origin = headers.get(b"origin")
     if origin is None:
-        return scope["type"] != "websocket"  # browsers name the origin of every WebSocket
+        return True
     at = urlsplit(base)
     try:
         return origin == f"{at.scheme}://{at.netloc}" or urlsplit(origin).netloc == headers.get(b"host", "")

@@ -14,7 +14,6 @@ from fastapi.responses import FileResponse, HTMLResponse
 from ..drawing import svg
 from ..texts.catalogue import Catalogue, catalogue
 from . import openapi_page
-from .tokens import AccessTokens
 
 PAGES = Path(__file__).parent / "pages"
 SECTIONS = ("page", "task", "study", "question")
@@ -58,18 +57,6 @@ def piece(folder: Path, name: str) -> Response:
     return FileResponse(folder / name)
 
 
-def page_of(request: Request, token: str, person: str | None, file: Path) -> Response:
-    """Return a page to the owner of the token; otherwise return the page for invalid links.
-
-    The operator's pages are in English.
-    """
-    access: AccessTokens = request.app.state.service.access
-    caller = access.whose(token)
-    if caller is None or caller.person != person:
-        return page(request, PAGES / "nowhere.html", 403)
-    return page(request, file, texts=catalogue() if person is None else None)
-
-
 @router.get("/")
 async def nowhere(request: Request) -> Response:
     """Return the page that says that a link is needed."""
@@ -92,18 +79,6 @@ async def worker_page(request: Request) -> Response:
 async def operators_page(request: Request) -> Response:
     """Return the operator's page."""
     return page(request, PAGES / "operator.html", texts=catalogue())
-
-
-@router.get("/join/{name}/{token}")
-async def worker(request: Request, name: str, token: str) -> Response:
-    """Return a person's page, for a link of an earlier version."""
-    return page_of(request, token, name, PAGES / "worker.html")
-
-
-@router.get("/operator/{token}")
-async def operators(request: Request, token: str) -> Response:
-    """Return the operator's page, for a link of an earlier version."""
-    return page_of(request, token, None, PAGES / "operator.html")
 
 
 @router.get("/pages/{name}")

@@ -136,20 +136,10 @@ class Guard:
         self._texts = texts or catalogue()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle a request or a connection."""
+        """Handle a request."""
         if "path" in scope:
             scope = {**scope, "path": self._access.within(scope["path"])}
-        if scope["type"] == "websocket":
-            token, foreign = self._token(scope)
-            caller = self._access.whose(token)
-            scope.setdefault("state", {})["caller"] = caller
-            refused = 1013 if self._wait(scope, caller) else 4403 if foreign else 4401 if caller is None else None
-            if refused is not None:
-                await receive()
-                await send({"type": "websocket.close", "code": refused})
-            else:
-                await self.app(scope, receive, send)
-        elif scope["type"] == "http":
+        if scope["type"] == "http":
             await self._request(scope, receive, _guarded(send))
         else:
             await self.app(scope, receive, send)
@@ -166,7 +156,7 @@ class Guard:
         return detail if caller is None or caller.person is None else self._texts.refusal(detail)
 
     def _wait(self, scope: Scope, caller: Caller | None) -> float:
-        """Count a request or connection; return the seconds after which it is allowed.
+        """Count a request; return the seconds after which it is allowed.
 
         Callers without a valid token share a limit for each network address. It is larger for pages, and for visitors
         of a study, who all have the same token, since a whole waiting room may be behind one address.
@@ -221,14 +211,11 @@ class Guard:
 
 
 def token_of(scope: Scope) -> str:
-    """Return the token of a request: from its header, or, for a page's WebSocket, from the subprotocols."""
+    """Return the token in a request's header `Authorization`; empty if there is none."""
     for name, value in scope["headers"]:
         if name == b"authorization":
             scheme, _, token = value.decode("latin-1").partition(" ")
             return token.strip() if scheme.lower() == "bearer" else ""
-    for protocol in scope.get("subprotocols", ()):
-        if protocol.startswith("token."):
-            return str(protocol.removeprefix("token."))
     return ""
 
 

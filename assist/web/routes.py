@@ -24,7 +24,6 @@ from .schemas import (
     Health,
     Joined,
     Me,
-    Names,
     Once,
     Paused,
     Person,
@@ -129,9 +128,9 @@ async def act(name: Own, acted: Acted, service: Desk) -> Response:
     """Report a person's action, or what is known of it; 409 if it is not applicable, 422 if it does not exist."""
     event = Event(
         "acted", name, acted.action, acted.followed, acted.seq, id=acted.id, likelihoods=acted.likelihoods,
-        missed=acted.missed,
+        missed=acted.missed, stage=acted.stage,
     )  # fmt: skip
-    return plain(await service.report(event if acted.stage is None else service.at_stage(event, acted.stage)))
+    return plain(await service.report(event))
 
 
 @router.post("/api/people/{name}/answer", tags=["people"], response_model=Person, responses=WRITE)
@@ -192,12 +191,6 @@ async def arrived_of(_: Operator, number: int, where: Arrived, service: Desk) ->
 async def team(_: Operator, service: Desk) -> Response:
     """Return all people with the beliefs about them, the robot, and the latest events."""
     return plain(await service.team())
-
-
-@router.get("/api/team/names", tags=["operator"], response_model=Names, responses=refusals(403))
-async def names(_: Operator, service: Desk) -> Response:
-    """Return the names of the people who are present."""
-    return plain({"people": list(service.views)})
 
 
 @router.post("/api/team/people", tags=["operator"], response_model=Place, responses=WRITE)

@@ -205,12 +205,6 @@ class Explained(BaseModel):
     seq: int
 
 
-class Names(BaseModel):
-    """Who is in the team."""
-
-    people: list[str]
-
-
 class Place(BaseModel):
     """A person who joined, and the address of the person's page."""
 

@@ -18,7 +18,6 @@ from typing import Any
 import uvicorn
 from numpy.typing import ArrayLike
 from starlette.types import ASGIApp
-from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from planner import CostToGo
 from planner.system.errors import ResultsExistError
@@ -36,8 +35,8 @@ from ..person.observation_model import ObservationModel
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.catalogue import Catalogue
-from .app import make_app
-from .request_limits import LARGEST, Networks
+from .app import END_STREAMS, make_app
+from .request_limits import Networks
 from .service import Bridge, BusyError, Service
 from .tokens import AccessTokens
 
@@ -48,8 +47,11 @@ JOURNAL = "journal.sqlite"
 """Name of a session's file in its folder."""
 
 
-def listen(host: str, port: int, *, otherwise: int | None = None) -> socket.socket:
+def listen(host: str, port: int, *, otherwise: int | None = None, unread: float = 20.0) -> socket.socket:
     """Return a listening socket. If the port is taken, use `otherwise` (0: any free port) if given.
+
+    A connection is closed when the client has taken in nothing for `unread` seconds of what it was sent: it has gone
+    without a word, or does not read. With a stream's signs of life each 15 s, this is noticed within 35 s.
 
     Raises
     ------
@@ -62,10 +64,11 @@ def listen(host: str, port: int, *, otherwise: int | None = None) -> socket.sock
         )
     except OSError as error:
         if otherwise is not None and error.errno == errno.EADDRINUSE:
-            return listen(host, otherwise)
+            return listen(host, otherwise, unread=unread)
         raise OSError(error.errno, error.strerror, f"{host}, port {port}") from None
     # Connections inherit it. Otherwise the body of an answer waits until the client has acknowledged the head: 40 ms.
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * unread))
     return listening
 
 
@@ -153,43 +156,20 @@ class _Server(uvicorn.Server):
         if not self.should_exit:
             self.ready()
 
-
-class _Connection(WebSocketsSansIOProtocol):
-    """Uvicorn's WebSocket connection, which does not wait for clients that stop reading.
-
-    Attributes
-    ----------
-    linger : float
-        Seconds after which a closed connection is aborted, even if the client has not read everything.
-    """
-
-    linger = 3.0
-
-    def on_task_complete(self, task: asyncio.Task[None]) -> None:
-        """Abort a closed connection if it still lingers after some seconds."""
-        super().on_task_complete(task)
-        self.loop.call_later(self.linger, self.transport.abort)
-
-    def keepalive_timeout(self) -> None:
-        """Abort a connection that did not answer a ping."""
-        super().keepalive_timeout()
-        self.loop.call_later(self.linger, self.transport.abort)
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End the streams, which would go on forever, and then the service."""
+        self.lifespan.state.get(END_STREAMS, lambda: None)()
+        await super().shutdown(sockets)
 
 
-def server_of(app: ASGIApp, ready: Callable[[], None], *, ping: float = 10.0) -> uvicorn.Server:
-    """Return the server of an application; it calls `ready` when it listens.
-
-    `ping` is the number of seconds between two pings of a connection, and within which each must be answered. Proxies
-    drop connections that are idle for longer.
-    """
-    # No access log, since addresses of pages contain tokens. Open connections have two seconds to end at shutdown,
+def server_of(app: ASGIApp, ready: Callable[[], None]) -> uvicorn.Server:
+    """Return the server of an application; it calls `ready` when it listens."""
+    # No access log, since addresses of pages contain names. Open connections have two seconds to end at shutdown,
     # which has to be done within five.
     server = _Server(
         uvicorn.Config(
             app, log_config=None, access_log=False, lifespan="on", proxy_headers=False,
-            server_header=False, timeout_graceful_shutdown=2, timeout_keep_alive=75, ws=_Connection,
-            ws_max_size=LARGEST, ws_per_message_deflate=False, ws_ping_interval=ping, ws_ping_timeout=ping,
-            backlog=1024,
+            server_header=False, timeout_graceful_shutdown=2, timeout_keep_alive=75, ws="none", backlog=1024,
         )
     )  # fmt: skip
     server.ready = ready

@@ -4,9 +4,9 @@ Reports from all connections enter a queue. The writer takes all waiting reports
 to the disk. Only then are they answered, and clients receive their new views. Views are computed once, by the writer;
 requests for views never wait for the disk.
 
-Each watcher has a bounded queue of messages. A watcher that does not read its messages is disconnected, so that memory
-stays bounded and other clients do not wait. It can reconnect at any time and receives the current view. Watchers are
-independent: a connection that ends late never ends another one.
+A watcher keeps the latest event of each person only, so that a client that reads slowly costs no memory and others do
+not wait. It can reconnect at any time and receives the current view. Watchers are independent: a connection that ends
+late never ends another one.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ import logging
 import queue
 import threading
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Any, Protocol, cast
 
 from ..explain.explanation import Explanation
 from ..live.event_sourced import Explains, Outlook
-from ..live.events import AbsentError, Event, InvalidError
+from ..live.events import AbsentError, Event
 from ..live.live_task import InapplicableError
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
@@ -48,6 +49,10 @@ class Bridge(Protocol):
     def connected(self) -> bool:
         """Whether the other side can be reached."""
 
+    @property
+    def waits(self) -> Sequence[str]:
+        """What keeps the bridge from delivering reports that it has received, each as a sentence."""
+
     async def run(self) -> None:
         """Work until cancelled."""
 
@@ -64,25 +69,42 @@ class Erasure:
     reason: str
 
 
+def event(kind: str, data: bytes) -> bytes:
+    """Return an event of a stream, whose data is JSON in one line."""
+    return b"event: %s\ndata: %s\n\n" % (kind.encode(), data)
+
+
 class Watcher:
-    """A connected client that receives a person's view after every change.
+    """What a connected client has not been sent yet: the latest event for each key, in the order of the changes."""
 
-    Parameters
-    ----------
-    room : int
-        Largest number of queued messages. More would tolerate slower clients at the cost of memory.
-    """
+    def __init__(self) -> None:
+        self._events: dict[str, bytes] = {}
+        self._changed, self._over = asyncio.Event(), asyncio.Event()
 
-    def __init__(self, room: int = 64) -> None:
-        self.messages: asyncio.Queue[bytes | None] = asyncio.Queue(room)
-        self.dropped = asyncio.Event()
+    def tell(self, key: str, event: bytes = b"") -> None:
+        """Note an event, in place of an earlier one for this key that has not been sent."""
+        self._events.pop(key, None)
+        self._events[key] = event
+        self._changed.set()
 
-    def tell(self, message: bytes | None) -> None:
-        """Queue a message; None ends the stream of messages."""
-        try:
-            self.messages.put_nowait(message)
-        except asyncio.QueueFull:
-            self.dropped.set()
+    def end(self) -> None:
+        """End the stream of events."""
+        self._over.set()
+        self._changed.set()
+
+    async def take(self) -> list[bytes]:
+        """Wait for events, and return them; return none if the stream has ended."""
+        await self._changed.wait()
+        if self._over.is_set():
+            return []
+        self._changed.clear()
+        found, self._events = list(self._events.values()), {}
+        return found
+
+    async def rest(self, seconds: float) -> None:
+        """Wait for some seconds, or until the stream ends."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._over.wait(), seconds)
 
 
 class Service:
@@ -102,6 +124,10 @@ class Service:
         Largest number of open connections for one person's view, such as those of several tabs.
     texts : Catalogue
         Texts of people's pages; default: English.
+    ping : float
+        Seconds between two signs of life in a stream. Clients count a connection as lost after 8/3 of it, 40 s.
+    check : float
+        Seconds between two looks at what keeps the service from its work.
 
     Attributes
     ----------
@@ -113,9 +139,10 @@ class Service:
 
     def __init__(
         self, session: Session, access: AccessTokens, *, tick: float = 2.0, waiting: int = 5000, batch: int = 256,
-        connections: int = 64, texts: Catalogue | None = None,
+        connections: int = 64, texts: Catalogue | None = None, ping: float = 15.0, check: float = 1.0,
     ) -> None:  # fmt: skip
         self.texts = catalogue() if texts is None else texts
+        self.ping, self._every = ping, check
         self._most_connections = connections
         self.session, self.access, self.tick, self._batch = session, access, tick, batch
         session.changed = self._seen
@@ -131,7 +158,8 @@ class Service:
         self._entries: dict[str, bytes] = {}
         self._outdated = Counter[str]()  # how often a person's entry has become outdated
         self._watchers: dict[str, set[Watcher]] = {}
-        self._operators: set[asyncio.Event] = set()
+        self._operators, self._followers = set[Watcher](), set[Watcher]()
+        self._ending = False
         self._reports: queue.Queue[tuple[Event | Erasure, asyncio.Future[Outcome]] | None] = queue.Queue(waiting)
         self._changes: dict[str, bytes | None] = {}
         self._writer: threading.Thread | None = None
@@ -145,13 +173,19 @@ class Service:
         self._writer = threading.Thread(target=self._write, name="writer", daemon=True)
         self._writer.start()
         self._ticking = self._loop.create_task(self._tick())
+        self._checking = self._loop.create_task(self._check())
+
+    def end_streams(self) -> None:
+        """End all streams, and those that begin later."""
+        self._ending = True
+        for watcher in (*chain(*self._watchers.values()), *self._operators, *self._followers):
+            watcher.end()
 
     async def stop(self) -> None:
-        """Answer all queued reports, end all connections, and close the session."""
+        """Answer all queued reports, end all streams, and close the session."""
         self._ticking.cancel()
-        for watchers in self._watchers.values():
-            for watcher in watchers:
-                watcher.tell(None)
+        self._checking.cancel()
+        self.end_streams()
         if self._writer is not None:
             await asyncio.to_thread(self._reports.put, None)
             await asyncio.to_thread(self._writer.join)
@@ -219,7 +253,7 @@ class Service:
             self._last = self._loop.time()
         if outlook.fault not in (None, self.outlook.fault):
             logging.getLogger(__name__).warning("the policy: %s", outlook.fault)
-        self.outlook = outlook
+        before, self.outlook = self.outlook, outlook
         for person, view in changes.items():
             self._outdate(person)
             if view is None:
@@ -228,9 +262,17 @@ class Service:
                 self.views[person] = view
                 self.access.token(person)
             for watcher in self._watchers.get(person, ()):
-                watcher.tell(view)
-        for operator in self._operators:
-            operator.set()
+                if view is None:
+                    watcher.end()
+                else:
+                    watcher.tell("view", event("view", view))
+            for follower in self._followers:
+                follower.tell(f"person {person}", _changed(person, view))
+        for number, robot in enumerate(outlook.robots, start=1):
+            if robot not in before.robots[number - 1 : number]:
+                for follower in self._followers:
+                    follower.tell(f"robot {number}", _instruction(number, robot))
+        self._tell_operators()
         for future, outcome in zip(futures, outcomes, strict=True):
             if future.done():  # the client has disconnected
                 continue
@@ -269,16 +311,6 @@ class Service:
         if isinstance(event, Event) and event.action is not None:
             self.measures.acted(before, event.action, answer)
         return answer
-
-    def at_stage(self, event: Event, stage: str) -> Event:  # noqa: ARG002  a user study needs it
-        """Return an action as it was taken at a stage of a user study.
-
-        Raises
-        ------
-        InvalidError
-            This is no user study.
-        """
-        raise InvalidError(f"stage {stage[:80]!r}: expected none outside of a user study")
 
     def _may_answer(self, event: Event | Erasure) -> bool:
         """Return whether an event is an action of a person who can have seen what was suggested."""
@@ -331,6 +363,27 @@ class Service:
                 self._last = self._loop.time()
                 await self.pass_on(Event("elapsed"))
 
+    def problems(self) -> list[str]:
+        """Return everything that keeps events from being stored or delivered, for the operator."""
+        return [*self.unready(), *chain(*(bridge.waits for bridge in self.bridges.values()))]
+
+    def faults(self) -> list[str]:
+        """Return what keeps people's actions from being saved, in the language of the pages; empty if nothing does."""
+        fault = self.session.fault()
+        return [] if fault is None else [self.texts("page.unsaved", why=fault)]
+
+    async def _check(self) -> None:
+        """Tell people and operators when what keeps the service from its work has changed."""
+        before = self.problems(), self.faults()
+        while True:
+            await asyncio.sleep(self._every)
+            now = self.problems(), self.faults()
+            if now != before:
+                self._tell_operators()
+                for watcher in chain(*self._watchers.values()):
+                    watcher.tell("faults", event("faults", _json(now[1])))
+            before = now
+
     # Watching.
 
     def heard(self, person: str | None) -> None:  # noqa: ARG002  a user study needs it
@@ -341,11 +394,17 @@ class Service:
         """Whether no further connection for a person's view is accepted."""
         return len(self._watchers.get(person, ())) >= self._most_connections
 
+    def _begun(self, watcher: Watcher, among: set[Watcher]) -> Watcher:
+        among.add(watcher)
+        if self._ending:
+            watcher.end()
+        return watcher
+
     def watch(self, person: str) -> Watcher:
         """Register a watcher of a person's view."""
-        watcher = Watcher()
-        watcher.tell(self.views[person])
-        self._watchers.setdefault(person, set()).add(watcher)
+        watcher = self._begun(Watcher(), self._watchers.setdefault(person, set()))
+        watcher.tell("faults", event("faults", _json(self.faults())))
+        watcher.tell("view", event("view", self.views[person]))
         self._connected(person)
         return watcher
 
@@ -364,19 +423,35 @@ class Service:
 
     def _connected(self, person: str) -> None:
         self._outdate(person)
+        self._tell_operators()
+
+    def _tell_operators(self) -> None:
         for operator in self._operators:
-            operator.set()
+            operator.tell("changed")
 
-    def operator(self) -> asyncio.Event:
-        """Register an operator; the returned event is set after every change."""
-        changed = asyncio.Event()
-        changed.set()
-        self._operators.add(changed)
-        return changed
+    def operator(self) -> Watcher:
+        """Register an operator; the watcher is told of every change."""
+        watcher = self._begun(Watcher(), self._operators)
+        watcher.tell("changed")
+        return watcher
 
-    def operator_leaves(self, changed: asyncio.Event) -> None:
+    def operator_leaves(self, watcher: Watcher) -> None:
         """Remove an operator."""
-        self._operators.discard(changed)
+        self._operators.discard(watcher)
+
+    def follow(self) -> Watcher:
+        """Register a program that follows the team; it is told who is present, and of each person and robot."""
+        watcher = self._begun(Watcher(), self._followers)
+        watcher.tell("people", event("people", _json({"people": list(self.views)})))
+        for person, view in self.views.items():
+            watcher.tell(f"person {person}", _changed(person, view))
+        for number, robot in enumerate(self.outlook.robots, start=1):
+            watcher.tell(f"robot {number}", _instruction(number, robot))
+        return watcher
+
+    def unfollow(self, watcher: Watcher) -> None:
+        """Remove a program that followed the team."""
+        self._followers.discard(watcher)
 
     @property
     def pause_between(self) -> float:
@@ -393,7 +468,7 @@ class Service:
         now = self.outlook
         rest = {"seq": now.events, "paused": now.paused, "robot": now.robot, "log": now.recent}
         rest |= {"time": round(self.session.now(), 3), "fault": now.fault, "tasks": list(self.session.tasks)}
-        rest["problems"] = self.unready()
+        rest["problems"] = self.problems()
         if len(now.robots) > 1:
             rest["robots"] = now.robots
         entries = found | self._entries
@@ -426,6 +501,14 @@ class Service:
                 }
                 found[person] = _json(entry | more)
         return found
+
+
+def _changed(person: str, view: bytes | None) -> bytes:
+    return event("left", _json({"person": person})) if view is None else event("view", view)
+
+
+def _instruction(number: int, robot: Mapping[str, Any]) -> bytes:
+    return event("robot", _json({"robot": number, "instruction": robot}))
 
 
 def _json(document: Any) -> bytes:

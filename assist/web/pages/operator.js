@@ -1,7 +1,7 @@
 // The operator's page: people's progress, the beliefs about them, the robot, and the log.
 
-import { Channel, LONG, Refused, ask, askJson, newId, pathOf } from "./connection.js";
-import { all, at, clock, complain, element, focused, report, sentence } from "./page.js";
+import { Channel, LONG, Refused, ask, newId, pathOf, show as showState } from "./connection.js";
+import { all, at, clock, complain, element, focused, released, sentence } from "./page.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const WIDTH = 300;
@@ -181,7 +181,7 @@ function show() {
   at("pause").setAttribute("aria-pressed", String(team.paused));
   at("robot-title").textContent = robots.length > 1 ? "The robots" : "The robot";
   at("robots").replaceChildren(...robots.flatMap((robot, index) => robotOf(robot, robots.length > 1 ? `Robot ${index + 1}` : "")));
-  report([...(team.problems ?? []).map(sentence), ...(team.fault ? [`The policy failed, so nothing is suggested: ${team.fault}`] : [])]);
+  showState({ faults: [...(team.problems ?? []).map(sentence), ...(team.fault ? [`The policy failed, so nothing is suggested: ${team.fault}`] : [])] });
   showTasks();
   keepingFocus(() => at("people").replaceChildren(...there.map(card)));
   at("log").replaceChildren(...[...(team.log ?? [])].reverse().map((event) =>
@@ -208,7 +208,7 @@ function showTasks() {
 function keepingFocus(redraw) {
   const key = focused()?.dataset.key;
   redraw();
-  if (key) all("[data-key]").find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
+  if (key) (all("[data-key]").find((other) => other.dataset.key === key) ?? at("people-title")).focus({ preventScroll: true });
 }
 
 /**
@@ -277,15 +277,9 @@ function take(next) {
 }
 
 new Channel("/api/team/events", {
-  message: take,
-  async state(state) {
-    at("connection").textContent = { connected: "Connected", lost: "Reconnecting…", over: "Not connected" }[state];
-    at("connection").classList.toggle("lost", state !== "connected");
-    if (state !== "lost") return;
-    try {
-      take(await askJson("/api/team"));
-    } catch (error) {
-      if (error instanceof Refused && [401, 403].includes(error.status)) complain("This link is not valid.");
-    }
+  message: (_, data) => released(() => take(data)),
+  state(state, refused) {
+    showState({ state, refused: state === "over" ? undefined : refused });
+    if (state === "over") complain("This link is not valid.");
   },
 });

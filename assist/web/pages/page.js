@@ -29,6 +29,30 @@ export const figure = (value, digits = -1) => value.toLocaleString(language, {
 /** A refusal of the service as a sentence. */
 export const sentence = (why) => `${why.charAt(0).toUpperCase()}${why.slice(1)}${/[.!?]$/.test(why) ? "" : "."}`;
 
+let pressed = false;
+const held = []; // what is done after the release
+
+function press() {
+  pressed = true;
+}
+
+function release() {
+  setTimeout(() => { // after the click
+    pressed = false;
+    for (const act of held.splice(0)) act();
+  });
+}
+addEventListener("pointerdown", press, true);
+addEventListener("keydown", (event) => event.key === " " && press(), true); // a key that clicks when it is released
+for (const ends of ["pointerup", "pointercancel", "keyup", "contextmenu"]) addEventListener(ends, release, true);
+addEventListener("blur", release);
+
+/** Redraw now, or after the release of what is pressed: a button that is redrawn meanwhile would miss its click. */
+export function released(redraw) {
+  if (pressed) held.push(redraw);
+  else redraw();
+}
+
 /** A promise that is kept after some milliseconds. */
 export const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 

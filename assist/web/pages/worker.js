@@ -1,7 +1,7 @@
 // A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
 import { Outbox, askJson, follow, passes, pageOf, pathOf, person, place, unsent } from "./connection.js";
-import { all, at, clock, complain, element, figure, first, focused, keep, language, recall, sentence, single, text } from "./page.js";
+import { all, at, clock, complain, element, figure, first, focused, keep, language, recall, released, sentence, single, text } from "./page.js";
 
 const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
 const WIDTHS = [320, 400, 520, 640, 760, 960];
@@ -13,6 +13,7 @@ let chosen = []; // objects clicked in succession
 let started = null;
 let refusals = 0;
 let explained = null; // the view whose explanation is shown
+let left = null; // the button that had the focus when the list of actions was disabled
 let questioned = null; // the question that is shown, with the step at which it was asked
 
 // Texts.
@@ -199,7 +200,8 @@ async function compare() {
 
 function showActions() {
   const list = at("actions");
-  const before = list.contains(focused()) ? focused()?.textContent : null;
+  const before = list.contains(focused()) ? focused()?.textContent : focused() === document.body ? left : null;
+  left = outbox.busy ? before : null;
   fill(list, view.applicable.map((action) => {
     const line = item(words(action), () => act(action));
     const button = first("button", line);
@@ -374,16 +376,19 @@ async function redraw() {
   const width = WIDTHS.findLast((one) => one <= across - 8) ?? WIDTHS[0];
   try {
     const next = await askJson(pathOf(person, `/drawing?width=${width}`));
-    if (turn !== asked) return;
-    if (at("menu").hidden === false) closeMenu(true);
-    drawn = next;
-    for (const option of at("against").options) if (option.value) option.textContent = words(option.value);
-    show();
-    showDrawing();
-    if (view !== null && next.seq < view.seq) setTimeout(redraw, 100);
+    released(() => turn === asked && takeDrawing(next));
   } catch (error) {
     if (turn === asked && passes(error)) setTimeout(redraw, 1000);
   }
+}
+
+function takeDrawing(next) {
+  if (at("menu").hidden === false) closeMenu(true);
+  drawn = next;
+  for (const option of at("against").options) if (option.value) option.textContent = words(option.value);
+  show();
+  showDrawing();
+  if (view !== null && next.seq < view.seq) setTimeout(redraw, 100);
 }
 
 /** Disable the page of a person who has left the team. */

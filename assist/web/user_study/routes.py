@@ -20,10 +20,11 @@ from ...userstudy.questionnaires import Item
 from ...userstudy.study_events import StudyEvent
 from .. import cookies
 from ..authorization import READ, WRITE, Operator, Own, refusals
-from ..page_routes import page, page_of, piece
+from ..page_routes import page, piece
 from ..routes import plain
 from ..schemas import Once, Person
-from ..tokens import VISITOR, Caller
+from ..streams import DESCRIBED, whole
+from ..tokens import VISITOR
 from .service import ForgedError, StudyService
 
 PAGES = Path(__file__).parent / "pages"
@@ -193,7 +194,7 @@ async def visit(request: Request, coming: Visit, study: Study) -> Any:
     try:
         seen = await study.visit(
             coming.id, key=coming.key, signature=coming.signature, simulated=coming.simulated,
-            before=study.access.signed_in(SEAT, request.cookies.get(kept, "")),
+            before=study.access.signed_in(SEAT, request.cookies.get(kept, "")), address=request.state.address,
         )  # fmt: skip
     except ForgedError as error:
         raise HTTPException(403, str(error)) from None
@@ -279,6 +280,16 @@ async def overview(_: Operator, study: Study) -> Response:
     return plain(await study.overview())
 
 
+@router.get("/api/study/events", tags=["study"], response_class=Response, responses=refusals(403) | DESCRIBED)
+async def overviews(_: Operator, study: Study) -> Response:
+    """Stream each participant's stage, condition and status (`study`)."""
+
+    async def overview() -> bytes:
+        return json.dumps(await study.overview()).encode()
+
+    return whole(study, "study", overview)
+
+
 @router.get(
     "/api/study/export", tags=["study"], response_class=Response,
     responses={
@@ -287,10 +298,6 @@ async def overview(_: Operator, study: Study) -> Response:
 )  # fmt: skip
 async def export(_: Operator, study: Study) -> Response:
     """Return all recorded data as a ZIP file: tables (CSV), their description, and logs for `fit`."""
-    return await _archive(study)
-
-
-async def _archive(study: StudyService) -> Response:
     content = await asyncio.to_thread(archive, study.folder)
     headers: Mapping[str, str] = {"content-disposition": 'attachment; filename="user-study.zip"'}
     return Response(content, media_type="application/zip", headers=dict(headers))
@@ -312,32 +319,6 @@ async def visitors_page(request: Request) -> Response:
 async def part_page(request: Request) -> Response:
     """Return a participant's page, except for tasks, which have pages of their own."""
     return page(request, PAGES / "part.html")
-
-
-@router.get("/study/operator/{token}", include_in_schema=False)
-async def conduct(request: Request, token: str) -> Response:
-    """Return the experimenter's page."""
-    return page_of(request, token, None, PAGES / "conduct.html")
-
-
-@router.get("/study/export/{token}", include_in_schema=False)
-async def export_file(token: str, study: Study) -> Response:
-    """Return the export; the path holds the operator's token."""
-    if study.access.whose(token) != Caller(None):
-        raise HTTPException(403, "unknown link; use the complete link")
-    return await _archive(study)
-
-
-@router.get("/study/{token}", include_in_schema=False)
-async def visitors(request: Request, token: str) -> Response:
-    """Return the page on which visitors join."""
-    return page_of(request, token, VISITOR, PAGES / "visit.html")
-
-
-@router.get("/part/{name}/{token}", include_in_schema=False)
-async def part(request: Request, name: str, token: str) -> Response:
-    """Return a participant's page, except for tasks, which have pages of their own."""
-    return page_of(request, token, name, PAGES / "part.html")
 
 
 @router.get("/study/pages/{name}", include_in_schema=False)

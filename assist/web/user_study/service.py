@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 import hmac
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -19,7 +20,7 @@ from ...userstudy.plan import WAITING
 from ...userstudy.session import StudySession
 from ...userstudy.study_events import FullError, StudyEvent
 from ..request_limits import Allowance
-from ..service import Service, Watcher
+from ..service import Erasure, Service, Watcher
 from ..tokens import VISITOR, AccessTokens, secret_in
 
 PARTICIPANT = "participant "
@@ -64,6 +65,8 @@ class StudyService(Service):
         Seconds between two checks for idle and absent participants. The study's own limits are minutes.
     connections : int
         Largest number of open connections for one participant's view.
+    ping : float
+        As in `Service`.
     """
 
     def __init__(
@@ -75,15 +78,24 @@ class StudyService(Service):
         rehearsal: bool = False,
         look_every: float = 1.0,
         connections: int = 64,
+        ping: float = 15.0,
     ) -> None:
         super().__init__(
-            session, access, tick=1e7, connections=connections, texts=session.study.catalogue
+            session,
+            access,
+            tick=1e7,
+            connections=connections,
+            texts=session.study.catalogue,
+            ping=ping,
+            check=look_every,
         )  # effectively never: each team has a clock of its own
         self.study, self.folder, self.ticks, self.rehearsal = session.study, session.folder, ticks, rehearsal
         self._held: StudySession = session
         self._look_every = look_every
         self.guesses = Allowance(rate=1 / 30, burst=20)  # withdrawal codes that each network address may try
         self.arrivals = Allowance(rate=1.0, burst=300)  # new participants of each address, such as a waiting room
+        self._came_from: dict[str, str] = {}  # network addresses of participants, since the service began
+        self._arriving = asyncio.Lock()
         self._heard: dict[str, float] = {}  # when a participant who is not connected was last heard of
         access.token(VISITOR)
         # Studies that began with an earlier version have no file for this key.
@@ -135,10 +147,6 @@ class StudyService(Service):
         if json.loads(self.views[code])["study"]["kind"] not in ("withdrew", "declined"):
             await self.report(StudyEvent("withdrew", code))
 
-    def at_stage(self, event: Event, stage: str) -> Event:
-        """Return an action as it was taken at a stage; another tab of the participant may be further."""
-        return StudyEvent(**vars(event), stage=stage)
-
     def code_of(self, visit: str) -> str:
         """Return the participant code for an id as a visitor gives it; errors as in `visit`."""
         return self.code(_in_one_form(visit))
@@ -164,6 +172,7 @@ class StudyService(Service):
         signature: str | None = None,
         simulated: bool = False,
         before: str | None = None,
+        address: str = "",
     ) -> dict[str, Any]:
         """Admit a participant, or readmit one; neither the id nor the key is stored.
 
@@ -181,6 +190,9 @@ class StudyService(Service):
         before : str, optional
             Code of the participant as whom the same browser has joined. While this participant takes part, there is no
             further place for the browser, unless another one has a signed link.
+        address : str
+            Network address of the browser, of which a study may admit only so many before their first task. It is
+            kept in memory only.
 
         Raises
         ------
@@ -190,7 +202,8 @@ class StudyService(Service):
         InvalidError
             There is nothing behind `PARTICIPANT`.
         InapplicableError
-            The participant has joined on another device, or another one in this browser has not finished.
+            The participant has joined on another device, or another one in this browser has not finished, or too many
+            of this address have places that they do not use.
         """
         visit = _in_one_form(visit)
         code, once = self.code(visit), visit
@@ -210,6 +223,7 @@ class StudyService(Service):
             if key is None:
                 raise ForgedError("expected a signed link, or the key of a browser")
             once = f"{visit} {key}"
+        self._came_from[code] = "" if simulated or signature is not None else address
         event = StudyEvent("visited", code, id=_digest(self._codes_key, once)[8:].hex(), simulated=simulated)
         try:
             return await self.report(event)
@@ -217,6 +231,33 @@ class StudyService(Service):
             raise
         except InapplicableError:
             raise InapplicableError("this participant has joined on another device; continue there") from None
+
+    async def report(self, event: Event | Erasure) -> dict[str, Any]:
+        """Record an event, as `Service.report` does; refuse arrivals of an address that holds too many places.
+
+        Raises
+        ------
+        FullError
+            Too many participants of the address have not begun a task.
+        """
+        arrives = isinstance(event, Event) and event.kind in ("visited", "returned", "onward")
+        if self.study.per_address is None or not arrives:
+            return await super().report(event)
+        async with self._arriving:  # one after the other, so that no two take the last place
+            await asyncio.to_thread(self._held.see, partial(self._require_room, str(event.person)))
+            return await super().report(event)
+
+    def _require_room(self, code: str, cohort: Cohort) -> None:
+        """Refuse a participant who takes a place, if others of the address hold too many before their first task."""
+        address, here = self._came_from.get(code, ""), cohort.participants.get(code)
+        if not address or (here is not None and (here.status == HERE or here.condition is not None)):
+            return
+        idle = (
+            one.status == HERE and one.condition is None and self._came_from.get(other) == address
+            for other, one in cohort.participants.items()
+        )  # fmt: skip
+        if sum(idle) >= (self.study.per_address or 0):
+            raise FullError("too many participants of this network have not begun a task yet; try again later")
 
     def heard(self, person: str | None) -> None:
         """Note a request or a connection. A participant counts as present, also where no connection can be kept."""
@@ -303,7 +344,7 @@ class StudyService(Service):
         return {
             "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.places.taken,
             "stages": [stage.name for stage in cohort.stages], "participants": people, "events": cohort.count,
-            "fault": cohort.fault, "problems": self.unready(), "design": study.design,
+            "fault": cohort.fault, "problems": self.problems(), "design": study.design,
             "conditions": [
                 {
                     "name": name, "policy": " > ".join(policies[one] for one in order), "counting": counts[name],

@@ -1,9 +1,8 @@
 // The experimenter's page: participants and their progress, dropouts, the sizes of conditions, and the export.
 
-import { LONG, Refused, ask, askJson } from "../../pages/connection.js";
-import { all, at, clock, complain, focused, report, sentence } from "../../pages/page.js";
+import { Channel, LONG, Refused, ask, show as showState } from "../../pages/connection.js";
+import { all, at, clock, complain, focused, released, sentence } from "../../pages/page.js";
 
-const BETWEEN = 2000; // milliseconds between two updates
 const LEFT = ["gone", "declined", "full", "unmatched"];
 const STATES = { done: "completed", gone: "dropped out", withdrew: "withdrew", declined: "no consent", full: "study full", unmatched: "no group" };
 
@@ -41,7 +40,6 @@ function button(code, word, request, said) {
     try {
       await ask(asked[0], asked[1]);
       at("said").textContent = said;
-      look();
     } catch (error) {
       complain(error instanceof Refused ? error.message : "The study server cannot be reached. Try again.");
     }
@@ -76,7 +74,7 @@ function excluder(code, excluded) {
 function show(study) {
   const { participants, stages, conditions } = study;
   at("title").textContent = document.title = study.title;
-  report([...study.problems.map(sentence), ...(study.fault === null ? [] : [`A policy failed: ${study.fault}`])]);
+  showState({ faults: [...study.problems.map(sentence), ...(study.fault === null ? [] : [`A policy failed: ${study.fault}`])] });
   const here = participants.filter((one) => one.status === "here").length;
   const done = participants.filter((one) => one.status === "done").length;
   at("count").textContent = `${participants.length} joined, ${here} present, ${done} completed${study.places === null ? "" : `, ${study.taken} of ${study.places} places taken`}`;
@@ -105,29 +103,23 @@ function show(study) {
     const withdrawn = ["withdrew", "declined"].includes(one.status);
     return row([
       cell(one.code + (one.simulated ? " (simulated)" : "")), cell(one.excluded === null ? state : `${state}; excluded: ${one.excluded}`), cell(one.stage),
-      cell(one.seconds === null ? "" : clock(one.seconds), "count"), cell(one.group === null ? one.condition : `${one.condition} (${one.group})`), cell(one.steps, "count"),
+      running(one.seconds), cell(one.group === null ? one.condition : `${one.condition} (${one.group})`), cell(one.steps, "count"),
       cells(one.status === "here" ? [remover(one.code)] : [], withdrawn ? [] : [excluder(one.code, one.excluded !== null)], one.erased ? [] : [eraser(one.code)]),
     ], one.status === "here" ? "" : "over");
   }));
-  if (key) all("[data-key]").find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
+  if (key) (all("[data-key]").find((other) => other.dataset.key === key) ?? at("people-title")).focus({ preventScroll: true });
 }
 
-let timer = null;
-async function look() {
-  clearTimeout(timer);
-  try {
-    show(await askJson("/api/study"));
-    at("connection").textContent = "Connected";
-    at("connection").classList.remove("lost");
-  } catch (error) {
-    at("connection").textContent = "Not connected";
-    at("connection").classList.add("lost");
-    if (error instanceof Refused && [401, 403].includes(error.status)) {
-      complain("This link is not valid.");
-      return;
-    }
-  }
-  timer = setTimeout(look, BETWEEN);
+/** The time of each participant in their part goes on. */
+setInterval(() => {
+  for (const one of all("[data-since]")) one.textContent = clock((performance.now() - one.dataset.since) / 1000);
+}, 1000);
+
+/** A cell with a time that goes on, from some seconds. */
+function running(seconds) {
+  const made = cell(seconds === null ? "" : clock(seconds), "count");
+  if (seconds !== null) made.dataset.since = String(performance.now() - 1000 * seconds);
+  return made;
 }
 
 at("copy").addEventListener("click", async () => {
@@ -153,4 +145,10 @@ at("export").addEventListener("click", async () => {
     complain(error instanceof Refused ? error.message : "The study server cannot be reached. Try again.");
   }
 });
-look();
+new Channel("/api/study/events", {
+  message: (_, data) => released(() => show(data)),
+  state(state, refused) {
+    showState({ state, refused: state === "over" ? undefined : refused });
+    if (state === "over") complain("This link is not valid.");
+  },
+});

@@ -196,7 +196,9 @@ function take(next) {
   show();
 }
 
-const refresh = follow(outbox, { take, gone: complain });
+// Who reads the consent or waits for a group has a place only while the page is there.
+const stays = () => ["consent", "waiting"].includes(view?.study.kind);
+const refresh = follow(outbox, { take, gone: complain, stays });
 
 const back = () => {
   history.replaceState(null, "", location.pathname + location.hash);
