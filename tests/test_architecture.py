@@ -23,7 +23,7 @@ ROOMS = {
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
         saturation value_ranges numeric_encoding numeric_compiler compilation writer validation plan_execution
         validation_process built_actions built_bounds built_formulas built_problems""",
-    "planner.grounding": "fast_downward task leaving sas_reader cross_check shown_names translation semantics",
+    "planner.grounding": "fast_downward task sas_reader cross_check shown_names load semantics",
     "planner.states": "packing state_space",
     "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors
         expansion distance_updates""",
@@ -31,8 +31,8 @@ ROOMS = {
     "planner.search.symmetry": "automorphisms canonical_states",
     "planner.search": """distances search_space successor_generator state_registry ranked_index
         forward_search backward_search""",
-    "planner.costtogo": """watched_states number_values load cost_to_go table astar cache verification first_answer
-        sweep goals orbit_table table_file on_demand portfolio""",
+    "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep goals orbit_table table_file
+        on_demand portfolio""",
     "planner.batch": "solve_record solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.texts": "typed_toml catalogue",
@@ -64,14 +64,14 @@ ROOMS = {
     "assist.coupled": """agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
-    "assist.plots": "style labels episode people policies study userstudy",
-    "assist.study": "policy_comparison study protocol tasks cells runner",
+    "assist.plots": "style labels episode people study userstudy",
+    "assist.study": "study protocol tasks cells runner",
     "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file study_events codes
         participant_team participants places groups erasing cohort session tables export""",
     "assist.reports": """statistics effects hypothesis_tests repeated_measures wording templates html_page
         study_summary study_claims study_figures study_report userstudy_summary preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures service schemas authorization request_limits task_drawings routes
-        metrics websocket openapi_page page_routes app server client""",
+        metrics streams openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
     "assist.bridges": """messages ordering session_client tasks team_watch mqtt_settings mqtt opcua_settings opcua
         opcua_server ros2_settings ros2""",

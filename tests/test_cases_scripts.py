@@ -9,7 +9,7 @@ import pytest
 from serving import served
 from test_live_pages import CHROMIUM, chromium
 from test_userstudy_pages import PATIENCE
-from userstudies import PLAN, Part, written
+from userstudies import PLAN, SCORES, Part, written
 
 from assist.reports.html_page import html_page
 from assist.reports.userstudy_report import write_report
@@ -96,7 +96,7 @@ def test_no_script_in_a_report_runs(chromium: Any, tiny: Table, tmp_path: Path) 
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
-def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any, tmp_path: Path) -> None:
+def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any, tiny: Table, tmp_path: Path) -> None:
     """Every page obeys a policy without inline scripts. What the policy had to stop is only what researchers wrote."""
     file = written(tmp_path / "study.toml", ATTACKED)
     with served("--study", file, "--data", tmp_path / "data", instance=None) as study:
@@ -120,6 +120,25 @@ def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any
         assert page.evaluate("[window.ran, window.blocked]") == [None, []]
         view = study.ask("GET", f"/api/people/{person}").json()
         assert view["study"]["kind"] == "practice"
+        kinds = set[str]()
+        while view["study"]["kind"] != "thanks":  # the pages of all later stages
+            at, what = view["study"], view["study"]["what"]
+            kinds.add(at["kind"])
+            if at["kind"] in ("practice", "task"):
+                page.wait_for_selector("#drawing svg")
+                for action in tiny.optimal_plan(tiny.initial) or ():
+                    answer = study.ask("POST", f"/api/people/{person}/actions", json={"action": action})
+                    assert answer.status_code == 200, answer.text
+            else:
+                page.wait_for_selector("#form button")
+            assert page.evaluate("window.ran ?? null") is None, at
+            body = {"stage": at["stage"], "answers": SCORES.get(what, {}) if at["kind"] == "questionnaire" else None}
+            answer = study.ask("POST", f"/api/study/participants/{person}/onward", json=body)
+            assert answer.status_code == 200, answer.text
+            view = answer.json()
+        page.wait_for_selector("#stage-title:has-text('Thank you')")
+        assert page.evaluate("[window.ran, window.blocked]") == [None, []]
+        assert kinds >= {"practice", "task", "questionnaire"}
         study.ask("POST", f"/api/study/participants/{person}/exclude", json={"reason": RUNS})
         page.goto(study.operator)
         page.wait_for_selector(f"#people td:has-text('{IMAGE}')")
@@ -129,4 +148,35 @@ def test_no_script_on_a_page_runs_and_no_page_needs_one_of_its_own(chromium: Any
         page.click("#withdraw button")
         page.wait_for_selector("#text:has-text('no such code')")
         assert page.evaluate("[window.ran, window.blocked]") == [None, []]
+        context.close()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+def test_the_pages_of_a_team_obey_the_policy_too(chromium: Any, tmp_path: Path) -> None:
+    with served("--humans", 2, "--data", tmp_path / "data") as team:
+        context = chromium.new_context()
+        context.add_init_script(WATCH)
+        operator, seat = context.new_page(), context.new_page()
+        operator.goto(team.operator)
+        operator.wait_for_selector(".card")
+        reason = {"reason": IMAGE}
+        assert team.ask("DELETE", "/api/people/person-2/records", params=reason).status_code == 200
+        operator.wait_for_selector(".card:has-text('person-2')", state="detached")
+        operator.fill("#name", "d'Arc")
+        operator.click("#add button")
+        operator.wait_for_selector('.card:has-text("d\'Arc")')
+        operator.fill("#name", IMAGE)
+        operator.click("#add button")
+        operator.wait_for_selector("#problem:not([hidden])")
+        seat.goto(team.links["person-1"])
+        seat.click("#actions button")
+        seat.wait_for_function("() => document.getElementById('steps').textContent === '1'")
+        seat.click("#undo")
+        seat.wait_for_function("() => document.getElementById('steps').textContent === '0'")
+        operator.wait_for_selector("#log td:has-text('undone')")
+        for page in (operator, seat):
+            assert page.evaluate("[window.ran, window.blocked]") == [None, []]
+            page.evaluate("markup => { document.body.lastElementChild.innerHTML = markup; }", IMAGE)
+            page.wait_for_function("() => window.blocked.length")  # the policy is in force
+            assert page.evaluate("window.ran ?? null") is None
         context.close()

@@ -14,6 +14,8 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from starlette.testclient import TestClient
+from streams import watching
 from test_userstudy_pages import Web
 from userstudies import PLAN
 
@@ -141,15 +143,32 @@ def test_places_that_nobody_uses_are_free_again(tiny: Table, tmp_path: Path) -> 
         while web.come("somebody").status_code != 200 and time.monotonic() < until:
             time.sleep(0.1)
         seat = web.come("somebody").json()
-        token = f"token.{web.access.token(seat['person'])}"
-        with web.client.websocket_connect(
-            f"/api/people/{seat['person']}/events", subprotocols=["kitassist", token]
-        ) as tab:
-            kinds = [tab.receive_json()["study"]["kind"]]
+        with watching(web, seat["person"]) as tab:
+            kinds = [tab.view()["study"]["kind"]]
             while kinds[-1] != "gone":  # after three times `away` without anything done
-                kinds.append(tab.receive_json()["study"]["kind"])
+                kinds.append(tab.view()["study"]["kind"])
         back = web.ask("POST", f"/api/study/participants/{seat['person']}/return", seat["person"])
         assert back.json()["study"]["kind"] == "consent"
+
+
+def test_a_machine_cannot_hold_all_places_of_a_public_link(tiny: Table, tmp_path: Path) -> None:
+    """A script that renews its requests has as many places as one address may have before a task has begun."""
+    text = "".join(line for line in FEW.splitlines(keepends=True) if not line.startswith("practice"))
+    web = Web(tiny, tmp_path, text.replace("participants = 3", "participants = 4\nper_address = 2"))
+    with web.client:
+        script = [web.come(f"script {number}") for number in range(4)]
+        assert [answer.status_code for answer in script] == [200, 200, 409, 409]
+        assert "try again later" in script[-1].json()["detail"]
+        assert all(web.come(f"script {number % 2}").status_code == 200 for number in range(6))  # the same places
+        elsewhere = TestClient(web.client.app, client=("192.0.2.7", 1))
+        elsewhere.portal = web.client.portal  # the event loop of the service
+        headers = {"Authorization": f"Bearer {web.access.token(VISITOR)}"}
+        assert elsewhere.post("/api/study/seats", headers=headers, json={"id": "somebody"}).status_code == 200
+        ann = script[0].json()["person"]
+        stage = "consent"
+        while stage != "task tiny":  # whoever works makes room for another one
+            stage = web.onward(ann, stage).json()["study"]["stage"]
+        assert web.come("another").status_code == 200
 
 
 def test_patience_is_that_of_the_study_where_places_are_not_limited(tiny: Table, tmp_path: Path) -> None:
@@ -236,9 +255,8 @@ def test_participants_are_not_told_how_far_they_are_unless_the_study_says_so(tin
             acted, again = (web.ask("POST", path, ann, json=body).json() for _ in range(2))
             view = web.ask("GET", f"/api/people/{ann}", ann).json()
             assert {(one["cost_to_go"] is not None) for one in (acted, again, view)} == {shown}
-            token = f"token.{web.access.token(ann)}"
-            with web.client.websocket_connect(f"/api/people/{ann}/events", subprotocols=["kitassist", token]) as tab:
-                assert (tab.receive_json()["cost_to_go"] is not None) == shown
+            with watching(web, ann) as tab:
+                assert (tab.view()["cost_to_go"] is not None) == shown
             (entry,) = web.ask("GET", "/api/team").json()["people"]
             assert entry["cost_to_go"] is not None  # the researcher sees it
 

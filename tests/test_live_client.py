@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer, ThreadingHTTPServer
+from typing import Any
 
 import pytest
-from websockets.sync.server import ServerConnection, serve
 
+from assist.bridges.session_client import SessionClient
 from assist.web.client import Client, RefusedError
 
 PAGE = b"<html><h1>Bad Gateway</h1></html>"
@@ -24,7 +27,7 @@ class Proxy(HTTPServer):
 
     @property
     def link(self) -> str:
-        return f"http://127.0.0.1:{self.server_port}/join/ann/token"
+        return f"http://127.0.0.1:{self.server_port}/join/ann#token"
 
 
 class Answering(BaseHTTPRequestHandler):
@@ -62,23 +65,66 @@ def test_a_refusal_without_json_is_one_sentence(proxy: Proxy) -> None:
         Client(proxy.link).act("(fetch box-a)")
 
 
+STREAM = b'event: ping\ndata: {"seconds": 15}\n\nevent: view\ndata: {"seq": %d}\n\n'
+
+
+class Streaming(BaseHTTPRequestHandler):
+    """Answers with each of the server's answers in turn: a status, or a stream that is silent after its event."""
+
+    server: Any
+
+    def do_GET(self) -> None:
+        answer = self.server.answers.pop(0)
+        self.send_response(answer if answer > 100 else 200)
+        self.end_headers()
+        if answer > 100:
+            self.wfile.write(PAGE)
+            return
+        self.wfile.write(STREAM % answer)
+        self.wfile.flush()
+        if self.server.silent:
+            self.server.goes_on.wait(60)  # a half-open connection
+
+    def log_message(self, *_: object) -> None:
+        """Print nothing."""
+
+
+@contextmanager
+def streaming(*answers: int, silent: bool = False) -> Iterator[str]:
+    with ThreadingHTTPServer(("127.0.0.1", 0), Streaming) as server:
+        server.answers, server.silent, server.goes_on = list(answers), silent, threading.Event()  # type: ignore[attr-defined]
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/join/ann#t"
+        server.goes_on.set()  # type: ignore[attr-defined]
+        server.shutdown()
+
+
 @pytest.mark.parametrize(("status", "is_restored"), [(502, True), (503, True), (403, False)])
 def test_a_watcher_waits_for_a_service_that_a_proxy_does_not_reach(status: int, is_restored: bool) -> None:
-    answers = [status, status, None]
-
-    def first(connection: ServerConnection, _: object) -> object:
-        found = answers.pop(0)
-        return None if found is None else connection.respond(found, "no service")
-
-    with serve(lambda connection: connection.send('{"seq": 1}'), "127.0.0.1", 0, process_request=first) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        watched = Client(f"http://127.0.0.1:{server.socket.getsockname()[1]}/join/ann#t", pause=0.01).watch()
+    with streaming(status, status, 1, 2) as link:
+        watched = Client(link, pause=0.01).watch()
         if is_restored:
-            assert next(watched) == {"seq": 1}
+            assert [next(watched), next(watched)] == [{"seq": 1}, {"seq": 2}]  # also after a stream that ends
         else:
-            with pytest.raises(ConnectionRefusedError, match="403"):
+            with pytest.raises(RefusedError, match="403") as refused:
                 next(watched)
-        watched.close()  # type: ignore[attr-defined]
-        server.shutdown()
-        thread.join()
+            assert refused.value.status == 403
+
+
+def test_a_silent_stream_is_opened_again_by_programs_and_bridges() -> None:
+    with streaming(1, 2, silent=True) as link:
+        watched = Client(link, pause=0.01, silence=0.1).watch()
+        assert [next(watched), next(watched)] == [{"seq": 1}, {"seq": 2}]
+
+    async def followed(link: str) -> list[Any]:
+        session = SessionClient(link, pause=0.01, silence=0.1)
+        found = []
+        async for change in session.changes():
+            found.append(change)
+            if len(found) == 2:
+                break
+        await session.close()
+        return found
+
+    with streaming(502, 1, 2, silent=True) as link:
+        assert asyncio.run(followed(link)) == [("view", {"seq": 1}), ("view", {"seq": 2})]

@@ -39,7 +39,7 @@ def test_the_client_says_what_was_refused_and_tries_again_what_passes() -> None:
     with pytest.raises(ValueError, match="expected a join link"):
         Client("http://127.0.0.1:1/")
     with pytest.raises(OSError, match="refused"):
-        Client("http://127.0.0.1:1/operator/abc", patience=0.3).robot()
+        Client("http://127.0.0.1:1/operator#abc", patience=0.3).robot()
     with served("--humans", 1, "--c-suggest", 0.02) as service:
         ann = Client(service.links["person-1"])
         watched = ann.watch()

@@ -1,4 +1,4 @@
-"""The live assistant's HTTP and WebSocket interface: its guarantees and its refusals."""
+"""The live assistant's HTTP interface with its streams: its guarantees and its refusals."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import socket
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
-from starlette.websockets import WebSocketDisconnect
+from streams import EndedError, Stream, opened
 
 from assist.live.events import Event
 from assist.live.session import Session
@@ -39,14 +40,14 @@ WRONG = "(place hammer slot-2 box-a)"
 class Web:
     """An application in this process, and its links."""
 
-    def __init__(self, table: Table, folder: Path, **more: Any) -> None:
+    def __init__(self, table: Table, folder: Path, *, ping: float = 15.0, check: float = 1.0, **more: Any) -> None:
         setting = Setting(c_suggest=0.02, c_move=0.01, trust="paper")
         session = Session({"tiny": table}, folder / "journal.sqlite", setting=setting, population=Population())
         if not session.people:
             session.report([Event("joined", name) for name in ("ann", "bob")])
         self.folder = folder
         self.access = AccessTokens.kept(folder / "secret", "http://testserver")
-        self.service = Service(session, self.access, tick=60.0)
+        self.service = Service(session, self.access, tick=60.0, ping=ping, check=check)
         self.app = make_app(self.service, **more)
         self.client = TestClient(self.app, raise_server_exceptions=False)
 
@@ -62,8 +63,7 @@ class Web:
 
     def watch(self, person: str | None = "ann") -> Any:
         path = "/api/team" if person is None else f"/api/people/{person}"
-        token = self.access.operator if person is None else self.access.token(person)
-        return self.client.websocket_connect(f"{path}/events", subprotocols=["kitassist", f"token.{token}"])
+        return opened(self.client, f"{path}/events", self.who(person))
 
 
 @pytest.fixture
@@ -219,18 +219,14 @@ def test_without_a_token_there_is_nothing_to_see(web: Web) -> None:
         for path in (ANN, "/api/people/nobody", "/api/team", "/api/nothing"):
             answer = web.client.get(path, headers=headers)
             assert (answer.status_code, answer.headers["www-authenticate"]) == (401, "Bearer")
-    for path in ("/join/ann/wrong", f"/join/bob/{web.access.token('ann')}", f"/operator/{web.access.token('ann')}"):
-        assert web.client.get(path).status_code == 403
-    for link in ("/api/people/ann/events", "/api/team/events"):
-        with pytest.raises(WebSocketDisconnect), web.client.websocket_connect(link, subprotocols=["token.x"]):
-            pass
-    token = web.access.token("bob")
-    with (
-        pytest.raises(WebSocketDisconnect) as closed,
-        web.client.websocket_connect("/api/people/ann/events", subprotocols=[f"token.{token}"]),
-    ):
-        pass
-    assert closed.value.code == 4403
+    for path in (f"/join/ann/{web.access.token('ann')}", f"/operator/{web.access.operator}"):
+        assert web.client.get(path).status_code == 404  # a token in a path would be in the logs of proxies
+    for path in (f"{ANN}/events", "/api/team/events", "/api/team/changes"):
+        with opened(web.client, path, {"Authorization": "Bearer x"}) as refused:
+            assert refused.status == 401
+    for path in (f"{ANN}/events", "/api/team/events", "/api/team/changes"):
+        with opened(web.client, path, web.who("bob")) as refused:
+            assert refused.status == 403
 
 
 def test_a_cookie_stands_for_the_token_on_pages_of_the_service_only(web: Web) -> None:
@@ -257,16 +253,10 @@ def test_a_cookie_stands_for_the_token_on_pages_of_the_service_only(web: Web) ->
         answer = web.client.post(f"{ANN}/begin", headers={**ann, **more})
         assert answer.status_code == status, more
         assert answer.status_code == 200 or answer.json() == {"detail": "requests of other sites' pages are refused"}
-    protocols = ["kitassist", "caller.person%20ann"]
-    with web.client.websocket_connect(f"{ANN}/events", subprotocols=protocols, headers=own) as watched:
-        assert watched.receive_json()["person"] == "ann"
-    for headers in (foreign, {}):
-        with (
-            pytest.raises(WebSocketDisconnect) as closed,
-            web.client.websocket_connect(f"{ANN}/events", subprotocols=protocols, headers=headers),
-        ):
-            pass
-        assert closed.value.code == 4403
+    with opened(web.client, f"{ANN}/events", ann) as watched:
+        assert watched.view()["person"] == "ann"
+    with opened(web.client, f"{ANN}/events", {**ann, **foreign}) as watched:
+        assert watched.status == 403
 
 
 def test_answers_load_nothing_from_elsewhere(web: Web) -> None:
@@ -276,31 +266,86 @@ def test_answers_load_nothing_from_elsewhere(web: Web) -> None:
         assert headers["referrer-policy"] == "no-referrer"
 
 
-def test_what_changes_is_pushed_to_every_tab_and_a_late_end_ends_no_other(web: Web) -> None:
-    with web.watch() as first, web.watch("bob") as bob:
-        assert first.accepted_subprotocol == "kitassist"
-        assert first.receive_json()["steps"] == bob.receive_json()["steps"] == 0
-        with web.watch() as second:
-            assert second.receive_json()["steps"] == 0
+def test_what_changes_is_told_to_every_tab_and_a_late_end_ends_no_other(web: Web) -> None:
+    with ExitStack() as held:
+        first, bob = held.enter_context(web.watch()), held.enter_context(web.watch("bob"))
+        kinds = [first.headers[name] for name in ("content-type", "x-accel-buffering")]
+        assert kinds == ["text/event-stream; charset=utf-8", "no"]
+        assert first.any() == ("ping", {"seconds": 15.0})
+        assert first.next() == ("faults", [])
+        assert first.view()["steps"] == bob.view()["steps"] == 0
+        with web.watch() as reloaded:
+            assert reloaded.view()["steps"] == 0
             answer = web.act("(fetch box-a)").json()
-            assert first.receive_json() == second.receive_json() == answer
-            first.close()  # the tab before the reload closes only now
-            answer = web.act(WRONG).json()
-            assert second.receive_json() == answer
-            assert web.ask("GET", "/api/team").json()["people"][0]["connected"]
+            assert first.view() == reloaded.view() == answer
+        answer = web.act(WRONG).json()  # the tab before the reload has closed only now
+        assert first.view() == answer
+        assert web.ask("GET", "/api/team").json()["people"][0]["connected"]
         web.act("(fetch box-a)", "bob")
-        assert bob.receive_json()["steps"] == 1
+        assert bob.view()["steps"] == 1
         web.ask("DELETE", "/api/team/people/bob")
-        with pytest.raises(WebSocketDisconnect) as closed:
-            bob.receive_json()
-        assert closed.value.code == 4404
+        with pytest.raises(EndedError):
+            bob.view()
+        with web.watch("bob") as again:
+            assert (again.status, again.detail) == (404, "'bob' is not in the team")
+    for _ in range(500):
+        if not web.ask("GET", "/api/team").json()["people"][0]["connected"]:
+            return
+    raise AssertionError("a page that has gone counts as connected")
+
+
+def test_programs_follow_all_changes_of_the_team_in_one_stream(web: Web) -> None:
+    def coming(stream: Stream, *kinds: str) -> list[Any]:
+        found = [stream.next() for _ in kinds]
+        assert [kind for kind, _ in found] == list(kinds)
+        return [content for _, content in found]
+
+    with opened(web.client, "/api/team/changes", web.who(None)) as stream:
+        people, ann, bob, robot = coming(stream, "people", "view", "view", "robot")
+        assert people == {"people": ["ann", "bob"]}
+        assert (ann, bob) == tuple(web.ask("GET", f"/api/people/{name}").json() for name in ("ann", "bob"))
+        assert robot == {"robot": 1, "instruction": web.ask("GET", "/api/robot").json()}
+        answer = web.act("(fetch box-a)").json()
+        assert stream.next() == ("view", answer)
+        web.act(WRONG)
+        while (found := stream.next())[1].get("instruction", {}).get("suggestion") != "(remove hammer slot-2 box-a)":
+            pass
+        assert (found[0], found[1]["robot"]) == ("robot", 1)
+        web.ask("POST", "/api/team/people", json={"person": "cleo"})
+        while (found := stream.next())[1].get("person") != "cleo":
+            pass
+        assert found[0] == "view"
+        web.ask("DELETE", "/api/people/cleo/records", params={"reason": "asked"})
+        while (found := stream.next())[0] != "left":
+            pass
+        assert found == ("left", {"person": "cleo"})
+
+
+def test_a_stream_shows_signs_of_life_and_ends_with_the_service(tiny: Table, tmp_path: Path) -> None:
+    web = Web(tiny, tmp_path, ping=0.01)
+    with ExitStack() as held:
+        held.enter_context(web.client)
+        paths = (f"{ANN}/events", "/api/team/events", "/api/team/changes")
+        streams = [held.enter_context(opened(web.client, path, web.who(None))) for path in paths]
+        for stream in streams:
+            pings = 0
+            while pings < 5:
+                kind, content = stream.any()
+                pings += kind == "ping"
+                assert kind != "ping" or content == {"seconds": 0.01}
+        assert web.client.portal is not None
+        web.client.portal.call(web.service.end_streams)
+        for stream in streams:
+            assert {kind for kind, _ in stream.rest()} <= {"ping", "view", "team"}
+        with web.watch() as late, pytest.raises(EndedError):  # a keep-alive connection may still bring one
+            late.view()
 
 
 def test_the_operator_is_told_of_everything(web: Web) -> None:
     with web.watch(None) as team:
-        assert team.receive_json()["people"][0]["steps"] == 0
+        assert team.view()["people"][0]["steps"] == 0
         web.act("(fetch box-a)")
-        while (told := team.receive_json())["seq"] < 3:
+        while (told := team.view())["seq"] < 3:
             pass
         assert told["people"][0]["steps"] == 1
 
@@ -332,79 +377,52 @@ def test_the_operator_sees_what_changes_while_the_view_is_computed(tiny: Table, 
     assert [(one["steps"], one["connected"]) for one in after["people"]] == [(1, False), (0, True)]
 
 
-def test_a_watcher_that_does_not_read_is_dropped_and_nobody_waits(tiny: Table, tmp_path: Path) -> None:
-    async def run() -> tuple[list[Any], int, bool]:
+def test_who_does_not_read_costs_no_memory_and_nobody_waits(tiny: Table, tmp_path: Path) -> None:
+    async def run() -> tuple[int, int]:
         web = Web(tiny, tmp_path)
         web.service.start()
-        sent: list[Any] = []
-
-        async def receive() -> dict[str, Any]:
-            if not sent:
-                return {"type": "websocket.connect"}
-            await asyncio.Event().wait()
-            raise AssertionError
-
-        async def send(message: dict[str, Any]) -> None:
-            sent.append(message["type"])
-            if message["type"] == "websocket.send":
-                await asyncio.Event().wait()  # its buffers are full indefinitely
-
-        scope = {
-            "type": "websocket", "path": f"{ANN}/events", "raw_path": b"", "query_string": b"", "root_path": "",
-            "headers": [(b"authorization", web.who("ann")["Authorization"].encode())], "subprotocols": [], "state": {},
-        }  # fmt: skip
-        stuck = asyncio.create_task(web.app(scope, receive, send))
-        while not web.service._watchers.get("ann"):
-            await asyncio.sleep(0.01)
-        steps = 0
+        slow, everything = web.service.watch("ann"), web.service.follow()
         for number in range(70):
-            action = "(fetch box-a)" if number % 2 == 0 else "(return box-a)"
-            steps = (await web.service.report(Event("acted", "ann", action)))["steps"]
-        await asyncio.wait_for(stuck, 60)
-        gone = "ann" not in web.service._watchers
+            await web.service.report(Event("acted", "ann", ("(fetch box-a)", "(return box-a)")[number % 2]))
+        view = json.loads((await slow.take())[-1].decode().partition("data: ")[2])
+        events = len(await everything.take())
         await web.service.stop()
-        return sent, steps, gone
+        return view["steps"], events
 
-    sent, steps, gone = asyncio.run(run())
-    assert (steps, gone) == (70, True)
-    assert sent[:2] == ["websocket.accept", "websocket.send"]
-    assert sent[-1] == "websocket.close"
+    assert asyncio.run(run()) == (70, 4)  # the newest view; who is present, two people and a robot
 
 
-@pytest.mark.parametrize("who", ["ann", None])
+@pytest.mark.parametrize("path", [f"{ANN}/events", "/api/team/events", "/api/team/changes"])
 def test_a_connection_that_is_not_read_is_given_back_soon(
-    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, who: str | None
+    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: str
 ) -> None:
     """This holds even if a real socket is full and the remaining data can never be sent."""
-    monkeypatch.setattr(server._Connection, "linger", 0.1)
 
     async def run() -> None:
         web = Web(tiny, tmp_path)
-        listening = server.listen("127.0.0.1", 0)
+        listening = server.listen("127.0.0.1", 0, unread=0.2)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         ready = asyncio.Event()
-        serving = server.server_of(web.app, ready.set, ping=0.3)
+        serving = server.server_of(web.app, ready.set)
         running = asyncio.create_task(serving.serve([listening]))
         await ready.wait()
         stuck = socket.socket()
         stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         stuck.connect(listening.getsockname())
-        path = "/api/team/events" if who is None else f"{ANN}/events"
         stuck.sendall(
-            f"GET {path} HTTP/1.1\r\nHost: here\r\nAuthorization: {web.who(who)['Authorization']}\r\n"
-            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+            f"GET {path} HTTP/1.1\r\nHost: here\r\nAuthorization: {web.who(None)['Authorization']}\r\n\r\n".encode()
         )
         monkeypatch.setattr(Service, "pause_between", 0.0)
-        for number in range(150):  # far more than the queue holds
+        while not (web.service._watchers.get("ann") or web.service._operators or web.service._followers):
+            await asyncio.sleep(0.01)
+        for number in range(3000):
             action = "(fetch box-a)" if number % 2 == 0 else "(return box-a)"
             await web.service.report(Event("acted", "ann", action))
-            await asyncio.sleep(0.002)
-        for _ in range(3000):
             if not serving.server_state.connections:
                 break
-            await asyncio.sleep(0.02)
+            await asyncio.sleep(0.002)
         assert not serving.server_state.connections
+        assert not [*web.service._watchers, *web.service._operators, *web.service._followers]
         stuck.close()
         serving.should_exit = True
         await running
@@ -437,7 +455,7 @@ def test_a_waiting_room_opens_the_page_at_the_same_second(tiny: Table, tmp_path:
     """A hundred people behind one address, who load every file of the page; guesses of tokens keep their own limit."""
     web = Web(tiny, tmp_path, allowance=Allowance(clock=lambda: 0.0))
     with web.client:
-        page = web.client.get(f"/join/ann/{web.service.access.token('ann')}")
+        page = web.client.get("/join/ann")
         names = [name for name in re.findall(r'(?:src|href)="([^"]+)"', page.text) if not name.startswith("data:")]
         assert names
         guess = {"Authorization": "Bearer x"}
@@ -467,19 +485,17 @@ def test_behind_a_trusted_proxy_everybody_has_a_limit_of_their_own(tiny: Table, 
         networks(["proxy"])
 
 
-def test_connections_count_like_requests(tiny: Table, tmp_path: Path) -> None:
-    web = Web(tiny, tmp_path, allowance=Allowance(rate=1.0, burst=3.0, clock=lambda: 0.0))
-    headers = {"Authorization": f"Bearer {web.service.access.token('ann')}"}
-    with web.client:
-        for _ in range(3):
-            with web.client.websocket_connect(f"{ANN}/events", headers=headers) as connection:
-                assert connection.receive_json()["person"] == "ann"
-        with (
-            pytest.raises(WebSocketDisconnect) as closed,
-            web.client.websocket_connect(f"{ANN}/events", headers=headers),
-        ):
-            pass
-        assert closed.value.code == 1013
+def test_streams_count_like_requests_and_each_person_has_so_many(tiny: Table, tmp_path: Path) -> None:
+    web = Web(tiny, tmp_path, allowance=Allowance(rate=1.0, burst=4.0, clock=lambda: 0.0))
+    web.service._most_connections = 2
+    with web.client, ExitStack() as held:
+        for _ in range(2):
+            assert held.enter_context(web.watch()).view()["person"] == "ann"
+        for detail in ("too many pages are open; close some of them", "too many requests; try again later"):
+            if detail.startswith("too many requests"):
+                web.ask("GET", ANN, "ann")
+            refused = held.enter_context(web.watch())
+            assert (refused.status, refused.detail) == (429, detail)
 
 
 def test_a_full_disk_is_said_to_whoever_reports(web: Web, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -505,16 +521,15 @@ def test_the_operator_erases_what_is_recorded_of_a_person(web: Web) -> None:
         refused = web.ask("DELETE", f"/api/people/{name}/records", person, params=query)
         assert (refused.status_code, set(refused.json())) == (status, {"detail"})
     with web.watch() as watched:
-        assert watched.receive_json() == ann
+        assert watched.view() == ann
         found = web.ask("DELETE", "/api/people/bob/records", params={"reason": "asked by e-mail"}).json()
         assert (found["label"], found["reason"], found["events"]) == ("(erased 1)", "asked by e-mail", 3)
         assert b"bob" not in b"".join(file.read_bytes() for file in web.folder.iterdir())
         assert web.ask("GET", ANN, "ann").json() == ann
         assert "bob" not in web.ask("GET", "/api/team").text
         assert web.ask("DELETE", "/api/people/ann/records", params={"reason": "asked, too"}).status_code == 200
-        with pytest.raises(WebSocketDisconnect) as closed:
-            watched.receive_json()
-    assert closed.value.code == 4404
+        with pytest.raises(EndedError):
+            watched.view()
     assert web.ask("GET", ANN, "ann").status_code == 404
     assert web.ask("GET", "/api/log").text == ""
     assert web.ask("POST", "/api/team/people", json={"person": "bob"}).status_code == 200

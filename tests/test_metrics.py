@@ -31,7 +31,7 @@ def values(text: str) -> dict[tuple[str, ...], float]:
 def test_metrics_are_what_happened(tmp_path: Path) -> None:
     web = Web(kit("tiny"), tmp_path)
     with web.client:
-        web.service.bridges["mqtt"] = SimpleNamespace(counts={"recorded": 3}, connected=True)  # type: ignore[assignment]
+        web.service.bridges["mqtt"] = SimpleNamespace(counts={"recorded": 3}, connected=True, waits=())  # type: ignore[assignment]
         first = web.ask("GET", "/api/people/ann", "ann").json()
         assert first["suggestion"] is not None
         web.act(first["suggestion"], id="1")

@@ -168,11 +168,11 @@ BROKEN = [
     ),
     (
         "requirement outside",
-        changed(DOMAIN, "(:requirements :strips", "(:requirements :strips\n  :goal-utilities"),
+        changed(DOMAIN, "(:requirements :strips", "(:requirements :strips\n  :preferences"),
         PROBLEM,
         "domain",
-        ":goal-utilities",
-        [":goal-utilities is not supported"],
+        ":preferences",
+        [":preferences is not supported"],
     ),
     (
         "action without effect",

@@ -262,7 +262,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     ),
     "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), FramesError, "the trace is empty"),
     "the operator's link": (
-        lambda _: Client("http://127.0.0.1:9/operator/secret").see(),
+        lambda _: Client("http://127.0.0.1:9/operator#secret").see(),
         ValueError, "expected the name of a person, since the link is the operator's",
     ),
     "a long answer": (

@@ -190,6 +190,7 @@ def test_distances_can_replace_places_that_grew(tmp_path: Path) -> None:
 class _Line:
     counts: dict[str, int] = {}  # noqa: RUF012
     connected = False
+    waits = ()
 
     async def run(self) -> None:
         pass

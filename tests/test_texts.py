@@ -111,7 +111,9 @@ def test_participants_are_refused_in_the_studys_language(tiny: Table, tmp_path: 
 
 MET = [
     "the study is full at the moment; places may become free later", "not possible within a user study",
-    "P-2B4C6D is not taking part", "data could be withdrawn until 2027-03-31", "this task is over",
+    "P-2B4C6D is not taking part", "data could be withdrawn until 2027-03-31",
+    "too many participants of this network have not begun a task yet; try again later",
+    "too many pages are open; close some of them", "this task is over",
     "P-2B4C6D is at task tiny, not at 'practice'", "the study is complete", "the task is not finished",
     "the task begins when the group is complete", "answers: expected none at consent", "acted: not at consent",
     "P-2B4C6D is at consent; no action is possible there", "explanations are not shown here",
@@ -154,3 +156,9 @@ def test_a_language_of_the_studys_own_is_a_file_beside_it(tmp_path: Path) -> Non
         with pytest.raises(InputFileError, match=re.escape(said)) as error:
             read(written(tmp_path / "study.toml", GERMAN.replace('"de"', f'"{wrong}"')))
         assert "language" in str(error.value)
+
+
+def test_a_day_is_written_as_in_the_language() -> None:
+    english = "data could be withdrawn until 2027-03-31"
+    assert catalogue().refusal(english) == english
+    assert catalogue("de").refusal(english) == "Daten konnten bis zum 31.03.2027 zurückgezogen werden."

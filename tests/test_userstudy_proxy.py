@@ -2,112 +2,30 @@
 
 from __future__ import annotations
 
-import asyncio
-import os
 import re
-import shutil
-import socket
 import ssl
-import subprocess
-import threading
 import time
 import urllib.request
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urljoin
 
 import pytest
+from networks import NGINX, free_port, proxy, running
 from userstudies import PLAN, written
 
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
 from assist.web.app import make_app
 from assist.web.request_limits import Allowance, networks
-from assist.web.server import address, listen, server_of
+from assist.web.server import address, listen
 from assist.web.tokens import VISITOR, AccessTokens
 from assist.web.user_study.rehearsal import rehearse
 from assist.web.user_study.routes import router
 from assist.web.user_study.service import StudyService
 from planner import Table
 
-NGINX = shutil.which("nginx", path=f"{os.environ.get('PATH', '')}:/usr/sbin")  # where Debian has it
 TOKEN = re.compile(r"[\w-]{32}")
-CONFIGURATION = """
-daemon off;
-{user}
-pid {folder}/nginx.pid;
-error_log {folder}/error.log;
-events {{ worker_connections 256; }}
-http {{
-    access_log {folder}/access.log combined;
-    client_body_temp_path {folder}/body; proxy_temp_path {folder}/proxy; fastcgi_temp_path {folder}/fastcgi;
-    uwsgi_temp_path {folder}/uwsgi; scgi_temp_path {folder}/scgi;
-    server {{
-        listen 127.0.0.1:{port} ssl;
-        ssl_certificate {folder}/cert.pem;
-        ssl_certificate_key {folder}/key.pem;
-        location /kits/ {{
-            if (-f {folder}/down) {{ return 502; }}
-            proxy_pass http://{behind};
-            proxy_http_version 1.1;
-            proxy_set_header Host $http_host;
-            proxy_set_header Upgrade $http_upgrade;
-            proxy_set_header Connection "upgrade";
-            proxy_set_header X-Forwarded-For $proxy_add_x_forwarded_for;
-            proxy_buffering off;
-        }}
-    }}
-}}
-"""
-
-
-@contextmanager
-def proxy(folder: Path, port: int, behind: str) -> Iterator[None]:
-    subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2",
-         "-subj", "/CN=127.0.0.1", "-addext", "subjectAltName=IP:127.0.0.1", "-keyout", folder / "key.pem",
-         "-out", folder / "cert.pem"],
-        check=True, capture_output=True,
-    )  # fmt: skip
-    user = "user root;" if os.geteuid() == 0 else ""  # so that its workers can read this folder
-    (folder / "nginx.conf").write_text(
-        CONFIGURATION.format(folder=folder, port=port, behind=behind.removeprefix("http://"), user=user)
-    )
-    process = subprocess.Popen([str(NGINX), "-p", str(folder), "-c", str(folder / "nginx.conf")])
-    try:
-        deadline = time.monotonic() + 20
-        while True:
-            try:
-                socket.create_connection(("127.0.0.1", port), 1).close()
-                break
-            except OSError:
-                assert time.monotonic() < deadline
-                assert process.poll() is None
-                time.sleep(0.05)
-        yield
-    finally:
-        process.terminate()
-        process.wait(20)
-
-
-@contextmanager
-def running(service: StudyService, listening: socket.socket) -> Iterator[None]:
-    """Serve a study in a thread."""
-    app = make_app(
-        service, allowance=Allowance(rate=1e6, burst=1e6), more=[router], trusted_proxies=networks(["127.0.0.1"])
-    )
-    ready = threading.Event()
-    server = server_of(app, ready.set)
-    thread = threading.Thread(target=lambda: asyncio.run(server.serve([listening])))
-    thread.start()
-    try:
-        assert ready.wait(30)
-        yield
-    finally:
-        server.should_exit = True
-        thread.join(30)
 
 
 @pytest.mark.skipif(NGINX is None, reason="nginx is not installed: `apt-get install nginx-light`")
@@ -117,9 +35,7 @@ def running(service: StudyService, listening: socket.socket) -> Iterator[None]:
 def test_a_study_completes_behind_a_proxy_that_fails_twice(
     tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, participants: int, seconds: float
 ) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     base = f"https://127.0.0.1:{port}/kits"
     text = PLAN.replace("seed = 3", f"seed = 3\nparticipants = {participants}")
     study, tasks = read(written(tmp_path / "study.toml", text)), {"tiny": tiny, "practice": tiny}
@@ -131,7 +47,10 @@ def test_a_study_completes_behind_a_proxy_that_fails_twice(
     monkeypatch.setattr(urllib.request, "_opener", None)  # made anew, with this certificate
 
     behind = address(listening)
-    with running(service, listening), proxy(tmp_path, port, behind), ThreadPoolExecutor(1) as threads:
+    app = make_app(
+        service, allowance=Allowance(rate=1e6, burst=1e6), more=[router], trusted_proxies=networks(["127.0.0.1"])
+    )
+    with running(app, listening), proxy(tmp_path, port, behind), ThreadPoolExecutor(1) as threads:
         rehearsal = threads.submit(rehearse, service, tasks, participants, base)
         for events in (4, 12):
             while session.outlook().events < events and not rehearsal.done():

@@ -144,7 +144,4 @@ def as_shown(value: Number) -> str:
     digits = 0
     while value * 10**digits % 1:
         digits += 1
-    if not digits:
-        return str(int(value))
-    text = f"{int(abs(value) * 10**digits):0{digits + 1}d}"
-    return f"{'-' if value < 0 else ''}{text[:-digits]}.{text[-digits:]}"
+    return f"{float(value):.{digits}f}" if digits else str(int(value))

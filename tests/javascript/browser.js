@@ -11,7 +11,7 @@ cpSync(new URL("../../assist/web/user_study/pages/", import.meta.url), join(fold
 writeFileSync(join(folder, "package.json"), '{"type": "module"}'); // they are modules, as in the pages
 process.on("exit", () => rmSync(folder, { recursive: true }));
 
-const TEXTS = { "page.incomplete": "Use the complete link.", "a.step": "{n} steps", "a.step_one": "{n} step", "a.of": "{done} of {all}" };
+const TEXTS = { "page.incomplete": "Use the complete link.", "page.cookies": "The cookies are too large.", "a.step": "{n} steps", "a.step_one": "{n} step", "a.of": "{done} of {all}" };
 
 class Storage extends Map {
   getItem = (key) => this.get(key) ?? null;
@@ -19,26 +19,38 @@ class Storage extends Map {
   removeItem = (key) => this.delete(key);
 }
 
-/** A socket that a test opens, feeds and closes. */
-export class Socket {
-  static CONNECTING = 0;
-  static OPEN = 1;
+/** The answer of a stream that a test feeds and ends. */
+export function stream() {
+  let controller;
+  const body = new ReadableStream({ start: (own) => { controller = own; } });
+  const bytes = new TextEncoder();
+  const breaks = () => controller.error(new TypeError("network"));
+  return {
+    answer: Object.assign(new Response(body), { breaks }),
+    tell: (kind, data) => controller.enqueue(bytes.encode(`event: ${kind}\ndata: ${JSON.stringify(data)}\n\n`)),
+    piece: (text) => controller.enqueue(bytes.encode(text)),
+    ends: () => controller.close(),
+    breaks,
+  };
+}
+
+/** The windows of a browser hear each other. */
+class Windows {
   static all = [];
-  readyState = 0;
-  constructor(url, protocols) {
-    Object.assign(this, { url, protocols });
-    Socket.all.push(this);
+  constructor() {
+    Windows.all.push(this);
   }
 
-  opens() {
-    this.readyState = 1;
-    this.onopen();
+  postMessage(data) {
+    for (const other of Windows.all) if (other !== this) other.onmessage({ data });
   }
+}
 
-  close(code = 1000) {
-    this.readyState = 3;
-    this.onclose({ code });
-  }
+const pages = [];
+
+/** Leave all pages. */
+export function leave() {
+  for (const happens of pages.splice(0)) happens("pagehide");
 }
 
 /** Open a page at a path of the service; `fetch` answers its requests. Returns the page's modules and what it stores. */
@@ -46,22 +58,28 @@ export async function open(path, { fetch = () => new Response("{}"), language = 
   const elements = { texts: { textContent: JSON.stringify(TEXTS) } };
   const url = new URL(`.${path}`, `${pathToFileURL(folder)}/`);
   const asked = [];
-  Socket.all = [];
+  const listeners = {};
+  const listen = (kind, act) => (listeners[kind] ??= []).push(act);
+  Windows.all = [];
   const named = (id) => (elements[id] ??= { textContent: "", hidden: true, scrollIntoView() {} });
   Object.assign(globalThis, {
-    document: { documentElement: { lang: language }, getElementById: named, addEventListener() {}, hidden: false },
+    document: { documentElement: { lang: language }, getElementById: named, addEventListener: listen, hidden: false, body: null, activeElement: null },
     location: url,
     history: { state: null, replaceState: (_state, _title, address) => Object.assign(globalThis, { location: new URL(address) }) },
     sessionStorage: stored,
-    WebSocket: Socket,
-    addEventListener() {},
+    BroadcastChannel: Windows,
+    addEventListener: listen,
     async fetch(address, options) {
       asked.push({ path: new URL(address).href.slice(`${pathToFileURL(folder)}`.length), ...options });
-      return fetch(asked.at(-1), asked.length);
+      const answer = fetch(asked.at(-1), asked.length);
+      options.signal?.addEventListener("abort", () => answer.breaks?.());
+      return answer;
     },
   });
   const query = `?${Math.random()}`; // each page has its own modules
   const files = ["pages/page.js", "pages/connection.js", "user_study/pages/questions.js"];
   const modules = await Promise.all(files.map((file) => import(pathToFileURL(join(folder, file)) + query)));
-  return { ...Object.assign({}, ...modules), elements, asked, stored };
+  const happens = (kind, first = Infinity) => listeners[kind]?.slice(0, first).forEach((act) => act({}));
+  pages.push(happens);
+  return { ...Object.assign({}, ...modules), elements, asked, stored, happens };
 }

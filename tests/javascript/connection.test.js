@@ -1,6 +1,8 @@
 import assert from "node:assert/strict";
-import { test } from "node:test";
-import { Socket, open } from "./browser.js";
+import { afterEach, test } from "node:test";
+import { leave, open, stream } from "./browser.js";
+
+afterEach(leave);
 
 const json = (content, status = 200) => new Response(JSON.stringify(content), { status });
 const until = async (holds) => {
@@ -119,23 +121,85 @@ test("a fault of the page after an answer is no lost request", async () => {
   assert.deepEqual([told, outbox.busy], [[], false]);
 });
 
-test("a lost socket is opened again; one that was refused or ended is not", async () => {
-  const { Channel } = await open("/join/ann");
-  const [states, messages] = [[], []];
-  const channel = new Channel("/events", { message: (one) => messages.push(one), state: (one) => states.push(one) });
-  Socket.all[0].opens();
-  Socket.all[0].onmessage({ data: '{"seq": 1}' });
-  Socket.all[0].close(1006);
-  await until(() => Socket.all.length === 2);
-  Socket.all[0].onmessage({ data: '{"seq": 0}' }); // late, of the old socket
-  Socket.all[1].opens();
-  assert.deepEqual([states, messages], [["connected", "lost", "connected"], [{ seq: 1 }]]);
-  assert.deepEqual(Socket.all[1].protocols, ["kitassist", "caller.person%20ann"]);
-  channel.end();
-  channel.hurry();
-  assert.deepEqual([states.length, Socket.all.length], [3, 2]);
-  const other = new Channel("/events", { message() {}, state: (one) => states.push(one) });
-  Socket.all[2].close(4403);
-  other.hurry();
-  assert.deepEqual([states.at(-1), Socket.all.length], ["over", 3]);
+/** A page whose requests of streams are answered by those given, in their order; others are refused. */
+async function streaming(...answers) {
+  const page = await open("/join/ann", { fetch: () => answers.shift() ?? json({ detail: "not in the team" }, 404) });
+  const [states, told] = [[], []];
+  const tells = { message: (kind, data) => told.push([kind, data]), state: (one) => states.push(one) };
+  return { ...page, states, told, tells, channel: new page.Channel("/events", tells) };
+}
+
+test("a stream that ends or breaks is opened again; a person who has left is told so", async () => {
+  const [first, second] = [stream(), stream()];
+  const { asked, states, told } = await streaming(first.answer, json({}, 502), second.answer);
+  first.piece('event: ping\ndata: {"seconds": 15}\n\neve'); // an event may come in pieces
+  first.piece('nt: view\ndata: {"seq": 1}\n\n');
+  await until(() => told.length === 1);
+  first.ends();
+  await until(() => asked.length === 3);
+  second.tell("view", { seq: 2 });
+  await until(() => told.length === 2);
+  second.breaks();
+  await until(() => states.at(-1) === "over");
+  assert.deepEqual(told, [["view", { seq: 1 }], ["view", { seq: 2 }]]);
+  assert.deepEqual(states, ["connected", "lost", "connected", "over"]);
+  assert.deepEqual(asked[0].headers, { "Kitassist-Caller": "person%20ann" });
+});
+
+test("a stream of which nothing is heard is lost, and opened again", async () => {
+  const [silent, next] = [stream(), stream()];
+  const { states } = await streaming(silent.answer, next.answer);
+  silent.tell("ping", { seconds: 0.01 });
+  await until(() => states.length === 2);
+  next.tell("ping", { seconds: 15 });
+  await until(() => states.length === 3);
+  assert.deepEqual(states, ["connected", "lost", "connected"]);
+});
+
+test("a hidden page closes its stream and opens it when it is shown", async () => {
+  const { asked, happens, tells, Channel } = await streaming(stream().answer, stream().answer, stream().answer);
+  await until(() => asked.length === 1);
+  document.hidden = true;
+  happens("visibilitychange");
+  assert.equal(asked[0].signal.aborted, true);
+  new Channel("/kept", { ...tells, stays: () => true });
+  document.hidden = false;
+  happens("visibilitychange");
+  await until(() => asked.length === 3);
+  assert.deepEqual(asked.map((one) => one.path), ["/events", "/kept", "/events"]);
+  assert.equal(asked[1].signal.aborted, false);
+});
+
+test("of many windows the one that was not used for longest rests until it is used", async () => {
+  const answers = Array.from({ length: 6 }, () => stream().answer);
+  const { asked, states, tells, happens, Channel } = await streaming(...answers);
+  const another = () => new Channel("/events", { ...tells, state() {} });
+  for (let windows = 2; windows <= 4; windows += 1) another();
+  assert.deepEqual(states, []);
+  another();
+  assert.deepEqual([states, asked[0].signal.aborted], [["resting"], true]);
+  happens("focus", 1); // of the first window
+  await until(() => asked.length === 6);
+  assert.deepEqual(asked.map((one) => one.signal.aborted), [true, true, false, false, false, false]);
+});
+
+test("where cookies of other programs are too large, the token goes without them, or the page says so", async () => {
+  const large = (asked) => (asked.credentials === "omit" ? json({ seq: 1 }) : new Response("<h1>Bad Request</h1>", { status: 400 }));
+  const { askJson, asked } = await open("/join/ann#secret", { fetch: large });
+  assert.deepEqual(await askJson("/x"), { seq: 1 });
+  assert.equal(asked.at(-1).headers.Authorization, "Bearer secret");
+  const kept = await open("/join/ann", { fetch: large });
+  await assert.rejects(kept.ask("/x"), { status: 400, message: "The cookies are too large." });
+});
+
+test("what comes while a button is pressed is shown after its click", async () => {
+  const { happens, released } = await open("/join/ann");
+  const shown = [];
+  released(() => shown.push(1));
+  happens("pointerdown");
+  released(() => shown.push(2));
+  assert.deepEqual(shown, [1]);
+  happens("pointerup");
+  assert.deepEqual(shown, [1]); // the click comes first
+  await until(() => shown.length === 2);
 });
