@@ -71,6 +71,8 @@ def fixed(folder: Path, known: dict[str, AdviceLog]) -> float:
     largest = 0.0
     with (folder / "reference" / "fixed_parameters.csv").open(newline="") as stream:
         for row in csv.DictReader(stream):
+            if row["data"] not in known:
+                continue
             rule, log = RULES[row["rule"]], known[row["data"]]
             given = dict(pair.split("=") for pair in filter(None, row["rule_parameters"].split(";")))
             values = [*BASES[row["base"]].values(), *(float(given[name]) for name in rule.parameters)]
@@ -120,6 +122,8 @@ def fitted(folder: Path, known: dict[str, AdviceLog], allowed: float, keep: Path
     largest, done = 0.0, json.loads(keep.read_text(encoding="utf-8")) if keep is not None and keep.exists() else {}
     with (folder / "reference" / "cv_dev.csv").open(newline="") as stream:
         for row in csv.DictReader(stream):
+            if row["data"] not in known:
+                continue
             log, cell_of = known[row["data"]], "|".join(row[name] for name in ("data", "base", "rule"))
             if cell_of not in done:
                 if row["rule"] == "base rate (agree, disagree)":

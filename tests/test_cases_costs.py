@@ -14,6 +14,8 @@ from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from planner import Table, sweep
 
+pytestmark = pytest.mark.cases
+
 
 def there_and_back(dear: int) -> Table:
     """Return a task of two dear trips, each of which brings one of two parts; there are wrong ways."""

@@ -20,6 +20,8 @@ from unified_planning.model.metrics import MinimizeActionCosts, MinimizeSequenti
 from planner import load, sweep
 from planner.engine import Engine
 
+pytestmark = pytest.mark.cases
+
 
 def kit() -> Problem:
     """Return a problem of two parts that are carried from a shelf to a kit, one at a time, in 7 actions."""

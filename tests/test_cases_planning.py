@@ -28,6 +28,8 @@ from planner.pddl.validation import InvalidPlanError
 from planner.pddl.validation_process import LATE
 from planner.system.errors import MismatchError
 
+pytestmark = pytest.mark.cases
+
 TINY = KITTING / "tiny.pddl"
 
 
@@ -160,6 +162,48 @@ def test_a_task_has_one_plan_whichever_is_first(monkeypatch: pytest.MonkeyPatch,
         assert all(plan == expected for plan in seen)
     done = invoke("solve", paper)
     assert plans(done.stdout.splitlines()) == expected
+
+
+def test_the_first_plan_of_a_task_with_rules_does_not_wait_for_its_sweep(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A sweep is slow where predicates are derived. This one waits until the plan of A* has been told."""
+    sweep, told, seen = planner.costtogo.portfolio.cost_to_go, threading.Event(), list[dict]()
+
+    def swept(*arguments: object, **ways: object) -> object:
+        assert told.wait(60)
+        return sweep(*arguments, **ways)  # type: ignore[arg-type]
+
+    def tell(record: dict, _: bool) -> None:
+        seen.append(record)
+        told.set()
+
+    monkeypatch.setattr(planner.costtogo.portfolio, "cost_to_go", swept)
+    domain = DOMAIN.replace("GO", "2").replace(":action-costs", ":action-costs :derived-predicates")
+    domain = domain.replace("(free) (here", "(free) (busy) (here").replace(
+        "(in ?p ?b) (free))", "(in ?p ?b) (not (busy)))"
+    )
+    domain = domain.replace("  (:action go", "  (:derived (busy) (exists (?p - part) (held ?p)))\n  (:action go")
+    options = SolveOptions(verify=1, first_answer_after=0.0)
+    record = solve_instance(write_instance(tmp_path, domain, PROBLEM), options, tell=tell)
+    assert (record["status"], record["cost"], record["states"] > 10) == ("solved", 6, True), record
+    assert (seen[0]["plan"], seen[0]["plan_by"]) == (record["plan"], record["plan_by"])
+    assert record["plan_by"].startswith("astar")
+    assert seen[0]["note"].endswith(SWEEPING)
+
+
+def test_a_type_and_a_predicate_of_one_name_are_said_once(tmp_path: Path) -> None:
+    """unified-planning does not read such files; their other notes are those of each."""
+    texts = [text.replace("GO", "2").replace("(free)", "(bin)") for text in (DOMAIN, PROBLEM)]
+    for name in ("one", "other", "third"):
+        (tmp_path / name).mkdir()
+        write_instance(tmp_path / name, *texts)
+    done = invoke("solve", tmp_path, "--verify", 1)
+    assert (done.exit_code, done.stdout.count(" solved ")) == (0, 3)
+    lines = done.stderr.splitlines()
+    assert len(lines) == 2, done.stderr
+    assert "not checked by unified-planning" in lines[0]
+    assert lines[1] == f"2 other instances: {lines[0].partition(': ')[2]}"
 
 
 def test_where_a_star_does_not_answer_soon_the_table_is_checked_at_once(

@@ -19,6 +19,8 @@ from assist.large_tasks.person_problem import PersonProblem
 from assist.learning import Log, compare, fit_with_goals, infer_goals, read_log
 from planner import OnDemand, astar, cost_to_go, load, sweep, sweep_goals
 
+pytestmark = pytest.mark.cases
+
 ACTIONS = ["(fetch box-a)", "(place hammer slot-2)", "(remove hammer slot-2)", "(place hammer slot-1)"]
 ROWS = [row for person in ("ann", "bob") for row in lines(*ACTIONS, person=person, told={1: "(place hammer slot-1)"})]
 LOG = Log.of(ROWS)

@@ -21,6 +21,7 @@ from assist.live import TraceReasons
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person import AssistPOMDP, ObservationModel, solve
+from assist.person import solver as person_solver
 from assist.person.qmdp import QMDP, qmdp
 from assist.reports import study_report
 from assist.reports.study_report import write_report
@@ -31,8 +32,10 @@ from assist.study.runner import load_study, run_study
 from assist.team import Robot
 from assist.team.policies import UserPolicy
 from assist.team.settings import Setting
-from assist.team.state import PolicyError
+from assist.team.state import PolicyError, TeamAction, TeamState
 from planner import Table
+
+pytestmark = pytest.mark.cases
 
 TINY = str(KITTING / "tiny.pddl")
 STUDY = f"""
@@ -171,6 +174,23 @@ def test_phases_have_their_own_names_and_count_what_is_done(tiny: Table) -> None
     assert told == [("simulating none", done, 100) for done in (0, 64, 100)]
 
 
+def test_what_a_function_of_the_user_solves_has_its_own_phase(tiny: Table) -> None:
+    """Nobody knows before its first step whether it does; the simulation's estimate begins after it."""
+
+    def mine(team: TeamState) -> TeamAction:
+        return team.act(team.q_values().max(axis=2).argmax(axis=1), team.first_optimal())
+
+    told: list[tuple[str, int, int | None]] = []
+    pool = Pool.sample(tiny, 2, seed=1)
+    simulate(pool, mine, humans=2, episodes=70, seed=3, progress=lambda *what: told.append(what))
+    assert told[0] == ("simulating mine", 0, 70)
+    simulating = ("simulating mine", 0, 70)
+    assert [what for what in told if what[1] == 0] == [
+        simulating, *[("solving a person's POMDP: sweeps", 0, None), simulating] * 2
+    ]  # fmt: skip
+    assert [done for what, done, _ in told if what == "simulating mine"] == [0, 0, 0, 64, 70]
+
+
 def test_ctrl_c_leaves_the_policies_that_were_simulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In any phase: while people are solved, while another policy is simulated, and while the figure is drawn."""
     own = tmp_path / "own.py"
@@ -208,8 +228,59 @@ def test_ctrl_c_leaves_the_policies_that_were_compared_with_a_bound(tmp_path: Pa
     result = invoke(*command, "--policy", "none", "--policy", f"{own}:stop")
     assert (result.exit_code, result.stderr) == (130, "interrupted; what was finished by then is shown\n")
     assert [line.split()[0] for line in result.stdout.splitlines()[:2]] == ["policy", "none"]
-    nothing = invoke(*command, "--policy", f"{own}:stop")
+    alone = invoke(*command, "--policy", f"{own}:stop")
+    assert (alone.exit_code, alone.stderr) == (130, "interrupted; what was finished by then is shown\n")
+    assert alone.stdout == f"upper bound {result.stdout.split()[11]}, from the problems of 2 of 2 people\n"
+
+
+def test_ctrl_c_leaves_the_bounds_on_one_person(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: Any, bounds: Any, **__: Any) -> None:
+        for found in reached:
+            bounds(*found)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("assist.person.solver.solve", stopped)
+    command = ("policy", TINY, "--out", tmp_path / "policy.npz")
+    reached: list[tuple[float, float, float]] = []
+    nothing = invoke(*command)
     assert (nothing.exit_code, nothing.stdout, nothing.stderr) == (130, "", "interrupted\n")
+    reached += [(0.1, -9.0, -2.0), (0.2, -4.0, -3.0)]
+    some = invoke(*command)
+    assert (some.exit_code, some.stderr) == (130, "interrupted; what was finished by then is shown\n")
+    assert some.stdout == "lower -4.00000  upper -3.00000  gap 2.50e-01; no policy is saved\n"
+    assert json.loads(invoke(*command, "--json").stdout) == {
+        "lower": -4.0, "upper": -3.0, "seconds": 0.2, "stopped": "interrupt"
+    }  # fmt: skip
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("stage", ["the first person", "the second person", "sample paths"])
+def test_ctrl_c_leaves_a_bound_on_what_was_computed(stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """People whose problems have not been bounded count as if they had the robot to themselves."""
+    command = ("bound", TINY, "--humans", 2, "--gap", 0.2, "--episodes", 2, "--policy", "none", "--jobs", 1, "--json")
+    whole = json.loads(invoke(*command).stdout)["upper"]
+    solved: list[int] = []
+
+    def solve(*arguments: Any, **options: Any) -> Any:
+        solved.append(len(solved))
+        if stage == ("the first person", "the second person", "")[len(solved) - 1]:
+            raise KeyboardInterrupt
+        return person_solver.solve(*arguments, **options)
+
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("assist.certify.computation.solve", solve)
+    monkeypatch.setattr("assist.certify.sample_paths.sampled", stop)
+    stopped = invoke(*command, *(["--samples", 30] if stage == "sample paths" else []))
+    assert stopped.exit_code == 130
+    if stage == "the first person":
+        assert (stopped.stdout, stopped.stderr) == ("", "interrupted\n")
+        return
+    assert stopped.stderr == "interrupted; what was finished by then is shown\n"
+    found = json.loads(stopped.stdout)
+    assert (found["people_bounded"], found["policies"]) == (1 if stage == "the second person" else 2, [])
+    assert whole - 0.05 <= found["upper"] < whole + 1  # with sample paths other beliefs have tight bounds
 
 
 def test_a_study_that_fails_before_its_first_episode_does_not_block_the_corrected_one(

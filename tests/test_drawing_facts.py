@@ -41,6 +41,8 @@ from planner.pddl.reader import read
 SVG = "{http://www.w3.org/2000/svg}"
 WIDTH = 760
 LEAST_TEXT = 9  # pixels
+pytestmark = pytest.mark.cases
+
 PACKING = """(define (domain packing-cell) (:requirements :typing :negative-preconditions)
   (:types place part hand level - object bin bench printer - place)
   (:predicates (worker-at ?p - place) (stored ?x - part ?b - bin) (free ?h - hand) (holds ?h - hand ?x - part)

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
+from threading import Event
 
 import numpy as np
 
-from planner.system.progress import Progress
+from planner.system.progress import Progress, adding
+from planner.system.threads import on_threads
 
 from ..people.arguments import whole
 from ..people.decision import Floats
@@ -30,6 +31,26 @@ from .action_prices import needed, paid
 from .options import BoundOptions
 from .prices import SubproblemKind, kinds_of, search, window_of
 from .visited_beliefs import BeliefRecorder
+
+
+class InterruptedBound(KeyboardInterrupt):
+    """Ctrl-C during the computation of a bound, after some people's problems have been bounded.
+
+    Attributes
+    ----------
+    upper : float
+        Upper bound on the value of every team policy, in cost units. It takes the robot's attention as free for people
+        whose problems have not been bounded.
+    bounded, people : int
+        Number of people whose problems have been bounded, and of all people.
+    exit_code : int
+        As in the interrupt.
+    """
+
+    def __init__(self, upper: float, bounded: int, people: int, interrupt: KeyboardInterrupt) -> None:
+        super().__init__(*interrupt.args)
+        self.upper, self.bounded, self.people = upper, bounded, people
+        self.exit_code: int = getattr(interrupt, "exit_code", 130)
 
 
 @dataclass(frozen=True)
@@ -148,23 +169,42 @@ class Computation:
     def relaxed(
         self, kinds: list[SubproblemKind], price: Floats, until: float, recorder: BeliefRecorder | None
     ) -> Relaxation:
-        """Return the relaxation at these prices, with bounds computed by a time on the clock."""
+        """Return the relaxation at these prices, with bounds computed by a time on the clock.
 
-        def one(number: int, kind: SubproblemKind) -> tuple[AttentionSubproblem, Solution]:
+        Raises
+        ------
+        InterruptedBound
+            Ctrl-C, after some of the bounds.
+        """
+        parts: dict[int, tuple[AttentionSubproblem, Solution]] = {}
+        over, advance = Event(), adding(self.tell, "bounding people's problems", len(kinds))
+
+        def go_on(*_: float) -> None:
+            if over.is_set():
+                raise KeyboardInterrupt
+
+        def one(number: int) -> None:
+            kind = kinds[number]
             visits = kind.at(price)
             best = kind.best(visits)
             still = math.ceil((len(kinds) - number) / self.workers)  # rounds that remain, including this one
             share = (until - time.perf_counter()) / still
-            return visits, solve(
+            parts[number] = visits, solve(
                 visits.pomdp, gap=self.gap, time_limit=None if until == math.inf else max(0.0, share),
                 memory_limit_mb=self.memory_limit_mb, best=best,
-                further_beliefs=None if recorder is None else recorder.of(kind.places, visits),
+                further_beliefs=None if recorder is None else recorder.of(kind.places, visits), bounds=go_on,
             )  # fmt: skip
+            advance(1)
 
-        parts: list[tuple[AttentionSubproblem, Solution]] = []
-        self.tell("bounding people's problems", 0, len(kinds))
-        with ThreadPoolExecutor(self.workers) as threads:
-            for part in threads.map(one, range(len(kinds)), kinds):
-                parts.append(part)
-                self.tell("bounding people's problems", len(parts), len(kinds))
-        return Relaxation(kinds, parts, price)
+        try:
+            on_threads(one, range(len(kinds)), self.workers, over)
+        except KeyboardInterrupt as error:
+            if not parts:
+                raise
+            upper = paid(price, self.pool.setting) + sum(
+                kind.count * (parts[number][1].upper if number in parts else kind.with_free_attention())
+                for number, kind in enumerate(kinds)
+            )
+            unknown = {place for number, kind in enumerate(kinds) if number not in parts for place in kind.places}
+            raise InterruptedBound(upper, len(self.team) - len(unknown), len(self.team), error) from error
+        return Relaxation(kinds, [parts[number] for number in range(len(kinds))], price)

@@ -77,6 +77,13 @@ class SubproblemKind:
         """Solve the subproblem with observed beta and theta, backwards from the steps with free attention."""
         return backwards(visits, self.tail)
 
+    def with_free_attention(self) -> float:
+        """Return an upper bound on the value at any prices: that with free attention and observed beta and theta."""
+        visits = self.visits
+        rows = visits.pomdp.model.choices.of_goals(np.array([visits.pomdp.model.choices.initial]))[:, 0]
+        value = self.tail[visits.layout.position[rows] * visits.layout.states + visits.layout.x[rows]]
+        return float((value.reshape(visits.pomdp.prior.shape) * visits.pomdp.prior).sum())
+
     def at(self, price: Floats) -> AttentionSubproblem:
         """Return the subproblem at given prices, as in `AttentionSubproblem.priced`; the number of steps may differ."""
         alone, entry, steps = self.visits.alone, self.visits.entry, self.visits.entry_steps

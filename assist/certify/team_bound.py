@@ -60,7 +60,7 @@ from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from . import sample_paths
 from .certificate import Certificate, returns
-from .computation import Computation
+from .computation import Computation, InterruptedBound
 from .information_relaxation.confidence import SampledBound
 from .options import BoundOptions
 from .truncated_prices import truncated_prices
@@ -233,9 +233,12 @@ def upper_bound(
     together, kinds, price = truncated_prices(run, window) if run.needs_outer else run.prices(window)
     recorder = sample_paths.recorder(run, kinds, price, together) if run.paths and not run.needs_outer else None
     relaxed, sampled = run.relaxed(kinds, price, start + run.for_people, recorder), None
-    if run.paths and len(members) > pool.setting.robot_count:  # otherwise no robot ever has to choose
-        relaxed = sample_paths.without_prices(run, relaxed, recorder)
-        sampled = sample_paths.sampled(run, relaxed, together)
+    try:
+        if run.paths and len(members) > pool.setting.robot_count:  # otherwise no robot ever has to choose
+            relaxed = sample_paths.without_prices(run, relaxed, recorder)
+            sampled = sample_paths.sampled(run, relaxed, together)
+    except KeyboardInterrupt as error:
+        raise InterruptedBound(relaxed.upper, len(members), len(members), error) from error
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper
     rows = np.atleast_2d(relaxed.price)
     return TeamBound(

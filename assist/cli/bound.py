@@ -45,6 +45,7 @@ def bound(
 ) -> None:  # fmt: skip
     """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
     from ..certify.comparison import Comparison
+    from ..certify.computation import InterruptedBound
     from ..certify.information_relaxation.confidence import CONFIDENCE
     from ..team.plain_setting import plain_setting
     from .output.person_bounds import show_samples
@@ -56,15 +57,25 @@ def bound(
         policies = policies_of(names)
         goals = several_goals(instance, problems, goal_prior, domain=team["domain"], max_states=team["max_states"])
         made = team_of(instance, size=team["humans"], goals=goals, **team)
-        with stages() as show:
-            compared = Comparison.of(
-                made.pool, {name: made.prepared(policy) for name, policy in policies.items()}, progress=show,
-                time_limit=max(1e-3, start + time_limit - time.perf_counter()), episodes=episodes, seed=team["seed"],
-                travel=made.travel, gap=gap, paths=samples, jobs=jobs, memory_limit_mb=team["memory_limit"],
-            )  # fmt: skip
-            with kept_if_interrupted(compared.certificates):
-                compared.simulate(show)
+        try:
+            with stages() as show:
+                compared = Comparison.of(
+                    made.pool, {name: made.prepared(policy) for name, policy in policies.items()}, progress=show,
+                    time_limit=max(1e-3, start + time_limit - time.perf_counter()), episodes=episodes,
+                    seed=team["seed"], travel=made.travel, gap=gap, paths=samples, jobs=jobs,
+                    memory_limit_mb=team["memory_limit"],
+                )  # fmt: skip
+                with kept_if_interrupted(lambda: True):
+                    compared.simulate(show)
+        except InterruptedBound as interrupted:
+            with kept_if_interrupted(lambda: True):
+                raise
+            _show_alone(interrupted.upper, interrupted.bounded, interrupted.people, as_json=as_json)
+            return
     found, certificates = compared.bound, compared.certificates()
+    if not certificates:
+        _show_alone(found.upper, len(found.team), len(found.team), as_json=as_json)
+        return
     best = max(certificates, key=lambda certificate: certificate.value)
     if as_json:
         print_json({
@@ -95,3 +106,12 @@ def bound(
             )
     if samples and len(found.team) > made.pool.setting.robot_count:
         show_samples(found)
+
+
+def _show_alone(upper: float, bounded: int, people: int, *, as_json: bool) -> None:
+    """Print the bound of a command that was interrupted before any policy was simulated."""
+    if as_json:
+        print_json({"upper": upper, "people_bounded": bounded, "people": people, "policies": []})
+        return
+    free = "" if bounded == people else ", with free attention for the others, whose problems have not been bounded"
+    click.echo(f"upper bound {upper:.3f}, from the problems of {bounded} of {people} people{free}")

@@ -26,7 +26,7 @@ from .options.help import command
 from .options.person import person_options, person_problem
 from .options.task import costs_of
 from .output.person_bounds import line_of, show_bounds
-from .terminal.console import one_line_errors, print_json
+from .terminal.console import kept_if_interrupted, one_line_errors, print_json
 
 if TYPE_CHECKING:
     from planner import CostToGo
@@ -65,11 +65,22 @@ def policy(
         found, problem = person_problem(
             instance, known_of, states=region_states, time_limit=time_limit, memory_limit=memory_limit, **person
         )
-        with status_line("first bounds") as show:
+        reached, solution = list[float](), None
+        with kept_if_interrupted(lambda: reached), status_line("first bounds") as show:
+
+            def tell(seconds: float, lower: float, upper: float) -> None:
+                reached[:] = lower, upper, seconds
+                show(line_of(lower, upper))
+
             solution = solve(
-                problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit,
-                bounds=lambda _, *found: show(line_of(*found)),
+                problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit, bounds=tell
             )  # fmt: skip
+        if solution is None:
+            if as_json:
+                print_json(dict(zip(("lower", "upper", "seconds"), reached, strict=True)) | {"stopped": "interrupt"})
+            else:
+                click.echo(f"{line_of(*reached[:2])}; no policy is saved")
+            return
         if out is not None:
             solution.save(out, values=first_of(problem.known).values(problem.states), task_states=problem.states)
     frontier, too_high = problem.pomdp.frontier, None if solution.suggests else problem.pomdp.c_suggest

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from threading import Event
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.system.progress import Wanted, adding, shows_progress
+from planner.system.progress import Wanted, adding, parts_shown, shows_progress
 from planner.system.threads import on_threads
 
 from ..people.arguments import Seed, entropy, whole, wholes
@@ -159,19 +160,21 @@ def simulate(
 
     advance = adding(progress, f"simulating {called}" + " and explaining its suggestions" * explained, count)
     done, size, found = 0, 1 if explained else BLOCK, list[Episodes]()
-    while done < count:
-        threads = 1 if explained else jobs
-        each = min(size, together, math.ceil((count - done) / threads))
-        first = range(done, min(count, done + threads * each), each)
-        for episodes_of, traces in on_threads(run, [slice(at, at + each) for at in first], threads, over):
-            found.append(episodes_of)
-            for own in traces:
-                trace.extend(own)  # type: ignore[union-attr]  # there are none without it
-        ended = min(count, done + threads * each)
-        advance(ended - done)
-        # Small chunks first, to show soon how far the work is. If their sizes depended on the clock, so would what a
-        # user's policy draws from a generator of its own.
-        done, size = ended, size if explained else 2 * size
+    # A function of the user may solve people's problems in its first step; only the function knows.
+    with nullcontext() if hasattr(policy, "prepare") else parts_shown(progress, lambda: advance(0)):
+        while done < count:
+            threads = 1 if explained else jobs
+            each = min(size, together, math.ceil((count - done) / threads))
+            first = range(done, min(count, done + threads * each), each)
+            for episodes_of, traces in on_threads(run, [slice(at, at + each) for at in first], threads, over):
+                found.append(episodes_of)
+                for own in traces:
+                    trace.extend(own)  # type: ignore[union-attr]  # there are none without it
+            ended = min(count, done + threads * each)
+            advance(ended - done)
+            # Small chunks first, to show soon how far the work is. If their sizes depended on the clock, so would what
+            # a user's policy draws from a generator of its own.
+            done, size = ended, size if explained else 2 * size
     return _with_cost(Episodes.joined(found), pool, policy)
 
 

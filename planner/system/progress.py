@@ -119,11 +119,30 @@ def reporting(progress: Wanted) -> Iterator[Progress]:
     with _working():
         if callable(progress):
             yield progress
+        elif part and progress is None and _parts_shown:
+            show, resume = _parts_shown[-1]
+            try:
+                yield show
+            finally:
+                resume()
         elif part or not (_looked_at() if progress is None else progress):
             yield lambda *_: None
         else:
             with stages(after=AFTER) as show:
                 yield show
+
+
+@contextmanager
+def parts_shown(show: Progress, resume: Callable[[], None]) -> Iterator[None]:
+    """Let parts of the work that are not announced, such as what a user's function calls, report their own stages.
+
+    `show` receives their reports. `resume` is called after each part, to report the stage of the work again.
+    """
+    _parts_shown.append(heard := (show, resume))
+    try:
+        yield
+    finally:
+        _parts_shown.remove(heard)
 
 
 def adding(show: Progress, what: str, total: int, done: int = 0) -> Callable[[int], None]:
@@ -167,6 +186,9 @@ def compiling_line() -> Callable[[], None]:
 
 _work: list[object] = []
 """A token of each display and each call of `reporting` that is active, whether something is shown or not."""
+
+_parts_shown: list[tuple[Progress, Callable[[], None]]] = []
+"""The functions of each active `parts_shown`."""
 
 
 @contextmanager
