@@ -280,7 +280,7 @@ def test_ctrl_c_leaves_a_bound_on_what_was_computed(stage: str, monkeypatch: pyt
     assert stopped.stderr == "interrupted; what was finished by then is shown\n"
     found = json.loads(stopped.stdout)
     assert (found["people_bounded"], found["policies"]) == (1 if stage == "the second person" else 2, [])
-    assert whole - 0.05 <= found["upper"] < whole + 1  # with sample paths other beliefs have tight bounds
+    assert whole - 1 < found["upper"] < whole + 1  # with sample paths, bounds are tight at more beliefs
 
 
 def test_a_study_that_fails_before_its_first_episode_does_not_block_the_corrected_one(
