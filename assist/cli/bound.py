@@ -17,7 +17,7 @@ from .options.goals import goal_list_options, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
-from .terminal.console import kept_if_interrupted, print_json, print_table
+from .terminal.console import end_after_showing, kept_if_interrupted, print_json, print_table
 
 
 @command("bound kitting/paper --humans 4 --policy priority")
@@ -68,8 +68,7 @@ def bound(
                 with kept_if_interrupted(lambda: True):
                     compared.simulate(show)
         except InterruptedBound as interrupted:
-            with kept_if_interrupted(lambda: True):
-                raise
+            end_after_showing(interrupted)
             _show_alone(interrupted.upper, interrupted.bounded, interrupted.people, as_json=as_json)
             return
     found, certificates = compared.bound, compared.certificates()

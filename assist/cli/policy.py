@@ -52,7 +52,7 @@ def policy(
     """Solve the POMDP of assisting one person, with a lower and an upper bound on the optimal value."""
     from ..people.goals import first_of
     from ..person.policy import not_worth_its_cost
-    from ..person.solver import solve
+    from ..person.solver import Solution, solve
 
     if out is not None and out.suffix != ".npz":
         raise click.UsageError(f"--out {out}: expected a name that ends in .npz")
@@ -65,22 +65,23 @@ def policy(
         found, problem = person_problem(
             instance, known_of, states=region_states, time_limit=time_limit, memory_limit=memory_limit, **person
         )
-        reached, solution = list[float](), None
+        reached, solved = list[float](), list[Solution]()
         with kept_if_interrupted(lambda: reached), status_line("first bounds") as show:
 
             def tell(seconds: float, lower: float, upper: float) -> None:
                 reached[:] = lower, upper, seconds
                 show(line_of(lower, upper))
 
-            solution = solve(
-                problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit, bounds=tell
-            )  # fmt: skip
-        if solution is None:
+            solved.append(
+                solve(problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit, bounds=tell)
+            )
+        if not solved:
             if as_json:
                 print_json(dict(zip(("lower", "upper", "seconds"), reached, strict=True)) | {"stopped": "interrupt"})
             else:
                 click.echo(f"{line_of(*reached[:2])}; no policy is saved")
             return
+        (solution,) = solved
         if out is not None:
             solution.save(out, values=first_of(problem.known).values(problem.states), task_states=problem.states)
     frontier, too_high = problem.pomdp.frontier, None if solution.suggests else problem.pomdp.c_suggest

@@ -71,8 +71,13 @@ def kept_if_interrupted(finished: Callable[[], object]) -> Iterator[None]:
     except KeyboardInterrupt as error:
         if not finished():
             raise
-        code = _code_of(error)
-        click.get_current_context().call_on_close(lambda: fail("interrupted; what was finished by then is shown", code))
+        end_after_showing(error)
+
+
+def end_after_showing(error: KeyboardInterrupt) -> None:
+    """Let a command that was interrupted show what is finished; it ends with the interrupt's exit code afterwards."""
+    code = _code_of(error)
+    click.get_current_context().call_on_close(lambda: fail("interrupted; what was finished by then is shown", code))
 
 
 def _code_of(error: KeyboardInterrupt) -> int:
