@@ -452,9 +452,9 @@ def test_the_episodes_of_an_environment_are_those_of_the_command(tmp_path: Path)
     many = gymnasium.make_vec(TEAM, num_envs=4, instance=TINY, humans=2)
     many.reset(seed=1)
     assert betas(many.unwrapped.pool) == people
-    stations = pytest.importorskip("assist.interop.pettingzoo").parallel_env(TINY, humans=2)
-    stations.reset(seed=1)
-    assert betas(stations.pool) == people
+    agents = pytest.importorskip("assist.interop.pettingzoo").parallel_env(TINY, humans=2)
+    agents.reset(seed=1)
+    assert betas(agents.pool) == people
     assert gymnasium.make(TEAM, instance=TINY, humans=14).unwrapped.pool.model.shape == (14,)  # as in the command
 
 

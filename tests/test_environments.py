@@ -17,9 +17,8 @@ from pettingzoo.utils.conversions import parallel_to_aec
 
 from assist import Pool, simulate
 from assist.interop.gymnasium import ID, TeamEnv, TeamVectorEnv
-from assist.interop.pettingzoo import RobotsEnv, StationsEnv, parallel_env
+from assist.interop.pettingzoo import parallel_env
 from assist.people.choices import Choices
-from assist.people.human import Population
 from assist.people.trust_rules import outcome_at_disagreement
 from assist.team.policy_names import POLICIES
 from assist.team.robots import Robot
@@ -171,44 +170,12 @@ def test_a_team_is_drawn() -> None:
     assert "person 1, step 0" in drawn.render()
 
 
-@pytest.mark.parametrize("shared", [False, True])
-def test_pettingzoo_finds_nothing_wrong(pool: Pool, shared: bool, capsys: pytest.CaptureFixture[str]) -> None:
-    def make() -> object:
-        return parallel_env(instance=pool, humans=2, shared=shared)
-
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(action mask|Action mask|observation|NaN).*")
-        parallel_api_test(make(), num_cycles=60)
-        parallel_seed_test(make, num_cycles=20)
-        api_test(parallel_to_aec(make()), num_cycles=60)
-    assert capsys.readouterr().out.count("Passed") == 2
-
-
 @pytest.mark.parametrize("actions", [{"robot_0": -1, "robot_1": 0}, {"robot_0": 99, "robot_1": 0}, {"robot_1": 0}])
-def test_an_action_of_a_station_is_one_of_its_robot(pool: Pool, actions: dict[str, int]) -> None:
-    env = StationsEnv(pool, 2)
+def test_an_action_of_an_agent_is_one_of_its_robot(tiny_choices: Choices, actions: dict[str, int]) -> None:
+    env = parallel_env(Pool.sample(tiny_choices, 2, seed=2, setting=Setting(robots=2)), 2)
     env.reset(seed=1)
-    with pytest.raises(ValueError, match=r"action .* of robot_0: expected 0 to "):
+    with pytest.raises(ValueError, match=r"expected (0 to \d+, for each of 2 robots|one of robot_0)"):
         env.step(actions)
-
-
-def test_a_station_is_a_team_of_one_whose_robot_is_there(tiny_choices: Choices) -> None:
-    setting, beginners = Setting(c_suggest=0.3, c_move=0.0), Population(beta=(0.1, 0.3))
-    pool = Pool.sample(tiny_choices, 3, seed=2, setting=setting, population=beginners)
-    found = simulate(pool, "reactive", humans=1, episodes=EPISODES, seed=9)
-    assert found.interventions.any()
-    env = parallel_env(pool, 1)
-    returns = []
-    for episode in range(EPISODES):
-        seen, _ = env.reset(seed=9 if episode == 0 else None)
-        discounted, step = 0.0, 0
-        while env.agents:
-            erred = bool(seen["robot_0"]["erred"])
-            seen, reward, *_ = env.step({"robot_0": int(erred)})  # every robot action of this task is optimal
-            discounted += pool.setting.gamma**step * reward["robot_0"]
-            step += 1
-        returns.append(discounted)
-    assert returns == pytest.approx(found.discounted_return.tolist())
 
 
 def test_an_environment_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,7 +214,7 @@ def test_an_episode_of_robots_that_differ_is_the_simulators(tiny_choices: Choice
 def test_robots_that_differ_and_act_at_random_never_attend_to_the_same_person(tiny_choices: Choices) -> None:
     robots = (Robot(execute=True), Robot(c_move=0.1), Robot(travel_time=1.0))
     pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(robots=robots, max_steps=30))
-    env = RobotsEnv(pool, 3)
+    env = parallel_env(pool, 3)
     rng, made_room = np.random.default_rng(0), False
     for episode in range(20):
         _, info = env.reset(seed=episode)
@@ -280,8 +247,6 @@ def test_two_robots_that_act_at_random_never_attend_to_the_same_person() -> None
     assert collided
     with pytest.raises(ValueError, match=r"expected 0 to \d+, for each of 2 robots"):
         env.unwrapped.step(0)
-    with pytest.raises(ValueError, match="robots 2: expected 1, as each station has one robot"):
-        StationsEnv(instance="kitting/tiny", humans=2, setting=Setting(robots=2))
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3])
@@ -291,7 +256,7 @@ def test_pettingzoo_finds_nothing_wrong_with_moving_robots(
     pool = Pool.sample(tiny_choices, 3, seed=2, setting=Setting(robots=robots, travel_time=1, max_steps=30))
 
     def make() -> object:
-        return RobotsEnv(pool, 2) if robots == 1 else parallel_env(instance=pool, humans=2)
+        return parallel_env(instance=pool, humans=2)
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*(action mask|Action mask|observation|NaN).*")
@@ -307,7 +272,7 @@ def test_an_episode_of_agents_is_the_simulators(tiny_choices: Choices, robots: i
     """Agents that follow a team policy: same returns; each sees its own place first, and possible actions are legal."""
     pool = Pool.sample(tiny_choices, 4, seed=2, setting=Setting(c_suggest=0.1, robots=robots))
     found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5)
-    env = RobotsEnv(pool, 3)
+    env = parallel_env(pool, 3)
     chooses, returns = pool.policy("priority", env.team.travel), []
     for episode in range(EPISODES):
         seen, _ = env.reset(seed=5 if episode == 0 else None)
@@ -329,7 +294,7 @@ def test_an_episode_of_agents_is_the_simulators(tiny_choices: Choices, robots: i
 
 
 def test_of_two_robots_that_want_the_same_person_the_first_goes_there(tiny_choices: Choices) -> None:
-    env = RobotsEnv(Pool.sample(tiny_choices, 2, seed=2, setting=Setting(robots=2)), 2)
+    env = parallel_env(Pool.sample(tiny_choices, 2, seed=2, setting=Setting(robots=2)), 2)
     env.reset(seed=1)
     seen, *_, info = env.step({"robot_0": 1, "robot_1": 1})
     assert [info[agent]["illegal"] for agent in env.agents] == [False, True]

@@ -356,7 +356,7 @@ def test_episodes_in_threads_are_the_same(pool: Pool, monkeypatch: pytest.Monkey
     assert equal(run(pool, "reactive", 2, 3 * BLOCK, 5, jobs=2), alone)
 
 
-def test_stations_see_beliefs_unless_they_are_not_to(pool: Pool) -> None:
+def test_agents_see_beliefs_unless_they_are_not_to(pool: Pool) -> None:
     for beliefs in (True, False):
         env = parallel_env(pool, 2, beliefs=beliefs)
         seen, _ = env.reset(seed=1)

@@ -157,9 +157,3 @@ def extra_costs(setting: Any) -> ExtraCosts | None:
         np.array([one.c_suggest - least.c_suggest for one in each]),
         np.array([one.c_execute - least.c_execute if one.execute else np.inf for one in each]),
     )
-
-
-def require_one_robot(setting: Any, what: str) -> None:
-    """Check that a team has one robot. If not, the `ValueError` says that `what` has one."""
-    if setting.robot_count > 1:
-        raise ValueError(f"robots {setting.robot_count}: expected 1, as {what} has one robot")
