@@ -7,7 +7,7 @@ INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c co
 # Hundreds of processes load the same modules: what Python makes of these is kept, whatever is otherwise wanted.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo live line test test-all coverage lint javascript bench bench-smallest study docs wheel-check clean
+.PHONY: demo live line test test-all release-check coverage lint javascript bench bench-smallest study docs wheel-check clean
 
 demo: $(VENV)/.demo
 	@mkdir -p demo
@@ -33,6 +33,11 @@ test: $(VENV)/.test $(VENV)/.warm
 # The same, and tests that take long: kills, a cluster, the pages to look things up in, longer versions of others.
 test-all: $(VENV)/.test $(VENV)/.warm
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+
+# Before a release: all tests, and the smallest case of every benchmark (of the paper's study: the figures on record).
+release-check:
+	$(MAKE) test-all
+	$(MAKE) bench-smallest
 
 # Which lines and branches `make test` runs, subprocesses included; it takes longer.
 coverage: export COVERAGE_FILE = $(CURDIR)/.coverage/data

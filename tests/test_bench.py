@@ -1,4 +1,4 @@
-"""Benchmarks: every script is listed, and its requirements are available. Their smallest cases run in `.ci/run`."""
+"""Benchmarks: every script is listed, and its requirements are available. `make bench-smallest` runs their smallest cases."""
 
 from __future__ import annotations
 
