@@ -30,9 +30,9 @@ line: $(VENV)/.line
 test: $(VENV)/.test $(VENV)/.warm
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
 
-# The same, and tests that take long: kills, a cluster, the pages to look things up in, longer versions of others.
+# The same with more examples of each law, and tests that take long: kills, a cluster, longer versions of others.
 test-all: $(VENV)/.test $(VENV)/.warm
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal --hypothesis-profile=thorough
 
 # Before a release: all tests, and the smallest case of every benchmark (of the paper's study: the figures on record).
 release-check:

@@ -343,6 +343,7 @@ def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[
             "-x",
             "-s",
             "-q",
+            "--hypothesis-profile=mutants",
             "-p",
             "no:cacheprovider",
             "-W",
@@ -370,8 +371,8 @@ def main(
 ) -> None:
     """Run the mutants of modules, and print those that survive."""
     os.chdir(ROOT)
-    settings.register_profile("mutants", phases=[Phase.explicit, Phase.generate], database=None, deadline=None)
-    settings.load_profile("mutants")
+    phases = [Phase.explicit, Phase.generate]
+    settings.register_profile("mutants", phases=phases, database=None, deadline=None, max_examples=30)
     rows = []
     for module in modules or TESTS:
         found = forked(

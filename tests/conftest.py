@@ -21,6 +21,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 from graphs import graph_task as graph_task
+from hypothesis import settings
 from numba.core import event
 
 from assist.cli import main
@@ -53,6 +54,10 @@ LARGE = {
 PROGRESS = re.compile(r"^.+, \d+ s(: [\d,]+(,| of) .+)?\n", re.M)
 SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]
 
+
+# Examples of each law, where it does not say how many itself: as many as find a fault within a few runs, and many.
+settings.register_profile("quick", max_examples=30)
+settings.register_profile("thorough", max_examples=100)
 
 # A shell starts what runs in the background with Ctrl-C ignored, which processes that tests start would inherit.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

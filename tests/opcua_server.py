@@ -1,8 +1,14 @@
-"""An OPC UA server with two stations, for tests: `python opcua_server.py PORT [USER PASSWORD]`."""
+"""OPC UA servers with two stations, for tests: each line of standard input starts one, as `PORT [USER PASSWORD]`.
+
+To build what every server has takes seconds. It is done once; each server is then a fork, which forgets everything when
+it is killed. Its process id is printed as soon as it listens.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 import sys
 from typing import Any
 
@@ -11,19 +17,17 @@ from asyncua.crypto.permission_rules import User, UserRole
 
 
 class Users:
-    """Lets in one user."""
+    """Lets in one user, or everybody."""
 
-    def __init__(self, *known: str) -> None:
-        self.known = known
+    known: tuple[str, ...] = ()
 
     def get_user(self, _: Any, username: str | None = None, password: str | None = None, **__: Any) -> User | None:
-        return User(UserRole.User) if (username, password) == self.known else None
+        return User(UserRole.User) if not self.known or (username, password) == self.known else None
 
 
-async def serve(port: int, *known: str) -> None:
-    server = Server(user_manager=Users(*known) if known else None)
+async def prepared(users: Users) -> Server:
+    server = Server(user_manager=users)
     await server.init()
-    server.set_endpoint(f"opc.tcp://127.0.0.1:{port}/")
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
     space = await server.register_namespace("line")
     for station in ("A", "B"):
@@ -31,10 +35,26 @@ async def serve(port: int, *known: str) -> None:
         for what in ("Pick", "Next", "Answer", "Light"):
             node = await folder.add_variable(ua.NodeId(f"{station}.{what}", space), what, "")
             await node.set_writable()
+    return server
+
+
+async def serve(server: Server, port: int) -> None:
+    server.set_endpoint(f"opc.tcp://127.0.0.1:{port}/")
     async with server:
-        print("ready", flush=True)
+        print(os.getpid(), flush=True)
         await asyncio.sleep(3600)
 
 
+def main() -> None:
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for servers
+    users = Users()
+    server = asyncio.run(prepared(users))
+    for line in sys.stdin:
+        port, *users.known = line.split()
+        users.known = tuple(users.known)
+        if os.fork() == 0:
+            asyncio.run(serve(server, int(port)))
+
+
 if __name__ == "__main__":
-    asyncio.run(serve(int(sys.argv[1]), *sys.argv[2:]))
+    main()

@@ -1,4 +1,4 @@
-"""Benchmarks: every script is listed, and its requirements are available. `make bench-smallest` runs their smallest cases."""
+"""Benchmarks: every script is listed, and its requirements are available. `make bench-smallest` runs them."""
 
 from __future__ import annotations
 

@@ -16,6 +16,9 @@ REFUSED = 0.02
 """The share of comparisons that the program may refuse by design."""
 
 
+QUICK = (0, 2, 4, 9, 15)
+"""Settings with most kinds of comparisons, of a second each."""
+
 SETTINGS = [number for number in range(9, 210, 4) if number != 193]
 """Fifty settings. Number 193 takes half a minute; `bench/crosscheck.py 200` checks it and those between."""
 
@@ -27,8 +30,9 @@ def assert_no_violation(numbers: Sequence[int]) -> list[Outcome]:
     return outcomes
 
 
-def test_no_policy_exceeds_a_bound() -> None:
-    outcomes = assert_no_violation(range(8))
+@pytest.mark.parametrize("numbers", [QUICK, pytest.param(range(8), marks=pytest.mark.slow)], ids=["quick", "eight"])
+def test_no_policy_exceeds_a_bound(numbers: Sequence[int]) -> None:
+    outcomes = assert_no_violation(numbers)
     compared = Counter(kind for outcome in outcomes for kind in outcome.kinds)
     assert compared["none"] == compared["priority"] == compared["attention"] == len(outcomes)
     assert compared["reactive"] + compared["priority, goals known"] == len(outcomes)

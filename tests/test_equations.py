@@ -20,7 +20,7 @@ from assist.people.misconception import perceived_cost_to_go
 from assist.person import belief_filter, dynamics
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
-from assist.person.problem_arrays import ProblemArrays
+from assist.person.problem_arrays import ProblemArrays, read_only
 from assist.person.qmdp import qmdp
 from planner import sweep
 
@@ -184,11 +184,12 @@ def test_the_likelihood_of_a_walk_is_that_of_the_equations(
         return
     excess, options, chosen, suggested, gains = (np.array(column) for column in zip(*steps, strict=True))
     begins = np.arange(len(steps)) == 0
+    parts = (
+        excess, options, chosen, suggested, gains, begins, model.lapse, np.zeros(0), np.zeros((0, 0, 0)),
+        *heard_steps(suggested, begins), np.zeros(0, dtype=np.int64), np.zeros((0, 0)),
+    )  # fmt: skip
     found = on_grid(
-        Data(
-            excess, options, chosen, suggested, gains, begins, model.lapse, np.zeros(0), np.zeros((0, 0, 0)),
-            *heard_steps(suggested, begins), np.zeros(0, dtype=np.int64), np.zeros((0, 0)),
-        ),
+        Data(*(read_only(part) if isinstance(part, np.ndarray) else part for part in parts)),
         np.array([beta]), np.array([first]), np.array([model.eta]),
     )  # fmt: skip
     np.testing.assert_allclose(found.item(), total, rtol=1e-9, atol=1e-9)

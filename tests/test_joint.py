@@ -26,6 +26,8 @@ from assist.team.settings import Setting
 from assist.team.state import NOBODY
 from assist.team.travel import Travel
 
+pytestmark = pytest.mark.slow  # the solver of `bench/joint.py` takes long to compile; `test_bounds` has other optima
+
 COSTS = [(0.05, 0.1), (0.2, 0.3)]
 """Of a suggestion, and of moving."""
 
@@ -77,8 +79,7 @@ def test_one_person_alone_is_the_problem_of_visits(costs: tuple[float, float], e
     assert joint.lower > joint.never + 0.5  # helping pays, so that it is looked at
 
 
-@pytest.mark.parametrize("costs", [COSTS[0], pytest.param(COSTS[1], marks=pytest.mark.slow)])
-@pytest.mark.slow
+@pytest.mark.parametrize("costs", COSTS)
 def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float, float]) -> None:
     pool, joint = solved(costs)
     assert joint.gap <= GAP
@@ -95,8 +96,7 @@ def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float,
     assert 100 * (bound - joint.upper) / abs(joint.upper) == pytest.approx(RELAXED[costs], abs=0.1)
 
 
-@pytest.mark.parametrize("costs", [COSTS[0], pytest.param(COSTS[1], marks=pytest.mark.slow)])
-@pytest.mark.slow
+@pytest.mark.parametrize("costs", COSTS)
 def test_the_sampled_bound_is_not_below_and_much_nearer(costs: tuple[float, float]) -> None:
     pool, joint = solved(costs)
     bound = upper_bound(pool, jobs=1, paths=100)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -59,35 +61,41 @@ TAKE = "fetch"
 """
 
 
+@pytest.fixture(scope="module")
+def servers() -> Iterator[subprocess.Popen[str]]:
+    """A process that starts servers."""
+    command = [sys.executable, Path(__file__).with_name("opcua_server.py")]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        yield process
+        process.kill()
+
+
 class Plant:
     """A server in a process of its own, which forgets everything when it is killed."""
 
-    def __init__(self, *known: str) -> None:
-        self.port, self.known = free_port(), known
+    def __init__(self, servers: subprocess.Popen[str], *known: str) -> None:
+        self.servers, self.port, self.known = servers, free_port(), known
         self.start()
 
     def start(self) -> None:
-        file = Path(__file__).with_name("opcua_server.py")
-        self.process = subprocess.Popen(
-            [sys.executable, file, str(self.port), *self.known],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        assert self.process.stdout.readline() == "ready\n"
+        stdin, stdout = self.servers.stdin, self.servers.stdout
+        assert stdin is not None
+        assert stdout is not None
+        print(self.port, *self.known, file=stdin, flush=True)
+        self.process = int(stdout.readline())
 
     def kill(self) -> None:
-        self.process.kill()
-        self.process.communicate()
+        os.kill(self.process, signal.SIGKILL)
 
     def client(self) -> Any:
         return asyncua.Client(f"opc.tcp://127.0.0.1:{self.port}/")
 
 
 @pytest.fixture
-def plant() -> Iterator[Plant]:
-    made = Plant()
+def plant(servers: subprocess.Popen[str]) -> Iterator[Plant]:
+    made = Plant(servers)
     yield made
     made.kill()
 
@@ -158,8 +166,10 @@ def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tm
     assert here.session._course.beliefs() == there.session._course.beliefs()
 
 
-def test_a_server_may_ask_for_a_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plant, here = Plant("plc", "secret"), Here(tmp_path / "opcua", ["person-1"])
+def test_a_server_may_ask_for_a_password(
+    servers: subprocess.Popen[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant, here = Plant(servers, "plc", "secret"), Here(tmp_path / "opcua", ["person-1"])
     text = SETTINGS.replace('PORT/"', f"{plant.port}/\"\nusername = 'plc'")
     (file := tmp_path / "bridge.toml").write_text(text)
     with pytest.raises(click.UsageError, match=r"server\.username: has no password; expected it in KITASSIST_OPCUA"):

@@ -116,15 +116,22 @@ def test_the_joint_assignment_of_one_robot_is_the_choice_of_one_robot(
         np.testing.assert_array_equal(joint.robot[:, 0], alone.robot)
 
 
-@pytest.mark.parametrize("name", POLICIES)
-@pytest.mark.parametrize(("travel_time", "distance"), [(0, None), (1, None), (0.7, FAR)])
+@pytest.mark.parametrize(
+    ("name", "travel_time", "distance"),
+    [
+        # To price the ways of `whittle` and to try out those of `rollout` takes a second and more.
+        pytest.param(name, time, distance, marks=[pytest.mark.slow] * (name in ("rollout", "whittle") and time > 0))
+        for name in POLICIES
+        for time, distance in ((0, None), (1, None), (0.7, FAR))
+    ],
+)
 def test_two_robots_never_attend_the_same_person(
     pool: Pool, name: str, travel_time: float, distance: list[list[float]] | None
 ) -> None:
     trace: Trace = []
     two = of(pool, 2, travel_time=travel_time)
     travel = two.setting.travel(3, distance)
-    episodes = run(two, name, episodes=10 if name == "rollout" else 20, trace=trace, travel=travel)
+    episodes = run(two, name, episodes=5 if name == "rollout" else 20, trace=trace, travel=travel)
     for episode in episodes:
         rows = [row for row in trace if row["episode"] == f"{name}-{episode.episode}"]
         assert sum(row["suggestion"] is not None for row in rows) == episode.interventions

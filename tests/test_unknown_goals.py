@@ -108,7 +108,7 @@ def by_enumeration(goals: Goals, pomdp: AssistPOMDP, steps: Steps, *, seen_going
 
 
 @pytest.mark.parametrize("name", TASKS)
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_the_belief_is_that_of_enumerated_histories(name: str, seed: int) -> None:
     """Through suggestions, trust, lapses, and the knowledge that a person goes on."""
@@ -451,7 +451,7 @@ def test_sharper_probabilities_lie_between_the_posterior_and_the_likeliest_goal(
 
 
 def test_the_command(tmp_path: Path) -> None:
-    given = ["simulate", KITS / "travel.pddl", "--goals", KITS, "--humans", "2", "--pool", "2", "--episodes", "20"]
+    given = ["simulate", KITS / "travel.pddl", "--goals", KITS, "--humans", "2", "--pool", "2", "--episodes", "10"]
     results = {}
     for knows in ("inferred", "known"):
         result = invoke(*given, "--goal-knowledge", knows, "--goal-prior", "travel=.5,mend=.5,mount=0", "--json")
@@ -471,7 +471,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert questions > 0
     trace = [json.loads(line) for line in (tmp_path / "asked.jsonl").read_text().splitlines()]
     asked = [(row["question"], row["goal"]) for row in trace if "question" in row]
-    assert len(asked) == 20 * questions
+    assert len(asked) == 10 * questions
     assert all(one["answer"] == (one["goal"] == goal) and one["worth"] > 0 for one, goal in asked)
     for options, message in (
         (["--ask", "1", "--miss", ".1"], "--ask with --miss: a simulated robot asks only where it sees all actions"),

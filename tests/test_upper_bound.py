@@ -11,6 +11,7 @@ from scipy.optimize import linprog
 from solved import NAMES, few, seeds, solution_of, some_beliefs
 
 from assist.person import convex_bound, hsvi
+from assist.person.problem_arrays import read_only
 from assist.person.solver import Solution
 from assist.person.upper_hull import new_program
 
@@ -82,6 +83,7 @@ def test_upper_bound_holds_wherever_the_pivots_end(seed: int) -> None:
     belief[0] = point[0]
     x, first, before = np.zeros(people, dtype=np.int64), np.array([0, count]), np.full(people, np.inf)
     least = np.array([hull_and_sawtooth(corner[0], point, drop, b)[0] for b in belief])
+    x, corner, point, drop, first = map(read_only, (x, corner, point, drop, first))
     for pivots in (0, 1, 2, 5, 20, convex_bound.PIVOTS):
         value = np.empty(people)
         convex_bound.uppers(value, x, belief, corner, point, drop, first, pivots)

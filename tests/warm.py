@@ -47,7 +47,6 @@ def people() -> None:
     import test_equations
     import test_fit
     import test_fit_own
-    import test_joint
     import test_refusals
     import test_solver
     import test_trust_fit
@@ -77,7 +76,6 @@ def people() -> None:
     fit(kit("tiny"), Log.of(rows), chooses=test_fit_own.same)
     test_trust_fit.test_held_out_people_are_predicted_from_the_others()
     test_unreliable_observations.test_who_may_have_finished_does_nothing_more()
-    test_joint.test_one_person_alone_is_the_problem_of_visits(test_joint.COSTS[0], False)
 
 
 if __name__ == "__main__":

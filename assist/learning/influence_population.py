@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import logit
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from planner.system.jit import njit
 
@@ -96,9 +97,15 @@ class InfluencePopulation:
             return -float(np.log(found[:, 0]).sum()), -np.asarray((found[:, 1:] / found[:, :1]).sum(axis=0))
 
         start = [x[-1] - 2.0, 1.0, 1.0, 1.5] if near is None else list(vars(near).values())
-        with threadpool_limits(1, user_api="blas"):  # threads wait longer than these small matrices take
+        with _libraries().limit(limits=1, user_api="blas"):  # threads wait longer than these small matrices take
             best = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=_ranges(log))
         return cls(*best.x.tolist()), float(top.sum()) - float(best.fun)
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return the loaded libraries that have threads. To find them takes 5 ms, as long as the fit of one population."""
+    return ThreadpoolController()
 
 
 def _ranges(log: TrustLog) -> tuple[Interval, ...]:

@@ -20,6 +20,7 @@ from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import influence_factors, update_trust
+from ..person.problem_arrays import read_only
 from .observations import Ints, Observations, UnknownGoals
 
 SMALL = 1e-3
@@ -83,7 +84,7 @@ def log_likelihood(
     method : Method, optional
         Options of the estimation.
     """
-    axes = [np.ascontiguousarray(np.atleast_1d(axis), dtype=np.float64) for axis in (beta, theta, eta)]
+    axes = [np.array(axis, dtype=np.float64, ndmin=1) for axis in (beta, theta, eta)]
     return on_grid(Data.of(observations, method or Method()), *axes)
 
 
@@ -115,8 +116,11 @@ class Data(NamedTuple):
     @classmethod
     def of(cls, o: Observations, method: Method) -> Data:
         """Return one person's observations in this form."""
-        if o.goals is not None:
-            return cls._with_goals(o, o.goals, method)
+        data = cls._with_one_goal(o, method) if o.goals is None else cls._with_goals(o, o.goals, method)
+        return cls(*(read_only(part) if isinstance(part, np.ndarray) else part for part in data))
+
+    @classmethod
+    def _with_one_goal(cls, o: Observations, method: Method) -> Data:
         gain = o.gain / method.utility_scale
         grid, chances = (np.zeros(0), np.zeros((0, 0, 0))) if o.own is None else (o.own.beta, o.own.chance)
         heard, anew = heard_steps(o.suggested, o.begins)

@@ -222,7 +222,7 @@ class Likelihood:
         s = self.steps
         bounds = np.searchsorted(s.person, np.arange(len(at) + 1))
         return _evaluate(
-            np.ascontiguousarray(at), who, bounds, s.speaks, s.possible, s.options, s.chosen, s.gain, s.begins,
+            at.copy(), who, bounds, s.speaks, s.possible, s.options, s.chosen, s.gain, s.begins,
             self.ranges.small, self.lapse, self.eta, s.told,
         )  # fmt: skip
 

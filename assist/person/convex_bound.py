@@ -14,7 +14,7 @@ from ..people.decision import Floats
 from .rounding import rounding
 from .upper_hull import ABSENT, FAST, Program, new_program, solve
 
-PIVOTS = 5000  # limit against cycling; rarely more than a hundred are needed, and the bound is valid after any number
+PIVOTS = np.int64(5000)  # limit against cycling; rarely more than a hundred are needed, and any number gives a bound
 
 
 # Reassociation lets the compiler vectorise the sums. The margin of each bound covers its effect on rounding.
@@ -56,7 +56,7 @@ def weigh(
     The points considered are `point[begin:end]`, and `base` is the value of the corners at the belief. Return the
     number of points with a weight.
     """
-    size, mass, count = len(belief), belief.sum(), 0
+    size, mass, count = len(belief), belief.sum(), np.int64(0)  # for a plain 0, callees would be compiled twice
     negligible = 1e-14  # smallest improvement of a point, or of a pivot, as a share of the bound
     inverse = program.pivot
     for h in range(size):

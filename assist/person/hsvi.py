@@ -219,7 +219,7 @@ def upper(x, belief, hull, room):
         return base + best
     worth = 0.0
     # More pivots would tighten the bound, but the search does more backups with cheap bounds.
-    for j in range(solve(belief, hull.belief, drop, count, 1e-3 * best, 5, room)):
+    for j in range(solve(belief, hull.belief, drop, count, 1e-3 * best, np.int64(5), room)):
         worth += room.weight[j] * drop[room.used[j]]
     return base + min(best, worth)
 

@@ -240,7 +240,7 @@ class _Region:
         place[order] = np.arange(len(order))
         size = chosen.size
         rows = _Rows(np.empty(size + 1, np.int64), np.empty(entries, np.int32), np.empty(entries), np.empty(size))
-        _fill_rows(rows, order, place, chosen, found, m)
+        _fill_rows(rows, order, place, np.ascontiguousarray(chosen), found, m)
         value = np.ascontiguousarray(found[order, 0, : chosen.shape[1]]).reshape(-1)
         found[order, 0] = _solved(value, rows, goal, self.stop).reshape(chosen.shape)
         return True

@@ -148,7 +148,7 @@ class BeliefNodes:
         )  # fmt: skip
         self._stamp, self._stamps = np.zeros(count, dtype=np.int64), 0
         part, node = np.empty(2 * size), np.empty(2 * size, dtype=np.int64)
-        found = decompose(pomdp.prior.reshape(-1), choices.initial, self.known, part, node)
+        found = decompose(pomdp.prior.flatten(), choices.initial, self.known, part, node)
         self.root, self.chance = node[:found].copy(), part[:found] / part[:found].sum()
         bounds = [bound_at(n, self.known) for n in self.root.tolist()]
         self.value = float(self.chance @ bounds)
