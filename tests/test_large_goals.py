@@ -39,8 +39,14 @@ def pools(goals: Goals, setting: Setting, region: int = EVERYTHING) -> tuple[Poo
     )
 
 
-@pytest.mark.parametrize("world", ["people", "model"])
-@pytest.mark.parametrize("policy", ["none", "attention", "priority", "whittle"])
+@pytest.mark.parametrize(
+    ("policy", "world"),
+    [
+        pytest.param(policy, world, marks=[pytest.mark.slow] * ((policy, world) == ("whittle", "people")))
+        for policy in ("none", "attention", "priority", "whittle")
+        for world in ("people", "model")
+    ],
+)
 def test_with_all_states_episodes_are_those_of_the_whole_task(policy: str, world: Any) -> None:
     whole, part = pools(TASKS["tiny"], SETTING)
     assert isinstance(part.policies[0], TruncatedPolicy)
@@ -232,7 +238,7 @@ def test_the_command_refuses_questions_before_it_searches(monkeypatch: pytest.Mo
         assert done.stderr.splitlines()[-1] == said
 
 
-@pytest.mark.parametrize("knowledge", ["own", "exact"])
+@pytest.mark.parametrize("knowledge", [pytest.param("own", marks=pytest.mark.slow), "exact"])
 def test_a_bound_on_a_truncated_task_is_one_on_the_whole(knowledge: Any) -> None:
     """It is at least that on all states, whose robot is told the goals as well, and above what policies reach."""
     setting = Setting(c_suggest=0.1, c_move=0.1, knowledge=knowledge, gamma=0.9)
