@@ -41,7 +41,7 @@ def content(folder: Path) -> bytes:
 # Erasing.
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(HAPPENS, HAPPENS)
 def test_an_erased_person_changes_nothing_for_the_others(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any
@@ -191,10 +191,10 @@ def test_an_erasure_that_was_interrupted_is_completed(
 # Faults.
 
 
-@pytest.mark.parametrize("first", [0, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("first", [0, pytest.param(8, marks=pytest.mark.slow)])
 def test_faults_of_the_store_lose_and_double_nothing(tiny: Table, tmp_path: Path, first: int) -> None:
     solved = LiveTask(tiny, SETTING.for_real_people(), EASY).policy  # once for all sessions
-    for seed in range(first, 20 if first == 0 else 100):
+    for seed in range(first, 8 if first == 0 else 100):
         schedule(solved, tmp_path, seed)
 
 
