@@ -117,7 +117,7 @@ class Data(NamedTuple):
     def of(cls, o: Observations, method: Method) -> Data:
         """Return one person's observations in this form."""
         data = cls._with_one_goal(o, method) if o.goals is None else cls._with_goals(o, o.goals, method)
-        return cls(*(read_only(part) if isinstance(part, np.ndarray) else part for part in data))
+        return cls._make(read_only(part) if isinstance(part, np.ndarray) else part for part in data)
 
     @classmethod
     def _with_one_goal(cls, o: Observations, method: Method) -> Data:

@@ -254,7 +254,7 @@ def _advance(
     moved = np.zeros((len(to), goals, betas * thetas))
     before, after, erred = joint.reshape(len(x), goals, betas * thetas), np.empty(betas * thetas), 0.0
     for s in range(len(x)):
-        origin, spoken, applicable = x[s], np.int64(0), False  # a literal would compile `posterior` again
+        origin, spoken, applicable = x[s], 0, False
         for r in range(1, m.robot_actions[origin] if suggestion >= 0 else 0):
             if actions[origin, m.suggested[origin, r]] == suggestion:
                 spoken = r
