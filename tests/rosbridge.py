@@ -79,7 +79,10 @@ class Rosbridge:
         """Send a message to the client if it has subscribed to the topic; return whether it was sent."""
         if self._socket is None or topic not in self._subscribed:
             return False
-        await self._socket.send(json.dumps({"op": "publish", "topic": topic, "msg": message}))
+        try:
+            await self._socket.send(json.dumps({"op": "publish", "topic": topic, "msg": message}))
+        except ConnectionClosed:  # between the end of a connection and the beginning of the next
+            return False
         return True
 
     async def until(self, done: Any) -> None:
