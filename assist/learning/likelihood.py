@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.system.arrays import frozen
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import influence_factors, update_trust
-from ..person.problem_arrays import read_only
 from .observations import Ints, Observations, UnknownGoals
 
 SMALL = 1e-3
@@ -117,7 +117,7 @@ class Data(NamedTuple):
     def of(cls, o: Observations, method: Method) -> Data:
         """Return one person's observations in this form."""
         data = cls._with_one_goal(o, method) if o.goals is None else cls._with_goals(o, o.goals, method)
-        return cls._make(read_only(part) if isinstance(part, np.ndarray) else part for part in data)
+        return cls._make(frozen(part) if isinstance(part, np.ndarray) else part for part in data)
 
     @classmethod
     def _with_one_goal(cls, o: Observations, method: Method) -> Data:
