@@ -36,6 +36,7 @@ def conforms(service: Served, folder: Path, parameters: dict[str, str], *only: s
         "run", f"{service.url}/openapi.json", "--checks", "all", "--exclude-checks", "positive_data_acceptance",
         "--max-examples", "3", "--request-timeout", "120", "--max-response-time", "120",
         "--phases", "examples,coverage,fuzzing",
+        "--exclude-path-regex", "/(events|changes)$",  # streams, which do not end
         "--no-color", "--seed", "1", "--header", f"Authorization: Bearer {service.token()}", *only,
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=900, cwd=folder)

@@ -29,6 +29,7 @@ from starlette.testclient import TestClient
 from test_docs import BLOCK
 
 from assist.bridges.messages import MessageError, Report, Source, Topic, fields_of, filled
+from assist.bridges.mqtt import MqttBridge
 from assist.bridges.mqtt_settings import MqttSettings
 from assist.bridges.opcua_settings import OpcUaSettings, OwnServerSettings
 from assist.bridges.ordering import Acknowledgements, InOrder
@@ -581,6 +582,29 @@ def test_missing_numbers_are_passed_over_and_known() -> None:
     assert order.take(6, "6") == []
     assert order.resume(6) == ["5", "6"]
     assert order.resume(2) == order.pass_over() == []
+
+
+def test_reports_that_wait_for_a_missing_number_are_said(tmp_path: Path) -> None:
+    """Three of fifty numbers may be on their way; the operator's page says who waits for which."""
+    (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", "1"))
+
+    async def waits() -> list[list[str]]:
+        bridge = MqttBridge(MqttSettings.read(file), "http://127.0.0.1:1/operator#t")
+        found = []
+        for number in (4, 6, 1, 2, 3):
+            payload = json.dumps({"action": "(fetch box-a)", "id": str(number), "n": number}).encode()
+            bridge._observed("line/ann/action", payload, lambda: None)
+            found.append(bridge.waits)
+        await bridge._tasks.cancel()
+        return found
+
+    said = asyncio.run(waits())
+    assert said[0] == ["MQTT: ann: 1 reports wait for the number 1, which has not arrived"]
+    assert said[1] == ["MQTT: ann: 2 reports wait for the number 1, which has not arrived"]
+    assert said[3:] == [
+        ["MQTT: ann: 2 reports wait for the number 3, which has not arrived"],
+        ["MQTT: ann: 1 reports wait for the number 5, which has not arrived"],
+    ]
 
 
 def test_a_number_can_be_enormous() -> None:
