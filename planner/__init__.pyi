@@ -4,6 +4,9 @@ from .costtogo.cost_to_go import CostToGo as CostToGo
 from .costtogo.cost_to_go import TransitionSystem as TransitionSystem
 from .costtogo.cost_to_go import optimal_choices as optimal_choices
 from .costtogo.goals import sweep_goals as sweep_goals
+from .costtogo.load import AnyTask as AnyTask
+from .costtogo.load import load as load
+from .costtogo.load import task_of as task_of
 from .costtogo.on_demand import OnDemand as OnDemand
 from .costtogo.portfolio import cost_to_go as cost_to_go
 from .costtogo.portfolio import known_costs as known_costs
@@ -15,9 +18,6 @@ from .costtogo.table_file import open_table as open_table
 from .costtogo.table_file import save_table as save_table
 from .costtogo.verification import verify as verify
 from .grounding.fast_downward import FastDownwardError as FastDownwardError
-from .grounding.load import AnyTask as AnyTask
-from .grounding.load import load as load
-from .grounding.load import task_of as task_of
 from .grounding.task import Effect as Effect
 from .grounding.task import Operator as Operator
 from .grounding.task import Task as Task

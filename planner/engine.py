@@ -37,9 +37,9 @@ from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, Plan, SequentialPlan, TimeTriggeredPlan
 
 from .costtogo.astar import astar
+from .costtogo.load import load
 from .costtogo.sweep import sweep
 from .grounding.fast_downward import FastDownwardError
-from .grounding.load import load
 from .grounding.task import Task
 from .pddl import built_actions
 from .pddl.built_problems import SUPPORTED, Written, written

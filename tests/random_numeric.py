@@ -2,7 +2,8 @@
 
 A task has a few objects of one type, two predicates, functions that are static, bounded by guards, only growing, going
 both ways with a conserved sum, without an initial value, or read by nothing, and two to four actions. Each draw chooses
-which of these it has, with or without durations and a metric.
+which of these it has, with or without durations and a metric. With `free`, functions that nothing bounds but what can
+be reached go up, down, or by the value of another one, often in turn.
 """
 
 from __future__ import annotations
@@ -36,15 +37,19 @@ class _Function:
 KINDS = ("static", "guarded", "grows", "pair", "unset", "dead", "price")
 CHANCES = (0.35, 0.2, 0.15, 0.1, 0.05, 0.15)
 """How often each kind but the first is drawn."""
+FREE_KINDS, FREE_CHANCES = ("free", "guarded", "price"), (0.6, 0.25, 0.15)
+"""The same of draws with functions that nothing bounds."""
 
 
 class _Draw:
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(self, rng: np.random.Generator, free: bool) -> None:
         self.rng = rng
+        self.free = free
         self.durative = bool(rng.random() < 0.5)
         self.objects = [f"o{i}" for i in range(rng.integers(1, 4))]
         self.decimals = bool(rng.random() < 0.3)
-        kinds = ["static", *(str(kind) for kind in rng.choice(KINDS[1:], rng.integers(1, 4), p=CHANCES))]
+        kinds_of, chances = (FREE_KINDS, FREE_CHANCES) if free else (KINDS[1:], CHANCES)
+        kinds = ["static", *(str(kind) for kind in rng.choice(kinds_of, rng.integers(1, 4), p=chances))]
         self.functions = [
             _Function(f"f{i}", int(rng.integers(0, 2)), kind, int(rng.integers(2, 5))) for i, kind in enumerate(kinds)
         ]
@@ -82,7 +87,7 @@ class _Draw:
         return f"({self.any(['at start', 'at end', 'at end'])} {tree})" if self.timed else tree
 
     def comparison(self, term: str) -> str:
-        function = self.some("guarded", "grows", "unset", "pair") or self.some("static")
+        function = self.some("guarded", "grows", "unset", "pair", "free") or self.some("static")
         assert function is not None
         sign = self.any(["<", ">", "<=", ">=", "="])
         other = self.some("guarded", "pair") if self.often(0.25) else None
@@ -111,6 +116,15 @@ class _Draw:
             if way == "copy" and function.arity == 1 and term != other:
                 return [], [f"(assign {target} {function.of(other)})"]
             return [f"(<= (+ {target} 1) {function.top})"], [f"(when (p {term}) (increase {target} 1))"]
+        if kind == "free":
+            other = self.some("guarded", "free") or function
+            amount = self.any([step, step, other.of(term)]) if other != function else step
+            way = self.any(["up", "down", "up in turn", "down in turn", "up in turn", "down in turn", "once"])
+            if way == "once":
+                return [f"(q {term})"], [f"(decrease {target} {amount})", f"(not (q {term}))"]
+            turn = [] if "turn" not in way else [f"(p {term})"] if "down" in way else [f"(not (p {term}))"]
+            after = [] if "turn" not in way else [f"(not (p {term}))"] if "down" in way else [f"(p {term})"]
+            return turn, [f"({'decrease' if 'down' in way else 'increase'} {target} {amount})", *after]
         if kind == "pair" and function.arity == 1:
             return [f"(>= {target} 1)"], [f"(decrease {target} 1)", f"(increase {function.of(other)} 1)"]
         if kind == "pair":
@@ -133,8 +147,6 @@ class _Draw:
             conditions.append("(not (= ?x ?y))")
         for _ in range(int(self.rng.integers(1, 3))):
             more, changes = self.change(first, last)
-            if any(each.split()[1] + each.split()[2] in " ".join(effects) for each in changes):
-                continue
             touched = {word for each in changes for word in each.replace("(", " ").split() if word.startswith("f")}
             if touched & {word for each in effects for word in each.replace("(", " ").split() if word.startswith("f")}:
                 continue
@@ -173,7 +185,7 @@ class _Draw:
                 value = self.number(low, each.top - 1) if each.kind != "pair" else str(self.rng.integers(0, 3))
                 init.append(f"(= ({f'{each.name} {name}'.strip()}) {value})")
         goals = [f"({self.any(['p', 'q'])} {self.any(self.objects)})"] if self.often(0.7) else []
-        function = self.some("guarded", "grows", "pair", "unset")
+        function = self.some("guarded", "grows", "pair", "unset", "free")
         if function is not None and (self.often(0.7) or not goals):
             sign = self.any([">=", ">=", "=", ">", "<="])
             name = self.any(self.objects)
@@ -204,6 +216,6 @@ class _Draw:
         return Texts(domain, problem)
 
 
-def draw(seed: int) -> Texts:
+def draw(seed: int, *, free: bool = False) -> Texts:
     """Return the task of a seed."""
-    return _Draw(np.random.default_rng(seed)).texts()
+    return _Draw(np.random.default_rng(seed), free).texts()

@@ -168,11 +168,11 @@ BROKEN = [
     ),
     (
         "requirement outside",
-        changed(DOMAIN, "(:requirements :strips", "(:requirements :strips\n  :preferences"),
+        changed(DOMAIN, "(:requirements :strips", "(:requirements :strips\n  :goal-utilities"),
         PROBLEM,
         "domain",
-        ":preferences",
-        [":preferences is not supported"],
+        ":goal-utilities",
+        [":goal-utilities is not supported"],
     ),
     (
         "action without effect",

@@ -29,6 +29,10 @@ from .terminal.console import ExitCode, one_line_errors
 @megabytes_option("Memory for each instance.")
 @max_states_option("Largest number of states solved exhaustively. Larger tasks are solved in the initial state only.")
 @click.option(
+    "--most-values", type=click.IntRange(min=1), default=SolveOptions.most_values, show_default=True,
+    help="Largest number of values of one number of the files, such as a stock or a battery.",
+)  # fmt: skip
+@click.option(
     "--verify", type=click.IntRange(min=1), metavar="N", show_default="20 in a fourth of the search's time",
     help="Number of states compared with Fast Downward's A*, however long it takes.",
 )  # fmt: skip

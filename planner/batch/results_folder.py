@@ -126,7 +126,7 @@ def fingerprint(instance: Instance, options: SolveOptions) -> str | None:
     Limits of time and memory are not included. They determine whether there is a result, but not the result.
     """
     try:
-        files = fast_downward.digest(instance)
+        files = fast_downward.digest(instance, options.most_values)
     except OSError:
         return None
     what = (files, _programs(), str(instance.domain), options.max_states, options.verify)

@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..costtogo.astar import search_of
 from ..costtogo.first_answer import Answer, Early
+from ..costtogo.number_values import grounded
 from ..grounding.fast_downward import FastDownwardError
-from ..grounding.load import ground
 from ..grounding.semantics import plan_cost, replay
 from ..grounding.task import Effect, Operator, Task, Variable
-from ..pddl.compilation import NO_SEQUENTIAL_PLAN, Compilation, compiled
+from ..pddl.compilation import NO_SEQUENTIAL_PLAN
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.plan_execution import execute
-from ..pddl.reader import read
+from ..pddl.reader import Reading, read
 from ..pddl.validation import InvalidPlanError
 from ..pddl.validation_process import SecondReader
 from ..system.errors import MismatchError
@@ -158,13 +158,11 @@ def solve_instance(
     try:
         with phases.phase("read"):
             reading = read(instance)
-            compilation = compiled(reading)
-            phases.compiled = {what: count for what, count in compilation.compiled.items() if count}
         with ExitStack() as until_solved:
             second = None  # it would not know what a compilation stands for
-            if compilation.reading is reading:
+            if not reading.numeric:
                 second = until_solved.enter_context(SecondReader(reading, phases.limits()))
-            task = _grounded(compilation, phases, until_solved)
+            task = _grounded(reading, options, phases, until_solved)
             record = _solve(task, second, options, place, phases, use)
     except Exception as error:
         found = _record_of(error, instance, options)
@@ -199,13 +197,13 @@ def _record_of(error: Exception, instance: Instance, options: SolveOptions) -> S
     return None
 
 
-def _grounded(compilation: Compilation, phases: _Phases, until_solved: ExitStack) -> Task:
-    """Ground an instance. Meanwhile, a thread loads the compiled code that the search needs."""
-    instance = compilation.reading.instance
+def _grounded(reading: Reading, options: SolveOptions, phases: _Phases, until_solved: ExitStack) -> Task:
+    """Compile and ground an instance. Meanwhile, a thread loads the compiled code that the search needs."""
     with phases.phase("translate", "reading"):
-        loading = threading.Thread(target=_load_search, args=(instance, phases, until_solved), daemon=True)
+        loading = threading.Thread(target=_load_search, args=(reading.instance, phases, until_solved), daemon=True)
         loading.start()
-        task = ground(compilation, phases.limits())
+        compilation, task = grounded(reading, phases.limits(), options.most_values)
+        phases.compiled = {what: count for what, count in compilation.compiled.items() if count}
         loading.join()
         return task
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..grounding import fast_downward
+from ..pddl.compilation import MOST_VALUES
 from ..pddl.instances import Instance
 from ..system.limits import MAX_STATES
 
@@ -33,6 +34,8 @@ class SolveOptions:
     """Memory in MB for one instance; None for all available memory."""
     max_states: int = MAX_STATES
     """Largest number of states that are swept. A larger task is solved from its initial state only."""
+    most_values: int = MOST_VALUES
+    """Largest number of values of one number, such as a stock or a battery."""
     verify: int | None = None
     """Number of states compared with Fast Downward's A*, the initial state first, within the limits. By default, up to
     20 states are compared: of a small task all of them, of others as many as `comparison_share` and

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..grounding import fast_downward
 from ..grounding.fast_downward import FastDownwardError
-from ..grounding.load import task_of
+from ..grounding.leaving import out_of_range, with_leaving, without_leaving
 from ..grounding.semantics import plan_cost
 from ..grounding.task import Task
 from ..states.packing import can_hold
 from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits, MemoryLimitError
+from .load import task_of
 
 if TYPE_CHECKING:
-    from ..grounding.load import AnyTask
+    from .load import AnyTask
 
 OVERFLOW = 1 << 31
 """Fast Downward's cost sums must stay below this (signed 32-bit integers)."""
@@ -57,7 +58,8 @@ def astar(
     Raises
     ------
     LimitError
-        Out of time or memory, or costs are too large for Fast Downward. Nothing is known about the state.
+        Out of time or memory, or costs are too large for Fast Downward, or a cheapest plan may need a value of a number
+        that was not tried (`Task.beyond`). Nothing is known about the state.
 
     Notes
     -----
@@ -88,12 +90,19 @@ def astar(
             value if variable.axiom_layer < 0 else default
             for value, default, variable in zip(state, task.initial, task.variables, strict=True)
         )
+    searched, start = task.reduced, state
+    if task.beyond:
+        if state is not None and any(state[variable] == value for variable, value in task.beyond):
+            raise LimitError(out_of_range(task))
+        searched, start = with_leaving(task.reduced), None if state is None else (*state, 0)
     try:
-        plan = fast_downward.optimal_plan(task.reduced.sas, state, search=search, limits=limits)
+        plan = fast_downward.optimal_plan(searched.sas, start, search=search, limits=limits)
     except LimitError as error:
         if own_limit and not isinstance(error, MemoryLimitError):
             raise CostLimitError(f"{error}, at costs of up to {dearest}") from None
         raise
+    if task.beyond:
+        plan = without_leaving(task, plan)
     if plan is None:
         return float("inf"), None
     cost = plan_cost(task, plan, state)

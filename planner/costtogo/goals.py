@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..grounding.load import task_of
 from ..grounding.task import Effect, Fact, Task
 from ..pddl.instances import PDDLError
 from ..search.backward_search import distances
@@ -20,11 +19,12 @@ from ..states.state_space import StateSpace
 from ..system.limits import Budget
 from ..system.machine import processors
 from ..system.progress import Wanted, shows_progress
-from .sweep import SweepOptions, explored, require_small_costs
+from .load import task_of
+from .sweep import SweepOptions, explored, require_sweepable
 from .table import Table
 
 if TYPE_CHECKING:
-    from ..grounding.load import AnyTask
+    from .load import AnyTask
 
 Meaning = tuple[frozenset[str], str]
 """A fact of a variable, with the meanings of all values of that variable."""
@@ -65,7 +65,7 @@ def sweep_goals(
     threads = threads or processors()
     enumerated: list[tuple[Task, list[tuple[int, Task]]]] = []  # first task of each enumeration, and its members
     for place, task in enumerate(loaded):
-        require_small_costs(task)
+        require_sweepable(task)
         for head, members in enumerated:
             goal = _translated(task, head)
             if goal is not None:

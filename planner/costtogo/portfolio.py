@@ -20,19 +20,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..grounding.load import task_of
 from ..grounding.task import Task
 from ..system.limits import MAX_STATES, NO_LIMITS, LimitError, Limits, MemoryLimitError
 from ..system.progress import Progress, Wanted, shows_progress
 from .cache import Cache
 from .cost_to_go import CostToGo
+from .load import task_of
 from .on_demand import OnDemand
 from .orbit_table import OrbitTable, orbits
 from .sweep import sweep
 from .table import Table
 
 if TYPE_CHECKING:
-    from ..grounding.load import AnyTask
+    from .load import AnyTask
 
 FIRST = 0.008
 """Seconds for which the sweep runs alone. A task of some ten thousand states is swept in that time."""

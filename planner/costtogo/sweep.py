@@ -16,7 +16,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..grounding.load import task_of
 from ..grounding.task import Task
 from ..pddl.formulas import LARGEST_COST
 from ..search.backward_search import distances
@@ -33,10 +32,11 @@ from ..states.state_space import StateSpace
 from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError
 from ..system.machine import processors
 from ..system.progress import Progress, Wanted, shows_progress
+from .load import task_of
 from .table import Table
 
 if TYPE_CHECKING:
-    from ..grounding.load import AnyTask
+    from .load import AnyTask
 
 LOOKING = "a ranking was looked for"
 """Phase in messages about limits: the construction of a ranking."""
@@ -110,7 +110,7 @@ def sweep(
     """
     assert callable(progress)
     task = task_of(task)
-    require_small_costs(task)
+    require_sweepable(task)
     budget = Budget.within(max_states, memory_limit_mb, deadline, stop, reserved_bytes)
     threads = threads or processors()
     space, note = explored(task, budget, threads, progress, options or SweepOptions())
@@ -119,8 +119,10 @@ def sweep(
     return Table(found, distance, note)
 
 
-def require_small_costs(task: Task) -> None:
-    """Check that no cost is larger than `LARGEST_COST`."""
+def require_sweepable(task: Task) -> None:
+    """Check that all values of numbers are known, and that no cost is larger than `LARGEST_COST`."""
+    if task.beyond:
+        raise LimitError(f"{task.instance}: not all states are known, since a number has no proven bound")
     if (largest := max(task.costs, default=0)) > LARGEST_COST:
         raise CostLimitError(f"{task.instance}: a cost of {largest} is too large; expected at most {LARGEST_COST}")
 

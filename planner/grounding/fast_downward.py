@@ -51,11 +51,14 @@ def version() -> str:
     return importlib.metadata.version("fast-downward.translate")
 
 
-def digest(instance: Instance) -> str:
-    """Return a hash of what the translation depends on: the contents of both files and the versions of the readers."""
+def digest(instance: Instance, most_values: int) -> str:
+    """Return a hash of what the translation depends on.
+
+    These are the contents of both files, the versions of the readers, and the limit of values of a number.
+    """
     import importlib.metadata
 
-    found = hashlib.sha256(f"6 {version()} {importlib.metadata.version('unified-planning')}".encode())
+    found = hashlib.sha256(f"7 {most_values} {version()} {importlib.metadata.version('unified-planning')}".encode())
     for file in (instance.domain, instance.problem):
         found.update(hashlib.sha256(file.read_bytes()).digest())
     return found.hexdigest()

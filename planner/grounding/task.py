@@ -167,6 +167,19 @@ class Task:
         return not self.operators and [variable.facts for variable in self.variables] == dummy
 
     @cached_property
+    def beyond(self) -> tuple[Fact, ...]:
+        """The facts that a number has left the values that were tried for it, as no bound is proven (`leaving`).
+
+        Without such facts the task is exact. With them it is not swept; its states are solved on demand.
+        """
+        return tuple(
+            (number, value)
+            for number, variable in enumerate(self.variables)
+            for value, fact in enumerate(variable.facts)
+            if fact.startswith("Atom ") and fact.endswith(") = beyond")
+        )
+
+    @cached_property
     def sas(self) -> str:
         """The task as SAS text (file format version 3), for Fast Downward's search and `from_sas`."""
         return _rendered(self)

@@ -11,8 +11,11 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from . import numeric_compiler
-from .numeric_compiler import MOST_VALUES
 from .reader import Reading
+from .value_sets import Trial
+
+MOST_VALUES = 1_000
+"""Largest number of values of one number, unless stated otherwise."""
 
 NO_SEQUENTIAL_PLAN = "no plan for one person who acts in sequence"
 """Note where files with durations have no plan here: they may need two actions at once."""
@@ -48,12 +51,28 @@ class Compilation:
     notes: tuple[str, ...] = ()
 
 
-def compiled(reading: Reading, *, most_values: int = MOST_VALUES) -> Compilation:
-    """Return the compilation of an instance; a classical instance is its own.
+class Compiler:
+    """The compilation of one instance, for which values of numbers without a proven bound may be tried.
 
     A fluent may have `most_values` values. What cannot be compiled raises a `PDDLError`, which says why.
     """
-    if not reading.numeric:
-        return Compilation(reading)
-    found = numeric_compiler.classical(reading, most_values)
-    return Compilation(found.reading, found.unit, found.actions, found.numbers, found.compiled, found.notes)
+
+    def __init__(self, reading: Reading, most_values: int = MOST_VALUES) -> None:
+        self.reading = reading
+        self._numeric = numeric_compiler.Compiler(reading, most_values) if reading.numeric else None
+
+    def compilation(self, trial: Trial | None = None) -> Compilation:
+        """Return the compilation; a classical instance is its own.
+
+        Where a function has no proven bound, or too many values, this raises an `UnprovenError`, unless there is a
+        `trial`.
+        """
+        if self._numeric is None:
+            return Compilation(self.reading)
+        found = self._numeric.result(trial)
+        return Compilation(found.reading, found.unit, found.actions, found.numbers, found.compiled, found.notes)
+
+
+def compiled(reading: Reading, *, most_values: int = MOST_VALUES) -> Compilation:
+    """Return the compilation of an instance whose numbers have proven bounds; a classical instance is its own."""
+    return Compiler(reading, most_values).compilation()

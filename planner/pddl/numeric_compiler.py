@@ -11,23 +11,20 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from . import metric, numeric_encoding, numeric_schemas, schemas, value_ranges
-from .conditions import FALSE, TRUE, is_numeric, normal_form
+from . import metric, numeric_encoding, numeric_schemas, schemas
+from .conditions import FALSE, is_numeric, normal_form
 from .declarations import OBJECT, Symbol, Typed, Types, refuse
 from .formulas import LARGEST_COST, Cost, listed, word
-from .metric import Metric
 from .numeric_encoding import EncodedAction, Encoder, Scope
 from .numeric_expressions import Number, as_shown
-from .numeric_schemas import Costed, Preparation, Roles
+from .numeric_schemas import Preparation
 from .reader import Action, Domain, DurativeAction, Problem, Reading, Rule
 from .s_expressions import Expression
 from .saturation import Read, reads, saturations
 from .static_facts import Statics, TooManyError
 from .supported_fragment import REQUIREMENTS
-from .value_sets import Fluent, GroundChange, ground_changes, initial_values
-
-MOST_VALUES = 1_000
-"""Largest number of values of one fluent, unless stated otherwise."""
+from .value_ranges import Bounds, Proofs
+from .value_sets import GroundChange, Trial, ValueSets, ground_changes, initial_values
 
 
 @dataclass(frozen=True)
@@ -42,48 +39,46 @@ class Classical:
     notes: tuple[str, ...]
 
 
-def classical(reading: Reading, most_values: int = MOST_VALUES) -> Classical:
-    """Return an instance without numbers and durations. What cannot be compiled raises a `PDDLError`."""
-    return _Compiler(reading, most_values).result()
-
-
-class _Compiler:
-    """The state of one compilation."""
+class Compiler:
+    """One compilation, in which the values of numbers may be tried; what is independent of these is done once."""
 
     def __init__(self, reading: Reading, most_values: int) -> None:
         self.reading = reading
         self.file = reading.instance.domain
-        self.most_values = most_values
         self.objects = {**reading.domain.constants, **reading.problem.objects}
-
-    def result(self) -> Classical:
-        """Compile the reading."""
-        reading = self.reading
         timed = schemas.of_reading(reading)
         goal = normal_form(reading.problem.goal, self.objects)
         rules = [(rule, normal_form(rule.condition, self.objects)) for rule in reading.domain.rules]
         changing = numeric_schemas.changing(timed)
-        what = metric.of_reading(reading, changing)
-        roles = numeric_schemas.roles(timed, goal, (condition for _, condition in rules), what)
+        self.metric = metric.of_reading(reading, changing)
+        self.roles = numeric_schemas.roles(timed, goal, (condition for _, condition in rules), self.metric)
         changed_facts = frozenset(each.atom.head for schema in timed for _, _, each in schema.literals)
         derived = _derived(rules, changed_facts)
-        statics = Statics(
+        self.statics = Statics(
             reading,
             reading.domain.predicates.keys() - changed_facts - {rule.head.name for rule, _ in rules},
             ({*reading.domain.functions, "total-cost"}) - changing,
         )
-        self._add_weights(statics, what)
+        self._add_weights()
         try:
-            goal = statics.simplified(statics.expanded(goal), {})
-            rules = [(rule, statics.expanded(condition)) for rule, condition in rules]
+            self.goal = self.statics.simplified(self.statics.expanded(goal), {})
+            self.rules = [(rule, self.statics.expanded(condition)) for rule, condition in rules]
         except TooManyError:
             refuse(reading.instance.problem, None, "the goal compares too many numbers within (forall ...); expected "
                    "fewer objects")  # fmt: skip
-        preparation = Preparation(reading, statics, roles, what, derived)
-        costed = [each for schema in timed for each in preparation.prepared(schema)]
-        encoder = self._encoder(statics, roles, costed, goal, rules)
+        preparation = Preparation(reading, self.statics, self.roles, self.metric, derived)
+        self.costed = [each for schema in timed for each in preparation.prepared(schema)]
+        self.bounds = self._bounds(most_values)
+
+    def result(self, trial: Trial | None = None) -> Classical:
+        """Return an instance without numbers and durations.
+
+        What cannot be compiled raises a `PDDLError`: an `UnprovenError` if there is no `trial`, and a number has no
+        proven bound or too many values.
+        """
+        encoder = self._encoder(self.bounds.sets(trial))
         actions = []
-        for each in costed:
+        for each in self.costed:
             try:
                 action = numeric_encoding.encoded(encoder, each, self._kinds(each.schema.parameters))
             except TooManyError:
@@ -91,12 +86,13 @@ class _Compiler:
                        "of objects in its numbers; expected fewer objects, or fewer in one expression")  # fmt: skip
             if action is not None:
                 actions.append(action)
-        return self._assembled(encoder, actions, goal, rules, what)
+        return self._assembled(encoder, actions)
 
-    def _add_weights(self, statics: Statics, what: Metric) -> None:
+    def _add_weights(self) -> None:
         """Add a static function with the weight of each fluent of the metric."""
-        for name in what.functions:
-            table = {words[1:]: weight for words, weight in what.weights.items() if words[0] == name}
+        statics = self.statics
+        for name in self.metric.functions:
+            table = {words[1:]: weight for words, weight in self.metric.weights.items() if words[0] == name}
             symbol = self.reading.domain.functions.get(name)
             if symbol is None or () in table:
                 continue
@@ -111,16 +107,14 @@ class _Compiler:
     def _kinds(self, variables: Iterable[Typed]) -> dict[str, str]:
         return {each.name: self._kind(each.kinds) for each in variables}
 
-    def _encoder(
-        self, statics: Statics, roles: Roles, costed: list[Costed], goal: Expression,
-        rules: list[tuple[Rule, Expression]],
-    ) -> Encoder:  # fmt: skip
-        """Return the encoder, with the values of each fluent."""
+    def _bounds(self, most_values: int) -> Bounds:
+        """Return the search for the values of each fluent."""
+        statics = self.statics
         changes: list[GroundChange] = []
-        compared: list[Read] = list(reads(goal, {}))
-        for rule, condition in rules:
+        compared: list[Read] = list(reads(self.goal, {}))
+        for rule, condition in self.rules:
             compared += reads(condition, self._kinds(rule.head.parameters))
-        for each in costed:
+        for each in self.costed:
             kinds = self._kinds(each.schema.parameters)
             try:
                 changes += ground_changes(statics, each.schema, kinds)
@@ -133,26 +127,24 @@ class _Compiler:
                 compared += reads(literal.condition, {**kinds, **literal.variables}, top)
             for change in each.schema.changes:
                 compared += reads(change.condition, {**kinds, **change.variables}, top)
-        values = self.reading.problem.values
-        initial = initial_values(roles.kept, values, (each.fluent for each in changes))
-        limits = saturations(statics, roles.kept, costed, compared, changes, initial)
-        sets = value_ranges.value_sets(
-            self.reading, statics, costed, changes, initial, limits, self.most_values,
-            {each.name: self._kinds(each.parameters) for each in self._signatures()},
-        )  # fmt: skip
+        initial = initial_values(self.roles.kept, self.reading.problem.values, (each.fluent for each in changes))
+        limits = saturations(statics, self.roles.kept, self.costed, compared, changes, initial)
+        of_actions = {each.name: self._kinds(each.parameters) for each in self._signatures()}
+        proofs = Proofs(self.reading, statics, self.costed, changes, initial, of_actions)
+        return Bounds(proofs, limits, most_values)
+
+    def _encoder(self, sets: ValueSets) -> Encoder:
         domain = self.reading.domain
         taken = {*self.objects, *domain.predicates, *domain.functions, *domain.types.parents, OBJECT,
                  *self.reading.unions.values(), *(entry.name for entry in self._signatures())}  # fmt: skip
         kinds_of = {name: tuple(self._kinds(s.parameters).values()) for name, s in domain.functions.items()}
-        return Encoder(self.file, statics, sets, limits, roles.kept, taken, kinds_of)
+        limits = self.bounds.saturations
+        return Encoder(self.file, self.statics, sets, limits, self.roles.kept, taken, kinds_of)
 
     def _signatures(self) -> list[Action | DurativeAction]:
         return [entry for entry in self.reading.domain.entries if not isinstance(entry, Rule)]
 
-    def _assembled(
-        self, encoder: Encoder, actions: list[EncodedAction], goal: Expression, rules: list[tuple[Rule, Expression]],
-        what: Metric,
-    ) -> Classical:  # fmt: skip
+    def _assembled(self, encoder: Encoder, actions: list[EncodedAction]) -> Classical:
         """Return the classical reading of encoded actions."""
         domain, problem = self.reading.domain, self.reading.problem
         root = _Root(self.reading, encoder.fresh("object-of-file"))
@@ -193,10 +185,10 @@ class _Compiler:
             declared = domain.functions.get(name) or Symbol(name, (), place)
             symbol = numeric_encoding.value_symbol(encoder, declared)
             predicates[symbol.name] = root.symbol(symbol)
-        for rule, condition in rules:
+        for rule, condition in self.rules:
             scope = Scope(encoder, self._kinds(rule.head.parameters), (), "", rule.head.place)
             entries.append(Rule(root.symbol(rule.head), root.formula(scope.formula(condition))))
-        wanted, conditions = numeric_encoding.goal(encoder, goal, place)
+        wanted, conditions = numeric_encoding.goal(encoder, self.goal, place)
         for name, condition in conditions:
             head = Symbol(name, (), place)
             predicates[name] = head
@@ -229,7 +221,7 @@ class _Compiler:
             for name, predicate in encoder.names.items()
         }  # fmt: skip
         durations = sum(isinstance(entry, DurativeAction) for entry in domain.entries)
-        notes = [*what.notes, *self._notes()]
+        notes = [*self.metric.notes, *self._notes()]
         return Classical(
             reading, unit, names, shown, {"durations": durations, "numbers": len(encoder.names)}, tuple(notes)
         )  # fmt: skip
@@ -328,6 +320,3 @@ def _mentions(entry: Action | DurativeAction | Rule, name: str) -> bool:
 
 def _mentions_text(formula: Expression, name: str) -> bool:
     return any(each.head == name for each in formula.walk())
-
-
-__all__ = ["TRUE", "Classical", "Fluent", "classical"]

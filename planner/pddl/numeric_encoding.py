@@ -37,7 +37,7 @@ from .numeric_schemas import Costed
 from .s_expressions import Expression, Place
 from .schemas import Change, Literal
 from .static_facts import Statics, literal_number
-from .value_sets import Fluent, Saturation, Value, ValueSets
+from .value_sets import Beyond, Fluent, Saturation, Value, ValueSets
 
 MOST_ROWS = 300_000
 """Largest number of tuples of one static relation."""
@@ -126,11 +126,30 @@ class Encoder:
             limit = as_shown(saturation.threshold)
             text = f"{limit} {words[0]}" if saturation.closed else f"{words[1]} {limit}"
             label = text
+        return self._object(label, text)
+
+    def beyond(self) -> str:
+        """Return the object for the value of a fluent that has left its set of values."""
+        return self._object(Beyond.BEYOND, Beyond.BEYOND.value)
+
+    def _object(self, label: object, text: str) -> str:
         if label not in self.objects:
             plain = text.replace(" ", "-").replace("/", "of")
             self.objects[label] = self.fresh(f"value-{plain}")
             self.shown[self.objects[label]] = text
         return self.objects[label]
+
+    def stored(self, value: Number, fluent: Fluent | None, name: str) -> Sequence[Number | Beyond]:
+        """Return what a fluent has after it got a value, if any: the value that stands for it, or that it is beyond.
+
+        Without a fluent, all those of the function are alike. Nothing means that the value is not reachable.
+        """
+        of = fluent or next(iter(self.fluents[name]), (name,))
+        saturation = self.saturations.get(of)
+        after = value if saturation is None else saturation.normal(value)
+        if after in (self.sets.values.get(of, set()) if fluent is not None else self.numbers[name]):
+            return [after]
+        return [Beyond.BEYOND] if of in self.sets.open else []
 
     def fluent_object(self, name: str, value: Value) -> str:
         """Return the object for a value of a function all of whose fluents show it alike."""
@@ -253,7 +272,7 @@ class Scope:
         return Sum(variable, frozenset(value for _, value in rows))
 
     def related(self, static: Expression, variables: Sequence[Sum | str], numbers: Sequence[frozenset[Number]],
-                names: Sequence[str | None], holds: Callable[..., Sequence[Number] | bool | None],
+                names: Sequence[str | None], holds: Callable[..., Sequence[Number | Beyond] | bool | None],
                 fluent: Expression | None = None) -> frozenset[Number]:  # fmt: skip
         """Require a static relation between the value of a static expression and values.
 
@@ -297,6 +316,9 @@ class Scope:
                 words = [self._object(names[n], each, of if n == 0 else None) for n, each in enumerate(combination)]
                 if not isinstance(result, bool):
                     for after in result:
+                        if isinstance(after, Beyond):
+                            rows.append((*row, *words, encoder.beyond()))
+                            continue
                         results.add(after)
                         rows.append((*row, *words, self._object(names[-1], after, of)))
                 else:
@@ -582,18 +604,11 @@ def encoded(encoder: Encoder, costed: Costed, kinds: Mapping[str, str]) -> Encod
 def _growth(scope: Scope, change: Change, old: str) -> list[Expression]:
     """Return the effects of a growth, and require the relation of the old and the new value."""
     encoder, name = scope.encoder, change.term.head
-    numbers, target = encoder.numbers[name], encoder.numbers[name]
+    numbers = encoder.numbers[name]
     special = name in encoder.special
-    saturated = {encoder.saturations.get(fluent) for fluent in encoder.fluents[name]}
-    common = next(iter(saturated)) if len(saturated) == 1 else None
 
-    def grown(number: Number, amount: Number, of: Fluent | None = None) -> list[Number] | None:
-        after = number + amount
-        saturation = encoder.saturations.get(of) if of is not None else common
-        if saturation is not None:
-            after = saturation.normal(after)
-        allowed = encoder.sets.values.get(of, set()) if of is not None else target
-        return [after] if after in allowed else None
+    def grown(number: Number, amount: Number, of: Fluent | None = None) -> Sequence[Number | Beyond]:
+        return encoder.stored(number + amount, of, name)
 
     new = scope.fresh()
     if encoder.statics.is_static(change.amount):
@@ -617,11 +632,8 @@ def _assigned(scope: Scope, change: Change) -> str:
     special = name in encoder.special
     common = {encoder.saturations.get(fluent) for fluent in encoder.fluents[name]}
 
-    def stored(number: Number, of: Fluent | None = None) -> list[Number] | None:
-        saturation = encoder.saturations.get(of) if of is not None else next(iter(common), None)
-        after = number if saturation is None else saturation.normal(number)
-        allowed = encoder.sets.values.get(of, set()) if of is not None else encoder.numbers[name]
-        return [after] if after in allowed else None
+    def stored(number: Number, of: Fluent | None = None) -> Sequence[Number | Beyond]:
+        return encoder.stored(number, of, name)
 
     plain = change.amount.head not in OPERATIONS and change.amount.head not in encoder.undefined
     if plain and not special and common == {None} and value.numbers <= encoder.numbers[name]:
@@ -680,15 +692,8 @@ def _static_assignment(scope: Scope, change: Change) -> list[Expression]:
     where = inner if change.variables else scope
     variable = where.fresh()
 
-    def stored(number: Number, of: Fluent | None = None) -> list[Number] | None:
-        fluent = of or next(iter(encoder.fluents[name]))
-        saturation = encoder.saturations.get(fluent)
-        after = number if saturation is None else saturation.normal(number)
-        allowed = encoder.sets.values.get(of, set()) if of is not None else encoder.numbers[name]
-        return [after] if after in allowed else None
-
     where.related(
-        change.amount, [variable], [], [name], lambda number, of=None: stored(number, of),
+        change.amount, [variable], [], [name], lambda number, of=None: encoder.stored(number, of, name),
         change.term if special else None,
     )  # fmt: skip
     if not change.variables:

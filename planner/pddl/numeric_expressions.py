@@ -144,4 +144,7 @@ def as_shown(value: Number) -> str:
     digits = 0
     while value * 10**digits % 1:
         digits += 1
-    return f"{float(value):.{digits}f}" if digits else str(int(value))
+    if not digits:
+        return str(int(value))
+    text = f"{int(abs(value) * 10**digits):0{digits + 1}d}"
+    return f"{'-' if value < 0 else ''}{text[:-digits]}.{text[-digits:]}"

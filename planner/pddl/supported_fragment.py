@@ -25,6 +25,11 @@ REQUIREMENTS = (
 NUMERIC = (":fluents", ":numeric-fluents", ":durative-actions", ":duration-inequalities")
 """Requirements for numbers and durations, which are compiled away."""
 
+AT_THEIR_PLACE = (
+    ":timed-initial-literals", ":continuous-effects", ":object-fluents", ":preferences", ":constraints",
+)  # fmt: skip
+"""Requirements of which only the use is refused, with its place: files declare them without using them."""
+
 OUTSIDE = {
     ":constraints": "trajectory constraints",
     ":process": "processes",
@@ -144,6 +149,8 @@ def _check_sections(file: Path, whole: Expression, sections: tuple[str, ...]) ->
 def _check_requirements(file: Path, whole: Expression) -> None:
     wanted = whole.section(":requirements")
     for requirement in () if wanted is None else wanted.parts[1:]:
+        if requirement.word in AT_THEIR_PLACE:
+            continue
         if requirement.word in OUTSIDE:
             refuse(file, requirement, f"{requirement} is not supported: {OUTSIDE[requirement.word]}")
         if requirement.word not in REQUIREMENTS and requirement.word not in NUMERIC:

@@ -12,18 +12,18 @@ An addition of a fact that may hold already, or a deletion of one that may not h
 
 from __future__ import annotations
 
-import time
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from math import ceil, floor
-from typing import NoReturn
 
 from .conditions import COMPLEMENT, FALSE, TRUE, conjuncts, free_variables
 from .declarations import refuse
 from .durative import key
 from .formulas import listed, word
+from .instances import PDDLError
 from .numeric_expressions import Number, as_shown, linear, terms_of, whole
 from .numeric_schemas import Costed
 from .reader import Reading
@@ -35,6 +35,7 @@ from .value_sets import (
     GroundChange,
     Saturation,
     TooIntricateError,
+    Trial,
     UnboundedError,
     Value,
     ValueSets,
@@ -44,66 +45,72 @@ from .value_sets import (
 Fact = tuple[str, ...]
 Range = tuple[Number | None, Number | None]
 
-MOST_SECONDS = 10.0
-"""Longest time for the proofs of one instance."""
-MOST_ROWS = 60_000
-"""Largest number of ground actions in one linear program."""
+MOST_WORK = 60_000
+"""Work for the proofs of one instance, about ten seconds: ground actions, and thousands of rows that a step of the
+linear programs has to do with. It is counted, so that the proofs do not depend on the load of the machine.
+"""
+MOST_ROWS = 20_000
+"""Largest number of different ground actions in one linear program."""
 
 
-def value_sets(
-    reading: Reading,
-    statics: Statics,
-    costed: Sequence[Costed],
-    changes: Sequence[GroundChange],
-    initial: Mapping[Fluent, Value],
-    saturations: Mapping[Fluent, Saturation],
-    most_values: int,
-    kinds: Mapping[str, Mapping[str, str]],
-) -> ValueSets:
-    """Return the values of all fluents; refuse a fluent without a bound, or with more than `most_values` values."""
-    ranges: dict[Fluent, Range] = {}
-    proofs: Proofs | None = None
-    together = MOST_TOGETHER
-    while True:
-        try:
-            return computed(
-                changes, initial, limit=most_values, saturations=saturations, ranges=ranges, together=together
-            )
-        except TooIntricateError:
-            if together > 1:
-                together = 1
+class Bounds:
+    """The search for the values of all fluents; it keeps the ranges that have been proven."""
+
+    def __init__(self, proofs: Proofs, saturations: Mapping[Fluent, Saturation], most_values: int) -> None:
+        self.proofs = proofs
+        self.saturations = saturations
+        self.most_values = most_values
+        self.ranges: dict[Fluent, Range] = {}
+
+    def sets(self, trial: Trial | None = None) -> ValueSets:
+        """Return the values of all fluents.
+
+        A fluent without a proven bound, or with more than `most_values` values, has the values of a trial. Without one,
+        this raises an `UnprovenError`.
+        """
+        proofs, together, tried = self.proofs, MOST_TOGETHER, set[str]()
+        while True:
+            try:
+                return computed(
+                    proofs.of_all, proofs.begin, limit=self.most_values, saturations=self.saturations,
+                    ranges=self.ranges, together=together, tried=tried, trial=trial,
+                )  # fmt: skip
+            except TooIntricateError:
+                if together > 1:
+                    together = 1
+                    continue
+                refuse(proofs.file, proofs.place, "the numbers of this domain have too many combinations of values in "
+                       "one change; expected fewer values, or simpler expressions")  # fmt: skip
+            except UnboundedError as error:
+                fluent = error.fluent
+            if fluent in self.ranges and trial is None:
+                raise unproven(proofs, fluent, self.ranges[fluent], self.most_values)
+            if fluent in self.ranges:
+                tried.add(fluent[0])
                 continue
-            refuse(reading.instance.domain, _place(costed, changes, None), "the numbers of this domain have too many "
-                   "combinations of values in one change; expected fewer values, or simpler expressions")  # fmt: skip
-        except UnboundedError as error:
-            fluent = error.fluent
-        if fluent in ranges:
-            _refuse(reading, costed, changes, fluent, ranges[fluent], most_values)
-        if proofs is None:
-            proofs = Proofs(reading, statics, costed, changes, initial, kinds)
-        for each in [other for other in proofs.initial if other[0] == fluent[0]]:
-            ranges[each] = proofs.range_of(each)
+            for each in [other for other in proofs.initial if other[0] == fluent[0]]:
+                self.ranges[each] = proofs.range_of(each)
 
 
-def _place(costed: Iterable[Costed], changes: Iterable[GroundChange], fluent: Fluent | None) -> Place | None:
-    """Return the place of a schema that changes a fluent."""
-    names = [change.schema for change in changes if fluent is None or change.fluent == fluent]
-    return next((each.schema.place for each in costed if each.schema.name in names), None)
+class UnprovenError(PDDLError):
+    """A function has no proven bound, or too many values."""
 
 
-def _refuse(
-    reading: Reading, costed: Iterable[Costed], changes: Iterable[GroundChange], fluent: Fluent, found: Range, most: int
-) -> NoReturn:
-    """Refuse a fluent with too many values, or without a bound."""
-    domain = reading.instance.domain
+def unproven(proofs: Proofs, fluent: Fluent, found: Range, most: int) -> UnprovenError:
+    """Return the refusal of a fluent with too many values, or without a bound."""
     shown = f"({' '.join(fluent)})"
-    place = next((c.place for each in costed for c in each.schema.changes if c.term.head == fluent[0]), None)
+    of = (c.place for each in proofs.costed for c in each.schema.changes if c.term.head == fluent[0])
+    place = next(of, proofs.place)
+
+    def refusal(message: str) -> UnprovenError:
+        return UnprovenError(proofs.file, None if place is None else place.line, message)
+
     low, high = found
     if low is not None and high is not None:
-        refuse(domain, place, f"{shown} has more than {most} values, from {as_shown(low)} to {as_shown(high)}; "
-               "expected fewer, by a smaller capacity or larger steps, or a larger limit of values")  # fmt: skip
+        return refusal(f"{shown} has more than {most} values, from {as_shown(low)} to {as_shown(high)}; expected "
+                       "fewer, by a smaller capacity or larger steps, or a larger limit of values")  # fmt: skip
     ways = {True: set[str](), False: set[str]()}
-    for change in changes:
+    for change in proofs.of_all:
         if change.fluent[0] == fluent[0]:
             amount = literal_number(change.amount) if change.grows else None
             for up in (True, False):
@@ -117,8 +124,8 @@ def _refuse(
         f"(<= {shown} LARGEST) where it grows" if high is None else "",
         f"(>= {shown} LEAST) where it falls" if low is None else "",
     ]
-    refuse(domain, place, f"{shown} {' and '.join(verbs) or 'has no proven limit'}; expected conditions that bound it, "
-           f"such as {' and '.join(filter(None, guards))}")  # fmt: skip
+    return refusal(f"{shown} {' and '.join(verbs) or 'has no proven limit'}; expected conditions that bound it, such "
+                   f"as {' and '.join(filter(None, guards))}")  # fmt: skip
 
 
 @dataclass
@@ -177,6 +184,9 @@ class Proofs:
     ) -> None:
         self.statics = statics
         self.costed = costed
+        self.file = reading.instance.domain
+        self.of_all = changes
+        self.begin = initial
         self.facts = set(reading.problem.facts)
         self.kinds = kinds
         self.initial: dict[Fluent, Value] = dict(initial)
@@ -188,9 +198,19 @@ class Proofs:
         self.varying = {
             change.fluent[0] for change in changes if literal_number(change.amount) is None
         }  # fmt: skip
-        self.guarded = {fluent: self._by_guards(fluent) for fluent in self.initial}
         self.rows: dict[str, list[Row]] = {}
-        self.end = time.monotonic() + MOST_SECONDS
+        self.work = MOST_WORK
+
+    @cached_property
+    def guarded(self) -> dict[Fluent, Range]:
+        """The bounds of each fluent by conditions alone."""
+        return {fluent: self._by_guards(fluent) for fluent in self.initial}
+
+    @property
+    def place(self) -> Place | None:
+        """The place of the first action that changes a number."""
+        names = {change.schema for change in self.of_all}
+        return next((each.schema.place for each in self.costed if each.schema.name in names), None)
 
     def _by_guards(self, fluent: Fluent) -> Range:
         """Return the bounds that conditions on the fluent alone give to what changes it."""
@@ -244,7 +264,8 @@ class Proofs:
         for each in self.costed:
             for row in self._ground(each, heads):
                 found.setdefault(row.text(), row)
-                if len(found) > MOST_ROWS or time.monotonic() > self.end:
+                self.work -= 1
+                if len(found) > MOST_ROWS or self.work <= 0:
                     raise TooManyError
         self.rows[name] = list(found.values())
         return self.rows[name]
@@ -382,13 +403,14 @@ def _solved(proofs: Proofs, fluent: Fluent, sign: int, rows: Sequence[Row], feat
         ([each[2] for each in entries], ([each[0] for each in entries], [each[1] for each in entries])),
         shape=(len(lines), width),
     )  # fmt: skip
-    left = proofs.end - time.monotonic()
-    if left <= 0:
+    each = 1 + len(lines) // 1_000
+    if proofs.work < each:
         return None
     result = linprog(
         objective, A_ub=matrix, b_ub=np.array([float(limit) for _, limit in lines]), bounds=[*upper, (None, None)],
-        method="highs", options={"time_limit": left},
+        method="highs-ds", options={"maxiter": proofs.work // each},
     )  # type: ignore[call-overload]  # fmt: skip
+    proofs.work -= each * (1 + result.nit)
     if result.status != 0:
         return None
     for largest in (12, 1_000, 1_000_000):

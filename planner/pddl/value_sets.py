@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
+from enum import Enum
 from fractions import Fraction
 from typing import Any
 
@@ -36,10 +38,39 @@ Fluent = tuple[str, ...]
 Value = Number | None
 """A number, or None for a fluent that has no value."""
 
+
+class Beyond(Enum):
+    """The value of a fluent that has left its set of values."""
+
+    BEYOND = "beyond"
+
+
 MOST_STEPS = 2_000_000
 """Largest number of combinations of values that are computed."""
 MOST_TOGETHER = 10_000
 """Largest number of combinations of values at which a condition on several numbers is used."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """An attempt to do with few values of the functions for which no bound is proven.
+
+    Attributes
+    ----------
+    values : int
+        Largest number of values of a fluent of these functions: those that relaxed reachability finds first.
+    known : mapping of Fluent to set of number, or None
+        Numbers that fluents have in reachable states, once it is known that these states are all. Without it, another
+        value is *beyond* the others, a value of its own with which nothing is known of the number.
+    """
+
+    values: int
+    known: Mapping[Fluent, AbstractSet[Number]] | None = None
+
+    def allows(self, fluent: Fluent, value: Value, before: int) -> bool:
+        """Return whether a fluent has a value, apart from those with which it begins; it has so many already."""
+        known = None if self.known is None else self.known.get(fluent)
+        return before < self.values if known is None or value is None else value in known
 
 
 class UnboundedError(ValueError):
@@ -94,6 +125,8 @@ class ValueSets:
     exceeded: set[Fluent] = field(default_factory=set)
     limited: set[Fluent] = field(default_factory=set)
     """Fluents of which a value outside of the proven range has been left out."""
+    open: set[Fluent] = field(default_factory=set)
+    """Fluents of which a value has been left out that may be reachable."""
 
 
 def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -> list[GroundChange]:
@@ -263,11 +296,15 @@ def computed(
     saturations: Mapping[Fluent, Saturation],
     ranges: Mapping[Fluent, tuple[Number | None, Number | None]],
     together: int = MOST_TOGETHER,
+    tried: Collection[str] = (),
+    trial: Trial | None = None,
 ) -> ValueSets:
     """Return the values of all fluents.
 
     A fluent with more than `limit` values raises an `UnboundedError`, and more than `MOST_STEPS` combinations raise a
-    `TooIntricateError`. A condition on several fluents is used up to `together` combinations of their values.
+    `TooIntricateError`. A condition on several fluents is used up to `together` combinations of their values. Fluents
+    of the functions that are `tried` have the values of the `trial`, and those that are assigned or with which they
+    begin.
     """
     changes = list(changes)
     begin = dict(initial)
@@ -281,7 +318,7 @@ def computed(
         for fluent in rule.reads:
             readers[fluent].append(rule)
     waiting: list[tuple[Fluent, Value]] = []
-    steps = 0
+    steps = position = 0
 
     def reached(fluent: Fluent, value: Value) -> None:
         if value is not None:
@@ -295,6 +332,12 @@ def computed(
                     found.exceeded.add(fluent)
                 value = normal
         if value not in found.values[fluent]:
+            own = trial if position and fluent[0] in tried else None
+            if own is not None and not own.allows(fluent, value, len(found.values[fluent])):
+                found.limited.add(fluent)
+                if own.known is None:
+                    found.open.add(fluent)
+                return
             found.values[fluent].add(value)
             if len(found.values[fluent]) > limit:
                 raise UnboundedError(fluent)
@@ -306,7 +349,6 @@ def computed(
         if not rule.reads and (after := rule.result(())) is not None:
             reached(rule.fluent, after)
     active: dict[Fluent, list[Value]] = defaultdict(list)
-    position = 0
     while position < len(waiting):
         fluent, value = waiting[position]
         position += 1

@@ -8,15 +8,15 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
+from ..grounding import fast_downward
+from ..grounding.sas_reader import from_sas
+from ..grounding.task import Task
 from ..pddl import built_problems, bundled, instance_finder, instances
-from ..pddl.compilation import Compilation, compiled
+from ..pddl.compilation import MOST_VALUES
 from ..pddl.reader import read
 from ..system.files import atomic
 from ..system.limits import NO_LIMITS, Limits
-from . import cross_check, fast_downward
-from .sas_reader import from_sas
-from .shown_names import in_the_files_terms
-from .task import Task
+from .number_values import grounded
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem
@@ -56,6 +56,7 @@ def load(
     *,
     limits: Limits = NO_LIMITS,
     cache: str | Path | None = None,
+    most_values: int = MOST_VALUES,
 ) -> Task:
     """Read, check and ground a PDDL instance.
 
@@ -71,6 +72,8 @@ def load(
     cache : path, optional
         Folder in which results are cached by the contents of the files. Files that were grounded before are neither
         checked nor grounded again.
+    most_values : int
+        Largest number of values of one number, such as a stock or a battery.
 
     Raises
     ------
@@ -93,16 +96,16 @@ def load(
                 "its name, such as 'kitting/tiny', its file, a Task, its cost-to-go, or a Problem of unified-planning"
             )
             raise TypeError(f"a {type(problem).__name__} where a task was expected: {wanted}")
-        return _load_built(problem, limits)
+        return _load_built(problem, limits, most_values)
     instance, stored = problem, None
     if cache is not None and instance.domain.is_file() and instance.problem.is_file():
-        stored = Path(cache) / f"{fast_downward.digest(instance)}.sas"
+        stored = Path(cache) / f"{fast_downward.digest(instance, most_values)}.sas"
         if (kept := _kept(stored)) is not None:
             note, unit, sas = kept
             return replace(from_sas(sas, instance, note), unit=unit)
-    task = ground(compiled(read(instance)), limits)
+    task = grounded(read(instance), limits, most_values)[1]
     # The files may have been changed since their digest was made.
-    if stored is not None and stored.stem == fast_downward.digest(instance):
+    if stored is not None and stored.stem == fast_downward.digest(instance, most_values):
         content = f"{task.note or ''}\n{task.unit}\n{task.sas}"
         with atomic(stored) as path:
             path.write_text(f"{_digest(content)}\n{content}", encoding="utf-8")
@@ -125,17 +128,8 @@ def _digest(content: str) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def ground(compilation: Compilation, limits: Limits = NO_LIMITS) -> Task:
-    """Ground a compiled instance, and compare the result with what was read."""
-    reading = compilation.reading
-    sas = fast_downward.translate(reading, limits)
-    task = from_sas(sas, reading.instance, "; ".join((*reading.notes, *compilation.notes)) or None)
-    cross_check.check(reading, task)
-    return in_the_files_terms(task, compilation)
-
-
-def _load_built(problem: Problem, limits: Limits) -> Task:
+def _load_built(problem: Problem, limits: Limits, most_values: int) -> Task:
     with built_problems.written(problem) as files:
-        task = ground(compiled(read(files.instance)), limits)
+        task = grounded(read(files.instance), limits, most_values)[1]
     named = built_problems.named(problem)
     return replace(from_sas(built_problems.restore_names(task.sas, files.own_names), named, task.note), unit=task.unit)
