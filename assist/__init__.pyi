@@ -3,3 +3,4 @@ from .learning.log import read_log as read_log
 from .live.assistant import Assistant as Assistant
 from .simulation.pool import Pool as Pool
 from .simulation.simulate import simulate as simulate
+from .study.policy_comparison import compare as compare

@@ -65,8 +65,8 @@ ROOMS = {
     "assist.coupled": """agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
-    "assist.plots": "style labels episode people study userstudy",
-    "assist.study": "study protocol tasks cells runner",
+    "assist.plots": "style labels episode people policies study userstudy",
+    "assist.study": "policy_comparison study protocol tasks cells runner",
     "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file study_events codes
         participant_team participants places groups erasing cohort session tables export""",
     "assist.reports": """statistics effects hypothesis_tests repeated_measures wording templates html_page

@@ -65,7 +65,7 @@ def simulate(
     from ..simulation.simulate import simulate as run
     from ..team.plain_setting import plain_setting
     from ..team.policies import UserPolicy
-    from .output.episode_summaries import show_summaries
+    from .output.episode_summaries import show_differences, show_summaries
 
     if not problems:
         refuse_unused(["goal_knowledge"], "without --goals")
@@ -132,3 +132,6 @@ def simulate(
         })  # fmt: skip
     else:
         show_summaries(summaries, drawn, size)
+        if len(results) > 1 and episodes > 1:
+            click.echo()
+            show_differences(results)

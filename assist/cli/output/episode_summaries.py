@@ -9,8 +9,23 @@ from rich.table import Table
 
 from ...person.policy import not_worth_its_cost
 from ...simulation.episode import SHOWN
-from ...simulation.episodes import Summary
+from ...simulation.episodes import Episodes, Summary
 from ..terminal.console import print_table
+
+
+def show_differences(runs: list[Episodes]) -> None:
+    """Print how each policy differs from the first one in the same episodes, with 95 % intervals."""
+    from ...study.policy_comparison import DIFFERENCES, MEASURES, compared
+
+    found = compared(runs)
+    table = Table(box=None, pad_edge=False)
+    table.add_column(f"difference to {found.baseline}")
+    for name in DIFFERENCES:
+        table.add_column(f"{MEASURES[name]} (95 % interval)", justify="right")
+    for row in found:
+        if row.policy != found.baseline:
+            table.add_row(row.policy, *(f"{getattr(row, f'{name}_difference')}" for name in DIFFERENCES))
+    print_table(table)
 
 
 def _cell(mean: float, error: float) -> str:

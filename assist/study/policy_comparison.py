@@ -1,0 +1,433 @@
+"""Policies compared on the same people and the same random numbers, under one condition or several.
+
+`compare` simulates every policy in the same episodes: same teams, same people, same uniform numbers. The difference of
+two policies in an episode is therefore due to the policies, and its mean varies far less than the two means do. A
+condition is a team size, a pool (people at another task, or a robot with other costs), or both.
+
+Intervals are those of Student's t distribution for the mean of independent episodes. They hold for the people of the
+pool: other people would give other means. `run_study` draws several pools, and generalises to people.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.system.errors import MissingExtraError, expected
+from planner.system.progress import Progress, Wanted, shows_progress
+
+from ..certify.comparison import certify
+from ..people.arguments import Seed, entropy, positive, whole
+from ..simulation.episodes import Episodes
+from ..simulation.pool import Pool, require_pool
+from ..simulation.simulate import simulate
+from ..team.state import TeamPolicy
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..certify.certificate import Certificate
+
+FIRST_PORTION = 64
+"""Episodes of each policy in the first portion; later ones are twice as large as the one before."""
+
+MEASURES = {"actions": "actions per person", "interventions": "interventions", "discounted_return": "return"}
+"""What is compared, with its name in tables: the attribute of `Episodes`, as a mean over people where it has them."""
+
+DIFFERENCES = ("actions", "discounted_return")
+"""The measures whose differences the table shows; the frame has all."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean over episodes, with its interval.
+
+    Attributes
+    ----------
+    mean : float
+    error : float
+        Standard error; NaN with one episode.
+    low, high : float
+        Ends of the interval; NaN with one episode.
+    """
+
+    mean: float
+    error: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: NDArray[Any], level: float) -> Estimate:
+        """Return the mean of independent values, shape (N,), with Student's interval."""
+        mean, count = float(values.mean()), len(values)
+        if count < 2:
+            return cls(mean, math.nan, math.nan, math.nan)
+        from scipy.special import stdtrit  # quantile of Student's t distribution
+
+        error = float(values.std(ddof=1)) / math.sqrt(count)
+        half = float(stdtrit(count - 1, 0.5 + level / 2)) * error
+        return cls(mean, error, mean - half, mean + half)
+
+    def __str__(self) -> str:
+        return f"{self.mean:.2f}" if math.isnan(self.low) else f"{self.mean:.2f} ({self.low:.2f} to {self.high:.2f})"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One policy under one condition.
+
+    Attributes
+    ----------
+    varied : number or str
+        The pool's key in `compare`; "" if there is one pool.
+    humans : int
+        Number of people in a team.
+    policy : str
+    episodes : int
+    finished : float
+        Share of people who reached their goal.
+    cut_off : int
+        Number of episodes that the step limit ended. Means of actions and of the return are then too low.
+    actions, interventions, discounted_return : Estimate
+        Mean of an episode: actions per person, suggestions and executions, and the return (cost units).
+    actions_difference, interventions_difference, discounted_return_difference : Estimate or None
+        This policy minus the baseline in the same episodes; None for the baseline itself.
+    upper, gap_percent : float or None
+        Upper bound on the value of all policies, and distance of this policy's value to it in percent, for the team of
+        the first `humans` people of the pool in the robot's model; None unless asked for.
+    """
+
+    varied: Any
+    humans: int
+    policy: str
+    episodes: int
+    finished: float
+    cut_off: int
+    actions: Estimate
+    interventions: Estimate
+    discounted_return: Estimate
+    actions_difference: Estimate | None
+    interventions_difference: Estimate | None
+    discounted_return_difference: Estimate | None
+    upper: float | None = None
+    gap_percent: float | None = None
+
+    @classmethod
+    def of(
+        cls, run: Episodes, baseline: Episodes | None, level: float, varied: Any = "",
+        certificate: Certificate | None = None,
+    ) -> Compared:  # fmt: skip
+        """Return the means of a policy's episodes, and the differences to a baseline's in the same episodes."""
+        own = {name: _each(run, name) for name in MEASURES}
+        means: dict[str, Any] = {name: Estimate.of(values, level) for name, values in own.items()}
+        for name, values in own.items():
+            difference = None if baseline is None else Estimate.of(values - _each(baseline, name), level)
+            means[f"{name}_difference"] = difference
+        return cls(
+            varied=varied, humans=run.people.shape[1], policy=run.policy, episodes=len(run),
+            finished=float(run.finished.mean()), cut_off=int(run.cut_off.sum()), **means,
+            upper=None if certificate is None else certificate.upper,
+            gap_percent=None if certificate is None else certificate.gap_percent,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PolicyComparison:
+    """Policies that were compared on common random numbers; a sequence of `Compared`.
+
+    Attributes
+    ----------
+    rows : tuple of Compared
+        By pool, then team size, then policy in the order given.
+    baseline : str
+        The policy that differences refer to.
+    varied : str
+        What the keys of the pools are; "" if there is one pool.
+    level : float
+        Confidence level of intervals.
+    """
+
+    rows: tuple[Compared, ...]
+    baseline: str
+    varied: str
+    level: float
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Compared]:
+        return iter(self.rows)
+
+    def __getitem__(self, row: int) -> Compared:
+        return self.rows[row]
+
+    def to_frame(self) -> Any:
+        """Return a tidy `pandas.DataFrame` with a row for each condition and policy; with the extra `study`.
+
+        Its columns are those of `Compared`. An estimate has four: its name for the mean, and the name with `_error`,
+        `_low` and `_high`. The column `varied` has the name that `compare` was given.
+
+        Raises
+        ------
+        MissingExtraError
+            pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise MissingExtraError("a data frame needs", "pandas", "study") from None
+        frame = pd.DataFrame([_columns(row) for row in self.rows])
+        if all(row.upper is None for row in self.rows):
+            frame = frame.drop(columns=["upper", "gap_percent"])
+        return frame.rename(columns={"varied": self.varied}) if self.varied else frame.drop(columns="varied")
+
+    def figure(self) -> Figure:
+        """Return a figure of the means and differences with their intervals; with the extra `plots`.
+
+        Raises
+        ------
+        MissingExtraError
+            matplotlib is not installed.
+        """
+        from ..plots.policies import comparison_figure
+
+        return comparison_figure(self)
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Return the columns and the rows of the table that people see."""
+        several = len({row.humans for row in self.rows}) > 1
+        columns = [*([self.varied] if self.varied else []), *(["people"] if several else []), "policy"]
+        for name, shown in MEASURES.items():
+            columns += [shown, *([f"difference to {self.baseline}"] if name in DIFFERENCES else [])]
+        with_gap = any(row.gap_percent is not None for row in self.rows)
+        columns += ["cut off", *(["gap to the optimum"] if with_gap else [])]
+        lines = []
+        for row in self.rows:
+            cells = [*([f"{row.varied}"] if self.varied else []), *([f"{row.humans}"] if several else []), row.policy]
+            for name in MEASURES:
+                difference = getattr(row, f"{name}_difference")
+                cells.append(_mean(getattr(row, name)))
+                if name in DIFFERENCES:
+                    cells.append("" if difference is None else str(difference))
+            cells += [f"{row.cut_off}", *([_gap(row.gap_percent)] if with_gap else [])]
+            lines.append(cells)
+        return columns, lines
+
+    def note(self) -> str:
+        """Return the sentence below the table, which says what its numbers are."""
+        count = {row.episodes for row in self.rows}
+        episodes = f"{min(count):,}" if len(count) == 1 else f"{min(count):,} to {max(count):,}"
+        how = f"differences in the same episodes, {self.level:.0%} interval"
+        return f"mean ± standard error over {episodes} episodes; {how}"
+
+    def __str__(self) -> str:
+        columns, lines = self.table()
+        width = [max(len(line[i]) for line in [columns, *lines]) for i in range(len(columns))]
+        rows = ["  ".join(cell.ljust(w) for cell, w in zip(line, width, strict=True)) for line in [columns, *lines]]
+        return "\n".join([*(row.rstrip() for row in rows), self.note()])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        columns, lines = self.table()
+        head = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
+        body = "".join(f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in line)}</tr>" for line in lines)
+        note = html.escape(self.note())
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table><p>{note}</p>"
+
+
+@shows_progress
+def compare(
+    pool: Pool | Mapping[Any, Pool],
+    policies: Iterable[str | TeamPolicy] | Mapping[str, str | TeamPolicy] | str | TeamPolicy,
+    *,
+    humans: int | Iterable[int] = 3,
+    episodes: int = 500,
+    seed: Seed = 0,
+    baseline: str | None = None,
+    varied: str = "pool",
+    level: float = 0.95,
+    certified: bool = False,
+    time_limit: float | None = None,
+    jobs: int = 1,
+    progress: Wanted = None,
+    **options: Any,
+) -> PolicyComparison:
+    """Simulate policies with the same people and random numbers, and compare their means.
+
+    Parameters
+    ----------
+    pool : Pool, or mapping to pools
+        People and robot. With several pools, such as one for each cost of a suggestion, a key is a condition.
+    policies : one or more policies, or a mapping of names to policies
+        Names of `assist.team.policies.POLICIES`, or callables; the latter have their own names unless given.
+    humans : int or iterable of int
+        Number of people in a team, one or several. Teams are drawn from the pool.
+    episodes : int
+        Number of episodes of each policy under each condition.
+    seed : int or Generator
+    baseline : str, optional
+        The policy that differences refer to; by default "none" if it is compared, else the first.
+    varied : str
+        What the keys of several pools are, such as "c_suggest": the name of a column and of an axis.
+    level : float
+        Confidence level of intervals.
+    certified : bool
+        Also compute an upper bound on the value of all policies, and each policy's gap to it, which takes longer.
+    time_limit : float, optional
+        Seconds after which no further portion of episodes begins. All policies have the same episodes.
+    jobs : int
+        Number of threads, as in `simulate`.
+    progress : callable or bool, optional
+        Receives progress reports, as `planner.system.progress` describes.
+    **options
+        Further arguments of `simulate`, such as `goals` or `world`.
+
+    Returns
+    -------
+    PolicyComparison
+
+    Raises
+    ------
+    TypeError
+        `pool` is no pool.
+    ValueError
+        A parameter is out of its range, a policy is unknown, or two have one name.
+    """
+    assert callable(progress)
+    pools = dict(pool) if isinstance(pool, Mapping) else {"": pool}
+    if not pools:
+        raise ValueError("pool: expected at least one")
+    for one in pools.values():
+        require_pool(one)
+    named = _named(policies)
+    sizes = [whole("humans", one, 1) for one in ([humans] if np.ndim(humans) == 0 else list(humans))]  # type: ignore[arg-type]
+    base = baseline or ("none" if "none" in named else next(iter(named)))
+    if base not in named:
+        raise ValueError(f"baseline {base!r}; {expected(base, list(named))}")
+    if not 0 < level < 1:
+        raise ValueError(f"level {level}: expected a number between 0 and 1")
+    count, seed_number = whole("episodes", episodes, 1), entropy(seed)
+    limit = None if time_limit is None else positive("time_limit", time_limit)
+    conditions = [(key, one, size) for key, one in pools.items() for size in sizes]
+    rows: list[Compared] = []
+    for done, (key, one, size) in enumerate(conditions):
+        share = None if limit is None else limit / len(conditions)
+        tell = partial(_told, progress, f" ({done + 1} of {len(conditions)} conditions)" * (len(conditions) > 1))
+        run = partial(simulate, one, humans=size, seed=seed_number, jobs=jobs, **options)
+        runs = _runs(run, named, count, share, tell)
+        gaps: dict[str, Certificate] = {}
+        if certified:
+            _, found = certify(
+                one, named, team=range(size), episodes=max(count, 2), seed=seed_number, time_limit=share, progress=tell
+            )
+            gaps = {certificate.policy: certificate for certificate in found}
+        rows += [
+            Compared.of(run, None if name == base else runs[base], level, key, gaps.get(name))
+            for name, run in runs.items()
+        ]
+    return PolicyComparison(tuple(rows), base, varied if isinstance(pool, Mapping) else "", level)
+
+
+def compared(runs: Iterable[Episodes], *, baseline: str | None = None, level: float = 0.95) -> PolicyComparison:
+    """Compare policies whose episodes were simulated already, with the same people and random numbers.
+
+    Parameters
+    ----------
+    runs : iterable of Episodes
+        One for each policy.
+    baseline, level
+        As in `compare`.
+
+    Raises
+    ------
+    ValueError
+        There is none, the baseline is not among them, or they are not the same episodes of the same people.
+    """
+    every = {run.policy: run for run in runs}
+    if not every:
+        raise ValueError("runs: expected at least one")
+    base = baseline or ("none" if "none" in every else next(iter(every)))
+    if base not in every:
+        raise ValueError(f"baseline {base!r}; {expected(base, list(every))}")
+    for run in every.values():
+        same = np.array_equal(run.episode, every[base].episode) and np.array_equal(run.people, every[base].people)
+        if not same:
+            raise ValueError(f"{run.policy}: expected the same episodes and people as those of {base}")
+    rows = [Compared.of(run, None if name == base else every[base], level) for name, run in every.items()]
+    return PolicyComparison(tuple(rows), base, "", level)
+
+
+def _named(policies: Any) -> dict[str, str | TeamPolicy]:
+    """Return policies by name. Two of one name are an error."""
+    if isinstance(policies, Mapping):
+        found = dict(policies)
+    else:
+        found = {}
+        for one in [policies] if isinstance(policies, str) or callable(policies) else policies:
+            name = one if isinstance(one, str) else str(getattr(one, "__name__", "policy"))
+            if name in found:
+                raise ValueError(f"two policies are called {name!r}: expected a mapping of names to policies")
+            found[name] = one
+    if not found:
+        raise ValueError("policies: expected at least one")
+    return found
+
+
+def _runs(
+    run: Callable[..., Episodes], policies: Mapping[str, Any], count: int, seconds: float | None, progress: Progress
+) -> dict[str, Episodes]:  # fmt: skip
+    """Return the same episodes of all policies, in growing portions if there is a time limit."""
+    begun, done, size = time.perf_counter(), 0, count if seconds is None else FIRST_PORTION
+    parts: dict[str, list[Episodes]] = {name: [] for name in policies}
+    while done < count and (not done or seconds is None or time.perf_counter() - begun < seconds):
+        numbers = range(done, min(count, done + size))
+        for name, policy in policies.items():
+            own_jobs = {} if isinstance(policy, str) else {"jobs": 1}  # a user's policy need not be ready for threads
+            parts[name].append(run(policy=policy, name=name, episodes=numbers, progress=progress, **own_jobs))
+        done, size = numbers.stop, 2 * size
+    return {name: Episodes.joined(own) if len(own) > 1 else own[0] for name, own in parts.items()}
+
+
+def _told(progress: Progress, where: str, what: str, done: int, total: int | None) -> None:
+    progress(what + where, done, total)
+
+
+def _each(run: Episodes, name: str) -> NDArray[Any]:
+    """Return a measure of each episode, shape (N,); the mean over people where it has one for each."""
+    values = np.asarray(getattr(run, name), dtype=float)
+    return values.mean(axis=1) if values.ndim == 2 else values
+
+
+def _columns(row: Compared) -> dict[str, Any]:
+    """Return a row of the frame."""
+    found: dict[str, Any] = {}
+    for field in fields(row):
+        value = getattr(row, field.name)
+        estimate = field.name.removesuffix("_difference") in MEASURES
+        if not estimate:
+            found[field.name] = value
+            continue
+        for part in ("mean", "error", "low", "high"):
+            column = field.name if part == "mean" else f"{field.name}_{part}"
+            found[column] = math.nan if value is None else getattr(value, part)
+    return found
+
+
+def _mean(estimate: Estimate) -> str:
+    """Return a mean with its standard error, as a table shows it."""
+    return f"{estimate.mean:.2f}" if math.isnan(estimate.error) else f"{estimate.mean:.2f} ± {estimate.error:.2f}"
+
+
+def _gap(percent: float | None) -> str:
+    if percent is None:
+        return ""
+    return f"at most {percent:.1f} %" if percent >= 0 else "0 %, within the error"

@@ -1,0 +1,127 @@
+"""Policies compared on common random numbers: means, differences, intervals, conditions, and their table and figure."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from assist import Pool, compare, simulate
+from assist.certify import certify
+from assist.study import PolicyComparison, compared
+from assist.team import Setting, TeamAction, TeamState
+from planner import cost_to_go
+
+POLICIES = ["none", "reactive", "attention"]
+
+
+@pytest.fixture(scope="module")
+def pool() -> Pool:
+    return Pool.sample(cost_to_go("kitting/tiny"), 6, seed=0, setting=Setting(c_suggest=0.5))
+
+
+@pytest.fixture(scope="module")
+def found(pool: Pool) -> PolicyComparison:
+    return compare(pool, POLICIES, humans=[2, 3], episodes=40, seed=1)
+
+
+def test_means_and_differences_are_those_of_simulate(pool: Pool, found: PolicyComparison) -> None:
+    runs = {name: simulate(pool, name, humans=3, episodes=40, seed=1) for name in POLICIES}
+    rows = {row.policy: row for row in found if row.humans == 3}
+    for name, run in runs.items():
+        assert rows[name].discounted_return.mean == run.summary().discounted_return[0]
+        assert rows[name].actions.error == pytest.approx(run.summary().actions[1], rel=1e-12)
+        assert rows[name].cut_off == run.summary().cut_off
+    more = runs["attention"].discounted_return - runs["none"].discounted_return
+    low, high = stats.ttest_1samp(more, 0).confidence_interval(0.95)
+    difference = rows["attention"].discounted_return_difference
+    assert difference is not None
+    assert (difference.mean, difference.low, difference.high) == pytest.approx((more.mean(), low, high), rel=1e-9)
+    assert rows["none"].discounted_return_difference is None
+
+
+def test_portions_within_a_time_limit_are_the_same_episodes(pool: Pool, found: PolicyComparison) -> None:
+    limited = compare(pool, POLICIES, humans=[2, 3], episodes=40, seed=1, time_limit=1e-9)
+    assert limited == found  # the first portion has more episodes than were asked for
+    fewer = compare(pool, ["none"], humans=2, episodes=100, seed=1, time_limit=1e-9)
+    assert fewer[0].episodes == 64
+
+
+def test_the_frame_is_tidy(found: PolicyComparison) -> None:
+    frame = found.to_frame()
+    assert list(zip(frame.humans, frame.policy, strict=True)) == [(k, name) for k in (2, 3) for name in POLICIES]
+    none = frame[frame.policy == "none"]
+    assert none.actions_difference.isna().all()
+    assert (frame.actions_low < frame.actions).all()
+    assert not {"upper", "varied"} & set(frame)
+
+
+def test_pools_are_conditions_and_have_a_column(pool: Pool) -> None:
+    cheap = Pool.sample(cost_to_go("kitting/tiny"), 6, seed=0, setting=Setting(c_suggest=0.05))
+    found = compare({0.05: cheap, 0.5: pool}, POLICIES, humans=2, episodes=30, varied="c_suggest")
+    frame = found.to_frame()
+    assert frame.c_suggest.tolist() == [0.05] * 3 + [0.5] * 3
+    assert frame[frame.policy == "attention"].interventions.is_monotonic_decreasing
+    assert str(found).splitlines()[0].split()[:2] == ["c_suggest", "policy"]
+    assert [axis.get_xlabel() for axis in found.figure().axes] == ["c_suggest"] * 3
+
+
+def test_the_gap_to_the_optimum_is_that_of_certify(pool: Pool) -> None:
+    found = compare(pool, ["none", "attention"], humans=1, episodes=30, seed=2, certified=True)
+    bound, certificates = certify(pool, ["none", "attention"], team=[0], episodes=30, seed=2)
+    assert [row.upper for row in found] == [bound.upper] * 2
+    assert [row.gap_percent for row in found] == [one.gap_percent for one in certificates]
+    assert "gap to the optimum" in str(found)
+
+
+def test_it_is_shown_in_notebooks_drawn_and_pickled(found: PolicyComparison) -> None:
+    page = found._repr_html_()
+    assert page.count("<tr>") == 1 + len(found)
+    assert "attention" in page
+    assert "difference to none" in page
+    figure = found.figure()
+    assert [axis.get_ylabel() for axis in figure.axes] == [
+        "actions per person", "interventions per episode", "return (cost units)",
+    ]  # fmt: skip
+    assert figure.axes[0].get_xlabel() == "people in a team"
+    again: Any = pickle.loads(pickle.dumps(found))
+    assert again == found
+
+
+def test_a_users_policy_and_one_episode(pool: Pool) -> None:
+    def stays(state: TeamState) -> TeamAction:
+        return TeamAction(np.zeros(len(state.location), dtype=np.int64), np.full(len(state.location), -1))
+
+    with pytest.raises(ValueError, match="two policies are called 'stays'"):
+        compare(pool, [stays, stays], humans=2)
+    found = compare(pool, {"none": "none"}, humans=2, episodes=1)
+    assert math.isnan(found[0].actions.low)
+    assert "±" not in str(found).splitlines()[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"policies": []}, "policies: expected at least one"),
+        ({"policies": ["atention"]}, "attention"),
+        ({"baseline": "priority"}, "baseline 'priority'"),
+        ({"level": 1.0}, "between 0 and 1"),
+        ({"humans": 0}, "humans"),
+        ({"pool": {}}, "pool: expected at least one"),
+        ({"pool": "kitting/tiny"}, "Pool.sample"),
+    ],
+)
+def test_a_wrong_argument_is_answered_in_one_sentence(pool: Pool, change: dict[str, Any], message: str) -> None:
+    arguments: dict[str, Any] = {"pool": pool, "policies": POLICIES, "humans": 2, "episodes": 2, **change}
+    with pytest.raises((ValueError, TypeError), match=message):
+        compare(arguments.pop("pool"), arguments.pop("policies"), **arguments)
+
+
+def test_only_the_same_episodes_are_compared(pool: Pool) -> None:
+    runs = [simulate(pool, name, humans=2, episodes=5, seed=seed) for seed, name in enumerate(["none", "reactive"])]
+    with pytest.raises(ValueError, match="same episodes and people"):
+        compared(runs)
