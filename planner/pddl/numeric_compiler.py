@@ -128,7 +128,11 @@ class Compiler:
             for change in each.schema.changes:
                 compared += reads(change.condition, {**kinds, **change.variables}, top)
         initial = initial_values(self.roles.kept, self.reading.problem.values, (each.fluent for each in changes))
-        limits = saturations(statics, self.roles.kept, self.costed, compared, changes, initial)
+        try:
+            limits = saturations(statics, self.roles.kept, self.costed, compared, changes, initial)
+        except TooManyError:
+            refuse(self.file, self.costed[0].schema.place, "the numbers of this domain are compared for too many "
+                   "combinations of objects; expected fewer objects, or fewer comparisons")  # fmt: skip
         of_actions = {each.name: self._kinds(each.parameters) for each in self._signatures()}
         proofs = Proofs(self.reading, statics, self.costed, changes, initial, of_actions)
         return Bounds(proofs, limits, most_values)

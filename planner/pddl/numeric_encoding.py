@@ -41,6 +41,8 @@ from .value_sets import Beyond, Fluent, Saturation, Value, ValueSets
 
 MOST_ROWS = 300_000
 """Largest number of tuples of one static relation."""
+MOST_TRIED = 5_000_000
+"""Largest number of combinations of values that are tried for all relations of an instance, about ten seconds."""
 DIRECT_ROWS = 3_000
 """A relation with more tuples reads the value of a static expression as an object of its own."""
 
@@ -94,6 +96,7 @@ class Encoder:
         self.numbers: dict[str, frozenset[Number]] = {}
         self.undefined: set[str] = set()
         self.special: set[str] = set()
+        self.tried = 0
         by_name: dict[str, list[Fluent]] = {name: [] for name in kept}
         for fluent in sets.values:
             by_name[fluent[0]].append(fluent)
@@ -176,8 +179,8 @@ class Encoder:
 
     def too_many(self, place: Place, what: str) -> None:
         """Refuse a relation with more than `MOST_ROWS` rows."""
-        refuse(self.file, place, f"{what} has more than {MOST_ROWS} combinations of values; expected fewer terms in "
-               "one expression, or fewer values")  # fmt: skip
+        refuse(self.file, place, f"{what} compares or changes numbers in too many combinations of values; expected "
+               "fewer comparisons, fewer terms in one expression, or fewer values")  # fmt: skip
 
 
 class Scope:
@@ -294,7 +297,8 @@ class Scope:
             measure = self.measured(static)
             columns = (measure.variable,)
             static_rows = [((encoder.object_of(value),), value) for value in sorted(measure.numbers)]
-        if size * len(static_rows) > MOST_ROWS:
+        encoder.tried += size * len(static_rows)
+        if size * len(static_rows) > MOST_ROWS or encoder.tried > MOST_TRIED:
             encoder.too_many(self.place, f"action '{self.name}'" if self.name else "a condition")
         rows: list[tuple[str, ...]] = []
         results: set[Number] = set()

@@ -11,8 +11,12 @@ from .numeric_expressions import OPERATIONS, NoValueError, Number, compared, num
 from .reader import Reading
 from .s_expressions import Expression
 
-LARGEST_JOIN = 2_000_000
-"""Largest number of combinations of objects that are enumerated for one action."""
+LARGEST_JOIN = 300_000
+"""Largest number of combinations of objects that are enumerated at a time, about ten seconds."""
+MOST_WORK = 5_000_000
+"""Work with objects for one instance, about 20 seconds: combinations that are enumerated, and conditions on these."""
+COMPARISON = 20
+"""Work of one comparison of numbers."""
 
 
 class TooManyError(ValueError):
@@ -33,6 +37,7 @@ class Statics:
         self._named = {union: kinds for kinds, union in reading.unions.items()}
         self._types = types
         self._of_kind: dict[str, tuple[str, ...]] = {}
+        self._work = 0
         self.facts: dict[str, set[tuple[str, ...]]] = {name: set() for name in predicates}
         for name, *arguments in reading.problem.facts:
             if name in self.facts:
@@ -88,10 +93,10 @@ class Statics:
         must have a value. More than `LARGEST_JOIN` combinations raise a `TooManyError`.
         """
         relations, filters = [], []
-        for condition in conditions:
+        for condition in (each for whole in conditions for each in conjuncts(whole)):
             if condition.head in self.facts:
                 relations.append(_relation(condition, self.facts[condition.head], variables))
-            elif free_variables(condition).keys() <= variables.keys():
+            elif free_variables(condition).keys() <= variables.keys() and self._decides(condition):
                 filters.append(condition)
         relations += [_relation(term, self.values[term.head].keys(), variables) for term in terms]
         kinds = {name: set(self.of_kind(kind)) for name, kind in variables.items()}
@@ -103,6 +108,19 @@ class Statics:
             if names:
                 kept.append((names, rows))
         return self._joined(variables, kept, filters)
+
+    def _decides(self, condition: Expression) -> bool:
+        """Whether a condition may be false whatever the changing facts and numbers are."""
+        head, parts = condition.head, condition.parts[1:]
+        if head in COMPLEMENT:
+            return all(map(self.is_static, parts))
+        if head in ("and", "or"):
+            return any(map(self._decides, parts))
+        if head in ("not", "failed"):
+            return self._decides(parts[0])
+        if head in ("forall", "exists"):
+            return self._decides(parts[1])
+        return head == "=" or head in self.facts
 
     def _joined(
         self,
@@ -131,6 +149,7 @@ class Statics:
                 longer += [before + after for after in index.get(tuple(before[n] for n in at), ())]
                 if len(longer) > LARGEST_JOIN:
                     raise TooManyError
+            self._count(len(longer))
             names += tuple(columns[n] for n in new)
             known = set(names)
             ready = [each for each in filters if free_variables(each).keys() <= known]
@@ -171,7 +190,14 @@ class Statics:
                 return TRUE if words in self.facts[head] else FALSE
         return listed(condition.parts[0], *(Expression(word) for word in words))
 
+    def _count(self, work: int) -> None:
+        """Count work; a `TooManyError` says that it is too much."""
+        self._work += work
+        if self._work > MOST_WORK:
+            raise TooManyError
+
     def _compared(self, comparison: Expression, bound: Mapping[str, str]) -> Expression:
+        self._count(COMPARISON)
         sides = comparison.parts[1:]
         if free_variables(comparison).keys() - bound.keys():
             return comparison._replace(parts=(comparison.parts[0], *(bound_terms(side, bound) for side in sides)))

@@ -46,7 +46,7 @@ class Beyond(Enum):
 
 
 MOST_STEPS = 2_000_000
-"""Largest number of combinations of values that are computed."""
+"""Largest number of combinations of values that are computed; one with many conditions counts several times."""
 MOST_TOGETHER = 10_000
 """Largest number of combinations of values at which a condition on several numbers is used."""
 
@@ -271,6 +271,7 @@ class _Rule:
             if (set(inner) & set(reads) and product <= together) or len(more) == 1:
                 reads = more
         self.reads: tuple[Fluent, ...] = tuple(reads)
+        self.work = 1 + len(guards) // 5
         source = _Source({f"({' '.join(each)})": number for number, each in enumerate(self.reads)})
         conditions = [f"v[{number}] is not None" for number in range(len(needed))]
         conditions += [source.condition(guard) for guard in guards]
@@ -356,7 +357,7 @@ def computed(
         for rule in readers[fluent]:
             pools = [[value] if each == fluent else active[each] for each in rule.reads]
             for values in itertools.product(*pools):
-                steps += 1
+                steps += rule.work
                 if (after := rule.result(values)) is not None:
                     reached(rule.fluent, after)
             if steps > MOST_STEPS:
