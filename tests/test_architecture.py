@@ -22,8 +22,8 @@ ROOMS = {
         limits workers""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
-        saturation value_ranges numeric_encoding numeric_compiler compilation writer validation plan_execution
-        validation_process built_actions built_bounds built_formulas built_problems""",
+        saturation value_ranges value_encoder value_scope numeric_encoding numeric_compiler compilation writer
+        validation plan_execution validation_process built_actions built_bounds built_formulas built_problems""",
     "planner.grounding": "fast_downward task leaving sas_reader cross_check shown_names translation semantics",
     "planner.states": "packing state_space",
     "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors

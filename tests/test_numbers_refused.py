@@ -198,3 +198,21 @@ def test_more_values_than_the_limit_are_named_with_their_number(tmp_path: Path) 
 def test_costs_beyond_the_largest_after_scaling_are_refused(tmp_path: Path) -> None:
     domain = DOMAIN.replace("(increase (spent) 2)", "(increase (spent) 100000000000.001)")
     assert "more than 1000000000000 units of 0.001, the unit in which" in faults(tmp_path, domain, PROBLEM)
+
+
+@pytest.mark.slow  # ten seconds of work are done first
+def test_very_many_comparisons_are_refused_soon(tmp_path: Path) -> None:
+    """Work is counted: a learned precondition of hundreds of comparisons is no reason to wait for a minute."""
+    guards = " ".join(f"(<= (+ (* (level) -0.{n:03}) (far ?a ?b)) {n})" for n in range(1, 400))
+    domain = f"""(define (domain d) (:requirements :typing :fluents) (:types bin)
+      (:functions (far ?a ?b - bin) (level))
+      (:action move :parameters (?a ?b ?c - bin) :precondition (and (< (level) 9) {guards} (<= (far ?b ?c) 99))
+       :effect (increase (level) (+ (far ?a ?b) (far ?b ?c)))))"""
+    bins = [f"b{n}" for n in range(20)]
+    values = " ".join(f"(= (far {a} {b}) 1)" for a in bins for b in bins)
+    problem = f"""(define (problem p) (:domain d) (:objects {" ".join(bins)} - bin)
+      (:init (= (level) 0) {values}) (:goal (= (level) 4)))"""
+    (tmp_path / "domain.pddl").write_text(domain)
+    (tmp_path / "p.pddl").write_text(problem)
+    with pytest.raises(PDDLError, match="action 'move' changes numbers for too many combinations of objects"):
+        compiled(read(Instance(tmp_path / "p.pddl", tmp_path / "domain.pddl")))

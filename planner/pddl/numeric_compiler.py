@@ -11,11 +11,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from . import metric, numeric_encoding, numeric_schemas, schemas
+from . import metric, numeric_encoding, numeric_schemas, schemas, value_encoder
 from .conditions import FALSE, is_numeric, normal_form
 from .declarations import OBJECT, Symbol, Typed, Types, refuse
 from .formulas import LARGEST_COST, Cost, listed, word
-from .numeric_encoding import EncodedAction, Encoder, Scope
+from .numeric_encoding import EncodedAction
 from .numeric_expressions import Number, as_shown
 from .numeric_schemas import Preparation
 from .reader import Action, Domain, DurativeAction, Problem, Reading, Rule
@@ -23,7 +23,9 @@ from .s_expressions import Expression
 from .saturation import Read, reads, saturations
 from .static_facts import Statics, TooManyError
 from .supported_fragment import REQUIREMENTS
+from .value_encoder import Encoder
 from .value_ranges import Bounds, Proofs
+from .value_scope import Scope
 from .value_sets import GroundChange, Trial, ValueSets, ground_changes, initial_values
 
 
@@ -187,7 +189,7 @@ class Compiler:
         predicates = {name: root.symbol(each) for name, each in domain.predicates.items()}
         for name in encoder.names:
             declared = domain.functions.get(name) or Symbol(name, (), place)
-            symbol = numeric_encoding.value_symbol(encoder, declared)
+            symbol = value_encoder.value_symbol(encoder, declared)
             predicates[symbol.name] = root.symbol(symbol)
         for rule, condition in self.rules:
             scope = Scope(encoder, self._kinds(rule.head.parameters), (), "", rule.head.place)
@@ -202,7 +204,7 @@ class Compiler:
         entries = [_replaced(entry, never.name) for entry in entries]
         if any(_mentions(entry, never.name) for entry in entries) or _mentions_text(text, never.name):
             predicates[never.name] = never
-        for each in numeric_encoding.relation_symbols(encoder, place):
+        for each in value_encoder.relation_symbols(encoder, place):
             predicates[each.name] = each
         facts = dict(problem.facts)
         facts.update(dict.fromkeys(encoder.symbol_facts(), place))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from fractions import Fraction
+from functools import cache
 
 from .s_expressions import Expression
 
@@ -29,6 +30,7 @@ def whole(value: Number) -> Number:
     return int(value) if value.denominator == 1 else value
 
 
+@cache
 def number(text: str) -> Number | None:
     """Return the number that a word denotes; None if it denotes none."""
     if not re.fullmatch(r"-?(\d+\.?\d*|\.\d+)", text):

@@ -15,7 +15,7 @@ LARGEST_JOIN = 300_000
 """Largest number of combinations of objects that are enumerated at a time, about ten seconds."""
 MOST_WORK = 5_000_000
 """Work with objects for one instance, about 20 seconds: combinations that are enumerated, and conditions on these."""
-COMPARISON = 20
+COMPARISON = 50
 """Work of one comparison of numbers."""
 
 
