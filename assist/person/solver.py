@@ -187,7 +187,7 @@ class Solution(Policy):
         The arguments are as in `q_values`.
         """
         value, size, own = np.empty(len(x)), self.pomdp.prior.size, x % self.pomdp.task_states
-        beliefs = np.array(belief, dtype=float).reshape(len(x), size)  # writable, as in sampled bounds
+        beliefs = np.array(belief, dtype=float, order="C").reshape(len(x), size)  # writable, as in sampled bounds
         corner, point = (read_only(array).reshape(-1, size) for array in (self.corner, self.point))
         drop, first = read_only(self.drop), read_only(self.first)
         convex_bound.uppers(value, read_only(own, np.int64), beliefs, corner, point, drop, first, convex_bound.PIVOTS)
