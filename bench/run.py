@@ -26,6 +26,7 @@ CASES = {
         "kitting-3-4 kitting-4-5 --repeat 1 --timeout 60 --sample 10 --sample-seconds 5",
         "kitting-1-1 kitting-1-2 --repeat 1 --peers kitassist",
     ),
+    "counters": ("stock/order battery trays --pairs 3", "stock/two-trays --pairs 1"),
     "crosscheck": ("20", "2"),
     "endurance": (
         "--people 10 --minutes 1 --kills 1",
@@ -118,8 +119,8 @@ CASES = {
         "--instance kitting/tiny --people 2 --episodes 20 --policy priority",
     ),
 }
-NEED_DATA = {"collection", "covered", "live_pictures", "numeric_pddl", "symbolic"}
-"""Scripts that need other people's files or programs, or a browser."""
+NEED_DATA = {"collection", "covered", "live_pictures", "numeric_pddl", "paired", "symbolic"}
+"""Scripts that need other people's files or programs, another checkout, or a browser."""
 
 WRITES = {"cost_to_go", "fit_figures", "fit time", "growth", "pomdp"} | {c for c in CASES if c.startswith("team")}
 
