@@ -201,7 +201,8 @@ PAIRS: dict[str, Callable[[], tuple[Texts, Texts]]] = {
 def work(folder: Path) -> dict[str, float]:
     """Return what a side of a pair takes, in this process."""
     from planner import Instance, sweep
-    from planner.grounding.load import ground
+    from planner.grounding import fast_downward
+    from planner.grounding.translation import ground
     from planner.pddl.compilation import compiled
     from planner.pddl.reader import read
 
@@ -213,8 +214,6 @@ def work(folder: Path) -> dict[str, float]:
     sweep(ground(compiled(read(Instance(small / "tiny.pddl", small / "domain.pddl")))))
     begin = clock()
     made = compiled(read(Instance(folder / "p.pddl", folder / "domain.pddl")))
-    from planner.grounding import fast_downward
-
     fast_downward.translate(made.reading)
     translated = clock()
     task = ground(made)
