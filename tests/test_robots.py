@@ -131,7 +131,7 @@ def test_two_robots_never_attend_the_same_person(
     trace: Trace = []
     two = of(pool, 2, travel_time=travel_time)
     travel = two.setting.travel(3, distance)
-    episodes = run(two, name, episodes=5 if name == "rollout" else 20, trace=trace, travel=travel)
+    episodes = run(two, name, episodes=10 if name == "rollout" else 20, trace=trace, travel=travel)
     for episode in episodes:
         rows = [row for row in trace if row["episode"] == f"{name}-{episode.episode}"]
         assert sum(row["suggestion"] is not None for row in rows) == episode.interventions
