@@ -43,7 +43,7 @@ MOST_STATES = 1_000_000
 MOST_OPERATORS = 30_000
 """A trial with more operators is not enlarged: the next one would take minutes to ground."""
 TRIAL_SECONDS = 30.0
-"""Longest time to ground one trial, or to search for a plan within it."""
+"""Longest processor time to ground one trial, or to search for a plan within it."""
 
 
 def grounded(
@@ -72,12 +72,10 @@ class _Trials:
 
     def _left(self) -> Limits:
         """Return the limits of one step."""
-        if self._end is None:
-            return replace(self._limits, seconds=TRIAL_SECONDS)
-        left = self._end - time.monotonic()
-        if left <= 0:
+        left = None if self._end is None else self._end - time.monotonic()
+        if left is not None and left <= 0:
             raise LimitError("out of time while the values of numbers without a proven bound were tried")
-        return replace(self._limits, seconds=min(TRIAL_SECONDS, left))
+        return replace(self._limits, seconds=left, processor_seconds=TRIAL_SECONDS)
 
     def sufficient(self, refusal: UnprovenError) -> tuple[Compilation, Task]:
         """Return the compilation and the task of a trial that suffices; if there is none, raise the refusal."""

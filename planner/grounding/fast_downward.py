@@ -143,7 +143,8 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
         process_group=guarded_group(),
     )
     try:
-        limit_process(process.pid, limits.memory_mb, limits.seconds)
+        given = [each for each in (limits.seconds, limits.processor_seconds) if each is not None]
+        limit_process(process.pid, limits.memory_mb, min(given, default=None))
         _give(process, text or "")
         output = _output(process, limits)
     finally:

@@ -139,12 +139,15 @@ class Limits:
         Flag that ends the call when it is set, such as a `threading.Event`.
     lower_priority_after : float or None
         Seconds after which the process gets the lowest scheduling priority.
+    processor_seconds : float or None
+        Processor time of the process, which does not depend on the load of the machine.
     """
 
     seconds: float | None = None
     memory_mb: float | None = None
     stop: StopSignal | None = None
     lower_priority_after: float | None = None
+    processor_seconds: float | None = None
 
     def ended_by(self, over: StopSignal) -> Limits:
         """Return the limits of a call that also ends when `over` is set."""
