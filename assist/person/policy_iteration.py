@@ -1,22 +1,28 @@
 """Values of a person's problem with observed beta and theta, by policy iteration on sparse matrices.
 
-`improve` solves a problem region by region: first the dead ends, from which no goal can be reached, then all other
-states. Two steps alternate in a region.
+`improve` solves a problem for each beta, region by region: first the dead ends, from which no goal can be reached, then
+all other states. In a region, two steps alternate.
 
-- A *sweep* replaces the value of every state by its Bellman backup, in place, and notes the best robot action of each
-  state and theta (Gauss-Seidel value iteration, in the order of h*).
-- The *values of this policy* solve sparse linear equations. They are found by Gauss-Seidel sweeps over the matrix, and
+- The *values of a policy* solve sparse linear equations. They are found by Gauss-Seidel sweeps over the equations, and
   where these are slow by a Krylov method (BiCGSTAB: van der Vorst, 1992) with such a sweep as its preconditioner.
+- A *sweep* replaces the value of every state by its Bellman backup, in place, in the order of h*. It notes the best
+  robot action of each state and theta: the next policy.
 
-In a dead end, nothing ends, and mostly no suggestion is worth its cost. So the region starts with the policy that does
-nothing. Theta has no effect on it: its equations have one unknown for each state. A sweep then confirms that nothing is
-better, or begins the iteration.
+The first policy is the given one, or else to do nothing. Theta has no effect on the latter, so that its equations have
+one unknown for each state. In a dead end, mostly no suggestion is worth its cost; then the first sweep is the last.
+A few sweeps are enough elsewhere. Equations that would take too much memory are left out; then sweeps alone go on.
 
-Bounds. For one beta, let T be the Bellman operator on a region, or that of one policy, where all other states have
-fixed values. It is monotone, and T(v + d) <= T(v) + gamma d for every number d >= 0. Values never exceed 0.
+**Bounds and the stopping rule.** For one beta, let T be the Bellman operator on a region, or that of one policy, where
+all other states have fixed values.
 
-Claim. Let v be any values, w the result of one sweep that starts at v, r = max(0, max(w - v)) its largest rise, and e
-the largest rounding error of one backup. Then u = w + c is an upper bound on the fixed point of T, where
+Assumptions.
+
+1. T is monotone, and T(v + d) <= T(v) + gamma d for every number d >= 0. Both hold since the values of next states have
+   weights of at least 0 that sum up to gamma or less.
+2. v are any values, and w is the computed result of one sweep that starts at v.
+3. The computed backup of one state is off by at most e.
+
+Claim. Let r = max(0, max(w - v)) be the largest rise. Then u = w + c is an upper bound on the fixed point of T, where
 c = (gamma r + e) / (1 - gamma).
 
 Proof. The sweep computes w(x), up to e, as the backup of values v' that are those of w where the sweep has been and
@@ -24,11 +30,13 @@ those of v elsewhere. Either way w <= v' + r. So T(u)(x) <= T(v')(x) + gamma (r 
 = w(x) + (1 - gamma) c + gamma c = u(x). An operator that is monotone and a contraction lowers u, step by step, to its
 fixed point, which is therefore at most u.
 
-In the same way w - (gamma f + e) / (1 - gamma) is a lower bound, where f is the largest fall. The error of one backup
-is at most `rounding` times its absolute value. So e = rounding(N) max(abs(w)), where N is the largest number of choices
-(`rounding_error`); users of the bounds add this part. Nothing is assumed about v: it may come from an inexact solution
-of the equations, or from a Krylov method that has failed. Before the first solution of equations, v are the bounds at
-the start or sweeps from them. Then w are bounds without c, as T is monotone.
+In the same way w - (gamma f + e) / (1 - gamma) is a lower bound, where f is the largest fall. So the values w + c are
+too high by at most gamma (r + f) / (1 - gamma), up to rounding. The iteration stops when this is within the tolerance.
+
+Nothing is assumed about v: it may come from an inexact solution of the equations, or from a Krylov method that has
+failed. If v are upper bounds, T(v) are, too; so c is left out as long as no equations were solved. The error of one
+backup is at most `rounding` times its absolute value. So e = rounding(N) max(abs(w)), where N is the largest number of
+choices (`rounding_error`); users of the bounds add this part.
 """
 
 from __future__ import annotations
@@ -41,7 +49,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse.linalg as sparse_linalg
 from numpy.typing import NDArray
 
 from planner.system.jit import njit
@@ -57,13 +64,16 @@ Ints = NDArray[np.int64]
 
 SOLVING = "solving a person's POMDP: sweeps"
 
-MOST_ENTRIES = 20_000_000
-"""Largest number of entries of a policy's matrix, at 12 bytes each. Problems with more are swept only."""
+MOST_ENTRIES = 12_000_000
+"""Largest number of entries of a policy's equations, at 20 bytes each. Problems with more are swept only."""
 
 FEW_SWEEPS = 20  # over a region, after which equations are solved rarely; a dozen are enough almost everywhere
-PLAIN_SWEEPS = 12  # sweeps over a policy's matrix before a Krylov method takes over: they converge fast, or slowly
+PLAIN_SWEEPS = 12  # sweeps over equations before a Krylov method takes over: they converge fast, or slowly
 ONLY = np.int64(0)  # the place of the only beta; numba would compile again for a literal
 KRYLOV_STEPS = 200  # of two products each; 20 to 60 converge in all tasks that were tried
+AT_ONCE = 20_000_000  # entries that are read before the clock is; they take about 0.02 s
+INEXACT = 0.05  # equations of a policy that will change are solved to this share of the last change
+SMALL = 20_000  # values; the sweeps over fewer take less time than to start threads
 
 
 @dataclass(frozen=True)
@@ -133,16 +143,19 @@ def improve(
         m = arrays._replace(chosen=chosen, unsuggested=unsuggested)
         dead, alive = regions
         done = True
-        for order, begin in ((dead, True), (alive, False)):
+        for order in (dead, alive):
             region = _Region(own, read_only(order, np.int64), read_only(robot, np.int64), m, limits, stop, count, below)
-            done = region.iterate(begin) and done
+            done = region.iterate(order is dead) and done
         value[:, b] = own[:, 0]
         return done
 
+    betas = range(value.shape[1])
+    if value.size <= SMALL:
+        return all(list(map(one, betas)))
     with ThreadPoolExecutor(processors()) as pool:
         try:
             # the list makes all threads finish: one failure cancels no other
-            return all(list(pool.map(one, range(value.shape[1]))))
+            return all(list(pool.map(one, betas)))
         except BaseException:  # after Ctrl-C no further sweep begins
             stopped = True
             raise
@@ -151,11 +164,13 @@ def improve(
 def load_compiled(arrays: ProblemArrays) -> None:
     """Load, or compile, the code that `improve` needs."""
     value, nothing = np.zeros((0, 1, len(arrays.theta))), read_only(np.zeros(0, dtype=np.int64))
-    place, policy, entries = np.zeros(0, np.int32), np.zeros((0, len(arrays.theta)), np.int32), np.zeros(0)
-    rows = _Rows(np.zeros(1, np.int64), place, entries, entries)
+    policy = np.zeros((0, len(arrays.theta)), np.int32)
     _sweep(value, nothing, nothing, policy, arrays)
-    _fill_rows(rows, nothing, place, policy, value, arrays)
-    _matrix_sweep(entries, rows)
+    _tighten(value, value, nothing, 0.0, below=False)
+    equations = _Equations.of(nothing, 0, arrays, len(arrays.theta))
+    assert equations is not None
+    equations.solve(value, policy, 1.0, lambda: False)
+    _krylov(np.zeros(1), equations.rows, _Krylov.of(np.zeros(1), equations.rows), 1.0, 1)
 
 
 def rounding_error(value: Floats, arrays: ProblemArrays) -> Floats:
@@ -180,119 +195,150 @@ class _Region:
     count: Callable[[], None]
     below: bool
 
-    def iterate(self, silent_first: bool) -> bool:
-        """Iterate and return whether the values converged; begin with doing nothing if `silent_first`."""
+    def iterate(self, dead: bool) -> bool:
+        """Iterate and return whether the values converged; `dead` tells whether no goal can be reached."""
         m, order, tolerance = self.m, self.order, self.limits.tolerance
         if not len(order):
             return True
         horizon, least = m.gamma / (1 - m.gamma), rounding(m.targets.shape[1]) / (1 - m.gamma)
-        found, policy = self.value.copy(), np.zeros((len(self.value), len(m.theta)), dtype=np.int32)
-        asked, solved = self.robot[order], False
-        if not asked.any() or (silent_first and bool((asked < 0).all())):
-            dearest = float(m.costs[order].max() + m.robot_costs[order, 0].max())
-            solved = self._follow(found, policy, self._precise(dearest / (1 - m.gamma)))
-        before, settled = math.inf, False
+        outwards = -horizon if self.below else horizon
+        first = np.maximum(self.robot, 0).astype(np.int32)
+        found, policy = self.value.copy(), first.repeat(len(m.theta)).reshape(-1, len(m.theta))
+        equations = _Equations.of(order, len(found), m, len(m.theta))
+        solved, settled = self._start(found, policy, equations, dead), equations is None
         for number in range(self.limits.sweeps):
             if self.stop():
                 return False
-            # Where rounding makes the equations less precise than a sweep, sweeps alone go on, for longer each time.
-            late = number >= FEW_SWEEPS
             rise, fall, changed = _sweep(found, order, self.robot, policy, m)
             self.count()
             off = 0.0 if not solved else fall if self.below else rise
             change = max(rise, fall)
-            bound = found[order] + (-horizon if self.below else horizon) * off
-            scale = float(np.abs(bound).max())
-            error = horizon * (off + change)
+            scale = _tighten(self.value, found, order, outwards * off, self.below)
+            # Where rounding makes the equations less precise than a sweep, sweeps alone go on, for longer each time.
+            late = number >= FEW_SWEEPS
             # Bounds that are moved outwards by little are also good values; equations are solved that precisely.
             near = horizon * (100 * off + change) <= tolerance
-            if near or ((settled or late) and error <= max(tolerance, least * scale)):
-                self.value[order] = bound
+            if near or ((settled or late) and horizon * (off + change) <= max(tolerance, least * scale)):
+                self.value[order] = found[order] + outwards * off
                 return True
-            self.value[order] = (np.maximum if self.below else np.minimum)(self.value[order], bound)
-            slow = change > 0.1 * before and (not late or number.bit_count() == 1)
-            if slow:  # otherwise sweeps alone are fast
+            if equations is not None and (not late or number.bit_count() == 1):
                 precise = self._precise(scale)
-                goal = max(0.05 * change, precise) if changed else precise
-                followed = self._follow(found, policy, goal)
-                solved, settled = solved or followed, not followed or goal == precise
-            before = change
+                goal = max(INEXACT * change, precise) if changed else precise
+                equations.solve(found, policy, goal, self.stop)
+                solved, settled = True, goal == precise
         return False
+
+    def _start(self, found: Floats, policy: NDArray[np.int32], equations: _Equations | None, dead: bool) -> bool:
+        """Replace the region's values by those of a first policy; return False if its equations would be too many."""
+        m, order, asked = self.m, self.order, self.robot[self.order]
+        outside = np.ones(len(found), dtype=bool)
+        outside[order] = False
+        silent = not policy[order].any() and not np.ptp(found[outside], axis=2).any()
+        if silent and (dead or equations is not None or (asked >= 0).all()):
+            equations = _Equations.of(order, len(found), m, 1)
+        if equations is None:
+            return False
+        dearest = float(m.costs[order].max() + m.robot_costs[order].max())
+        equations.solve(found, policy, self._precise(dearest / (1 - m.gamma)), self.stop)
+        return True
 
     def _precise(self, scale: float) -> float:
         """Return the largest change of a sweep over values that have converged, given the largest absolute value."""
         return max(1e-4 * self.limits.tolerance * (1 - self.m.gamma), 1e-14 * scale)
 
-    def _follow(self, found: Floats, policy: NDArray[np.int32], goal: float) -> bool:
-        """Replace the region's values by those of a policy, up to a change of `goal` in a sweep over its matrix.
-
-        Return False, and do nothing, if the matrix would be too large.
-        """
-        order, m, chosen = self.order, self.m, policy[self.order]
-        outside = np.ones(len(found), dtype=bool)
-        outside[order] = False
-        if not chosen.any() and not np.ptp(found[outside], axis=2).any():
-            m, chosen = m._replace(theta=m.theta[:1]), chosen[:, :1]  # theta has no effect
-        entries = m.counts[m.afterstate[order[:, None], chosen]].sum() * (2 if chosen.any() else 1)
-        if entries > MOST_ENTRIES:
-            return False
-        place = np.full(len(found), -1, dtype=np.int32)
-        place[order] = np.arange(len(order))
-        size = chosen.size
-        rows = _Rows(np.empty(size + 1, np.int64), np.empty(entries, np.int32), np.empty(entries), np.empty(size))
-        _fill_rows(rows, order, place, np.ascontiguousarray(chosen), found, m)
-        value = np.ascontiguousarray(found[order, 0, : chosen.shape[1]]).reshape(-1)
-        found[order, 0] = _solved(value, rows, goal, self.stop).reshape(chosen.shape)
-        return True
-
 
 class _Rows(NamedTuple):
-    """The equations v = P v + constant of a policy in compressed sparse rows; P includes gamma.
+    """The equations of a policy, one row for each state of a region and theta, in sparse rows.
 
-    The entries of row i are `share[first[i] : first[i + 1]]`, in the columns `column[first[i] : first[i + 1]]`.
+    Row i is v(i) = constant(i) + the sum over k of share(k) v(column(k)) + further(k) v(column(k) + 1), where k runs
+    from `first[i]` to `end[i]`. The second share is that of the next theta, as the new trust lies between two. Shares
+    include gamma. Rows have room for the choices of any robot action. Vectors have one more entry than rows, which is
+    zero.
     """
 
     first: Ints
+    end: Ints
     column: NDArray[np.int32]
     share: Floats
+    further: Floats
     constant: Floats
 
 
-class _StoppedError(Exception):
-    """A limit has ended the solution of equations."""
+@dataclass(frozen=True)
+class _Equations:
+    """The equations of policies of one region and beta; `filled`, shape (states, thetas), is the policy of the rows."""
+
+    order: Ints
+    place: NDArray[np.int32]
+    filled: NDArray[np.int32]
+    rows: _Rows
+    m: ProblemArrays
+
+    @classmethod
+    def of(cls, order: Ints, states: int, m: ProblemArrays, thetas: int) -> _Equations | None:
+        """Return equations that are to be filled in, or None if they would be too large.
+
+        With one theta, they are those of a policy on which theta has no effect.
+        """
+        actions = np.arange(m.suggested.shape[1]) < m.robot_actions[order, None]
+        room = np.where(actions, m.counts[m.afterstate[order]], 0).max(axis=1, initial=0)
+        if (entries := int(room.sum()) * thetas) > MOST_ENTRIES:
+            return None
+        first = np.concatenate([[0], np.cumsum(room.repeat(thetas))])
+        place = np.full(states, -1, dtype=np.int32)
+        place[order] = np.arange(len(order))
+        rows = _Rows(
+            first, first[:-1].copy(), np.empty(entries, np.int32), np.empty(entries), np.empty(entries),
+            np.empty(len(first) - 1),
+        )  # fmt: skip
+        filled = np.full((len(order), thetas), -1, dtype=np.int32)
+        return cls(order, place, filled, rows, m)
+
+    def solve(self, found: Floats, policy: NDArray[np.int32], goal: float, stop: Callable[[], bool]) -> None:
+        """Replace the region's values by those of a policy, shape (n, T): a sweep changes them by `goal` at most.
+
+        The change is larger if time is over, or if no method converges.
+        """
+        thetas = self.filled.shape[1]
+        _fill_rows(self.rows, self.filled, self.order, self.place, policy, found, self.m)
+        value = np.append(found[self.order, 0, :thetas], 0.0)
+        value = _solved(value, self.rows, goal, stop)
+        found[self.order, 0] = value[:-1].reshape(self.filled.shape)
 
 
 def _solved(value: Floats, rows: _Rows, goal: float, stop: Callable[[], bool]) -> Floats:
-    """Return an approximate solution of the equations from a first one: a sweep changes it by `goal` at most.
-
-    The change is larger if time is over, or if no method converges.
-    """
-    homogeneous = rows._replace(constant=np.zeros(len(value)))
-
-    def product(step: Floats) -> Floats:
-        if stop():
-            raise _StoppedError
-        swept = step.copy()
-        _matrix_sweep(swept, homogeneous)
-        return step - swept
-
-    operator = sparse_linalg.LinearOperator((len(value), len(value)), matvec=product, dtype=float)
+    """Return an approximate solution of equations from a first one, as `_Equations.solve` describes."""
+    together = max(1, AT_ONCE // (1 + len(rows.column)))  # steps without a look at the clock
     for _ in range(3):
-        for _ in range(PLAIN_SWEEPS):
-            change = _matrix_sweep(value, rows)
-            if change <= goal or stop():
+        for done in range(0, PLAIN_SWEEPS, together):
+            if _sweep_rows(value, rows, goal, min(together, PLAIN_SWEEPS - done)) <= goal or stop():
                 return value
-        swept = value.copy()
-        change = _matrix_sweep(swept, rows)
-        try:
-            step, _ = sparse_linalg.bicgstab(
-                operator, swept - value, rtol=0.0, atol=0.1 * goal * math.sqrt(len(value)), maxiter=KRYLOV_STEPS
-            )
-        except _StoppedError:
-            return swept
-        tried = value + step
-        value = tried if _matrix_sweep(tried, rows) < change else swept
+        tried, krylov = value.copy(), _Krylov.of(value, rows)
+        before = np.abs(krylov.residual).max()
+        for _ in range(0, KRYLOV_STEPS, together):
+            if _krylov(tried, rows, krylov, 0.5 * goal, together) <= 0.5 * goal or stop():
+                break
+        if _sweep_rows(tried, rows, goal, 1) < before:  # the method may fail
+            value = tried
     return value
+
+
+class _Krylov(NamedTuple):
+    """The state of BiCGSTAB on (I - G) v = b, where v -> G v + b is a Gauss-Seidel sweep; vectors as in `_Rows`."""
+
+    residual: Floats
+    shadow: Floats
+    direction: Floats
+    image: Floats
+    second: Floats
+
+    @classmethod
+    def of(cls, value: Floats, rows: _Rows) -> _Krylov:
+        """Return the state before the first step."""
+        swept = value.copy()
+        _sweep_rows(swept, rows, 0.0, 1)
+        residual = swept - value
+        return cls(residual, residual.copy(), residual.copy(), np.empty_like(value), np.empty_like(value))
 
 
 @njit(nogil=True)
@@ -326,58 +372,136 @@ def _sweep(
 
 
 @njit(nogil=True)
-def _matrix_sweep(value: Floats, rows: _Rows) -> float:
-    """Do a Gauss-Seidel sweep over the equations of a policy, in place; return the largest change."""
+def _tighten(value: Floats, found: Floats, order: Ints, shift: float, below: bool) -> float:
+    """Replace bounds by `found` + shift where these are better; return the largest absolute value of the latter."""
+    scale = 0.0
+    for x in order:
+        for t in range(value.shape[2]):
+            bound = found[x, 0, t] + shift
+            scale = max(scale, abs(bound))
+            if (bound > value[x, 0, t]) == below:
+                value[x, 0, t] = bound
+    return scale
+
+
+@njit(nogil=True)
+def _sweep_rows(value: Floats, rows: _Rows, goal: float, sweeps: int) -> float:
+    """Do Gauss-Seidel sweeps over equations, in place, until the largest change is at most `goal`; return the last."""
     change = 0.0
-    for i in range(len(value)):
-        total = rows.constant[i]
-        for k in range(rows.first[i], rows.first[i + 1]):
-            total += rows.share[k] * value[rows.column[k]]
-        change = max(change, abs(total - value[i]))
-        value[i] = total
+    for _ in range(sweeps):
+        change = 0.0
+        for i in range(len(rows.end)):
+            total = rows.constant[i]
+            for k in range(rows.first[i], rows.end[i]):
+                total += rows.share[k] * value[rows.column[k]] + rows.further[k] * value[rows.column[k] + 1]
+            change = max(change, abs(total - value[i]))
+            value[i] = total
+        if change <= goal:
+            break
     return change
 
 
 @njit(nogil=True)
+def _operate(image: Floats, step: Floats, rows: _Rows) -> None:
+    """Fill `image` with (I - G) step."""
+    image[:] = step
+    for i in range(len(rows.end)):
+        total = 0.0
+        for k in range(rows.first[i], rows.end[i]):
+            total += rows.share[k] * image[rows.column[k]] + rows.further[k] * image[rows.column[k] + 1]
+        image[i] = total
+    for i in range(len(rows.end)):
+        image[i] = step[i] - image[i]
+
+
+@njit(nogil=True)
+def _krylov(value: Floats, rows: _Rows, state: _Krylov, goal: float, steps: int) -> float:
+    """Do steps of BiCGSTAB, in place, until the largest residual is at most `goal`; return the last.
+
+    It is 0 if the method cannot go on.
+    """
+    r, shadow, p, v, t = state
+    n = len(rows.end)
+    left = 0.0
+    along = 0.0
+    for i in range(n):
+        along += shadow[i] * r[i]
+    for _ in range(steps):
+        _operate(v, p, rows)
+        bent = 0.0
+        for i in range(n):
+            bent += shadow[i] * v[i]
+        if bent == 0.0 or along == 0.0:
+            return 0.0
+        alpha = along / bent
+        for i in range(n):
+            r[i] -= alpha * v[i]
+        _operate(t, r, rows)
+        down, square = 0.0, 0.0
+        for i in range(n):
+            down += t[i] * r[i]
+            square += t[i] * t[i]
+        omega = down / square if square > 0.0 else 0.0
+        now, left = 0.0, 0.0
+        for i in range(n):
+            value[i] += alpha * p[i] + omega * r[i]
+            r[i] -= omega * t[i]
+            now += shadow[i] * r[i]
+            left = max(left, abs(r[i]))
+        if left <= goal or omega == 0.0:
+            return left if left <= goal else 0.0
+        turn = now / along * alpha / omega
+        for i in range(n):
+            p[i] = r[i] + turn * (p[i] - omega * v[i])
+        along = now
+    return left
+
+
+@njit(nogil=True)
 def _fill_rows(
-    rows: _Rows, order: Ints, place: NDArray[np.int32], policy: NDArray[np.int32], value: Floats, m: ProblemArrays
+    rows: _Rows,
+    filled: NDArray[np.int32],
+    order: Ints,
+    place: NDArray[np.int32],
+    policy: NDArray[np.int32],
+    value: Floats,
+    m: ProblemArrays,
 ) -> None:
-    """Fill in the equations of a policy, shape (len(order), T): one for each state of the order and theta.
+    """Fill in the equations of a policy, shape (n, T), where it is not the one that is `filled` in.
 
     `place` is the index of each state in the order; -1 stands for states with fixed values, which become constants.
     """
-    thetas, k = policy.shape[1], 0
+    thetas = filled.shape[1]
     for i in range(len(order)):
         x = order[i]
         for t in range(thetas):
-            r, row = policy[i, t], i * thetas + t
+            r, row = policy[x, t], i * thetas + t
+            if filled[i, t] == r:
+                continue
+            filled[i, t] = r
             acting, slot = m.afterstate[x, r], m.suggested[x, r]
-            rows.first[row] = k
-            constant = -m.robot_costs[x, r]
+            constant, k = -m.robot_costs[x, r], rows.first[row]
             count = 0 if m.goal[acting] else m.counts[acting]
             followed, declined = 1.0, 1.0  # factors of the choice probabilities (equation 6)
+            low, up, followed_low, followed_up = t, 0.0, t, 0.0
             if slot >= 0:
                 total = m.theta[t] * m.chosen[acting, slot, 0] + (1.0 - m.theta[t]) * m.unsuggested[x, r, 0]
                 if total > 0.0:
                     followed, declined = m.theta[t] / total, (1.0 - m.theta[t]) / total
+                low, up = m.low[x, r, t], m.weight[x, r, t]
+                followed_low, followed_up = m.followed_low[x, r, t], m.followed_weight[x, r, t]
+            lapse = m.lapse / max(1, count)
             for a in range(count):
-                p = (1.0 - m.lapse) * m.chosen[acting, a, 0] * (followed if a == slot else declined) + m.lapse / count
+                p = (1.0 - m.lapse) * m.chosen[acting, a, 0] * (followed if a == slot else declined) + lapse
                 constant -= p * m.costs[acting, a]
-                at, up = t, 0.0
-                if slot >= 0 and a == slot:
-                    at, up = m.followed_low[x, r, t], m.followed_weight[x, r, t]
-                elif slot >= 0:
-                    at, up = m.low[x, r, t], m.weight[x, r, t]
+                at, part = (followed_low, followed_up) if a == slot else (low, up)
                 y, p = m.targets[acting, a], m.gamma * p
-                if place[y] < 0:
-                    constant += p * (1.0 - up) * value[y, 0, at]
-                    if up > 0.0:
-                        constant += p * up * value[y, 0, at + 1]
-                    continue
-                rows.column[k], rows.share[k] = place[y] * thetas + at, p * (1.0 - up)
-                k += 1
-                if up > 0.0:
-                    rows.column[k], rows.share[k] = place[y] * thetas + at + 1, p * up
+                if place[y] >= 0:
+                    rows.column[k] = place[y] * thetas + at
+                    rows.share[k], rows.further[k] = p * (1.0 - part), p * part
                     k += 1
-            rows.constant[row] = constant
-    rows.first[len(order) * thetas] = k
+                else:
+                    constant += p * (1.0 - part) * value[y, 0, at]
+                    if part > 0.0:
+                        constant += p * part * value[y, 0, at + 1]
+            rows.constant[row], rows.end[row] = constant, k
