@@ -47,11 +47,11 @@ ROOMS = {
         diagnostics population person_estimate fit joint_states goals goal_fit comparison rule_families trust_log
         posterior_sample influence_population rule_search trust_fit trust_comparison""",
     "assist.team": """policy_names by_policy robots travel travel_of_each state extra_costs hidden_states action_check
-        settings plain_setting setting_table assignment attention attention_never questions time_expansion memory_needed
+        settings plain_setting setting_table assignment attention attention_never questions time_expansion
         subproblem_frontier attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
-    "assist.simulation": """memory_needed affordable union pool schedule common_random_numbers hidden_goals trace
+    "assist.simulation": """affordable union pool schedule common_random_numbers hidden_goals trace
         episode episodes trust_of_people model_group task_parts task_view observed_people run traced_run requested
         simulate belief_trace illustration""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
@@ -60,7 +60,7 @@ ROOMS = {
         robot_places decisions saved_team assistant old_journal store people_store
         erasing recent_events course event_sourced header session simulated_person trace_reasons""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
-    "assist.certify": """options memory_needed action_prices prices certificate visited_beliefs computation
+    "assist.certify": """options action_prices prices certificate visited_beliefs computation
         truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.coupled": """agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",

@@ -207,7 +207,7 @@ def test_whole_numbers_are_prices_too(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.price.dtype == float
     assert AttentionSubproblem.of(alone, 0.4).price.shape == (0,)
     is_as_defined(found, [1.0, 2.0])
-    monkeypatch.setattr("assist.team.memory_needed.available_memory", lambda: 1e8)
+    monkeypatch.setattr("assist.team.attention_subproblem.available_memory", lambda: 1e8)
     with pytest.raises(LimitError, match="with ways of up to 200,000 steps"):
         AttentionSubproblem.of(alone, 0.4, 200_000)
 

@@ -18,11 +18,10 @@ from assist.live import live_task as live
 from assist.people import Goals, Human, HumanModel
 from assist.people.misconception import Misconception
 from assist.person import AssistPOMDP
-from assist.person.memory_needed import depth_within, first_bounds_bytes
+from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
 from assist.simulation import Pool, simulate
-from assist.simulation.memory_needed import states_within
 from assist.team import Setting
 from planner import LimitError
 
@@ -210,7 +209,9 @@ def test_the_size_of_a_part_counts_goals_and_memory() -> None:
     values = 4 * len(goals) * 60 * 8 / 1e6  # of enumerated policies for three people, and of a copy
     found = Pool.sample(goals, 3, seed=1, memory_limit_mb=values / 2)
     assert isinstance(found.policies[0], TruncatedPolicy)
-    with pytest.raises(LimitError, match="policies for 3 people with 3 goals take about 1 MB of memory even on 20"):
+    with pytest.raises(
+        LimitError, match="policies for 3 people with 3 goals, on as few as 20 states, take about 1 MB of memory"
+    ):
         Pool.sample(goals, 3, seed=1, memory_limit_mb=0.5)
 
 

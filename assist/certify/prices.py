@@ -20,7 +20,7 @@ from planner.system.progress import Progress
 from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, likely
 from ..people.decision import Floats
 from ..person.known_goals import of_each_goal
-from ..person.memory_needed import first_bounds_bytes
+from ..person.memory_needed import first_bounds_bytes, policy_bytes, require_room
 from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
@@ -28,10 +28,9 @@ from ..team.attention import NoAssistance
 from ..team.attention_subproblem import AttentionSubproblem, backwards
 from ..team.robots import ExtraCosts, best_robots
 from ..team.state import TeamAction, TeamState
-from ..team.time_expansion import HERE
+from ..team.time_expansion import HERE, TimeExpansion
 from ..team.travel import Travel
 from .action_prices import supply
-from .memory_needed import refuse_above, require_room
 
 Ints = NDArray[np.int64]
 
@@ -178,7 +177,7 @@ def kinds_of(
             goals = of_each_goal(pool.policies[model].pomdp)
             beyond = [(chance, TruncatedProblem(problem)) for chance, problem in goals]
         parts += [(chance, problem, key) for chance, problem in beyond]
-    require_room([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)
+    _require_room_for_all([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)
     kinds = []
     for chance, one, key in parts:
         _, entry, entry_steps = key
@@ -188,7 +187,7 @@ def kinds_of(
         visits = (
             free if one.outer is not None else AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window))
         )
-        refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
+        _require_room_for(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
         places = tuple(members[key])
         kinds.append(SubproblemKind(pool, visits, tail, places, one.outer, one.between, one.pairs, chance))
     return kinds
@@ -275,3 +274,30 @@ def search(
     mean = sum((one / len(later) for one in later), np.zeros(shape)) if later else price
     priced = np.atleast_2d(mean > 0.01).any(axis=0)
     return mean[..., : int(np.flatnonzero(priced).max(initial=-1)) + 1]
+
+
+def _require_room_for_all(
+    problems: list[TruncatedProblem], entry_steps: list[int], window: int, limit_mb: float
+) -> None:
+    """Raise a `LimitError` if the subproblems would exceed the memory limit."""
+    needed, states = 0.0, 0
+    for one, steps in zip(problems, entry_steps, strict=True):
+        alone = one.problem
+        timed = window and one.outer is None
+        if timed:  # each step has at least one state; enumerating them would take long
+            _require_room_for(limit_mb, policy_bytes(window), len(problems), window, window)
+        states = len(TimeExpansion.of(alone, 2 + steps, window if timed else 0))
+        slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
+        needed += policy_bytes(states, slots=slots, robots=robots)
+    needed *= 1 + 1 / len(problems)  # in each round, one subproblem is built again
+    needed += sum(one.outer.nbytes for one in problems if one.outer is not None)
+    _require_room_for(limit_mb, needed, len(problems), states, window)
+
+
+def _require_room_for(limit_mb: float, needed: float, kinds: int, states: int, window: int) -> None:
+    """Raise a `LimitError` if the `needed` bytes of some kinds of subproblems exceed the limit."""
+    require_room(
+        f"{kinds:,} {'problem' if kinds == 1 else 'problems'} of people, each of up to {states:,} states with "
+        f"{window} steps of prices, take", needed, limit_mb,
+        "one model for all (knowledge 'exact'), prices on fewer steps (window), or a higher limit",
+    )  # fmt: skip

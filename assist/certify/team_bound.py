@@ -53,7 +53,7 @@ from planner.system.progress import Wanted, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
-from ..simulation.memory_needed import MEMORY_LIMIT_MB
+from ..person.memory_needed import MEMORY_LIMIT_MB
 from ..simulation.pool import Pool, require_pool
 from ..team.priority import Priority
 from ..team.state import TeamPolicy

@@ -64,7 +64,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, LimitError, Table
+from planner import CostToGo, Table
 
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, value
@@ -73,7 +73,7 @@ from ..people.goals import Goals
 from ..people.human import Human, Population
 from ..people.mixture import Mixture
 from ..person.leaf_bounds import LeafBounds
-from ..person.memory_needed import first_bounds_bytes
+from ..person.memory_needed import first_bounds_bytes, require_room
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import initial_upper_bounds, value_iteration
 from ..team.attention_subproblem import AttentionSubproblem
@@ -444,12 +444,8 @@ def _values(
 
     `comply`, shape (n, B), holds the bounds of the compliance relaxation, if there are any.
     """
-    needed = _bytes(problem) / 1e6
-    if needed > memory_limit_mb:
-        raise LimitError(
-            f"bounding a person's value on {len(problem.robot_actions):,} states takes about {needed:,.0f} MB of "
-            f"memory, and {memory_limit_mb:,.0f} MB are allowed; expected a smaller region or a higher limit"
-        )
+    what = f"bounding a person's value on {len(problem.robot_actions):,} states takes"
+    require_room(what, _bytes(problem), memory_limit_mb, "a smaller region or a higher limit")
     visits = AttentionSubproblem.of(problem, entry)
     found = initial_upper_bounds(visits.pomdp)
     if comply is not None:

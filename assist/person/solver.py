@@ -43,7 +43,7 @@ from ..people.decision import Floats
 from . import archive, convex_bound
 from .alpha_vectors import VectorPolicy
 from .further_beliefs import widen
-from .memory_needed import depth_within, require_room
+from .memory_needed import depth_within, first_bounds_bytes, require_room
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import read_only
@@ -244,7 +244,10 @@ def solve(
         if number is not None and not number >= 0:
             raise ValueError(f"{name} {number:g}: expected 0 or more")
     options = options or SolverOptions(depth=depth_within(pomdp, memory_limit_mb))
-    require_room(pomdp, options.depth, memory_limit_mb)
+    require_room(
+        f"the first bounds on {pomdp.task_states:,} states take", first_bounds_bytes(pomdp, options.depth),
+        memory_limit_mb, "fewer states, a coarser grid or more memory",
+    )  # fmt: skip
     load_compiled(pomdp)
     progress(SOLVING, 0, None)
     start = time.perf_counter()

@@ -14,10 +14,9 @@ from ..people.goals import Goals, each_of
 from ..people.human import Population
 from ..people.memory import choices_of
 from ..people.mixture import Mixture
-from ..team.memory_needed import policy_bytes
+from ..person.memory_needed import ONE_FOR_ALL, policy_bytes, require_room
 from ..team.robots import best_robots
 from ..team.settings import Setting
-from .memory_needed import require_room, require_room_for_people
 
 
 def affordable_choices(
@@ -65,7 +64,7 @@ def _choices(
     models = size if setting.knowledge == "own" else 1
     goals = table.goal_count if isinstance(table, Choices) else len(each_of(table))
     # checked before the choices are built
-    require_room(policy_bytes(len(table)), len(table), models, memory_limit_mb, goals)
+    _require_room_for_policies(policy_bytes(len(table)), len(table), models, memory_limit_mb, goals)
     choices = table.choices() if isinstance(table, Goals) else choices_of(table, terms)
     require_goal(choices.h[choices.initial])
     offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
@@ -73,5 +72,20 @@ def _choices(
         offered = np.logical_or.reduce(offered.reshape(goals, -1, offered.shape[1]))
     robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + best_robots(setting).execute)
     one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
-    require_room(one, len(choices), models, memory_limit_mb, goals)
+    _require_room_for_policies(one, len(choices), models, memory_limit_mb, goals)
     return choices
+
+
+def _require_room_for_policies(one: int, rows: int, models: int, limit_mb: float, goals: int) -> None:
+    """Raise a `LimitError` if the policies of `one` bytes each, with `rows` for all goals, exceed the memory limit."""
+    who, less = ("one person", "") if models == 1 else (f"{models:,} people", ONE_FOR_ALL)
+    size = f"{rows // goals:,} states" + (f" and {goals} goals" if goals > 1 else "")
+    what = f"policies for {who} on a task of {size} take"
+    # a sorted copy of one policy's values exists temporarily
+    require_room(what, (models + 1) * one, limit_mb, f"{less}a higher memory limit")
+
+
+def require_room_for_people(size: int, one: int, limit_mb: float) -> None:
+    """Raise a `LimitError` if people with `one` bytes of perceived cost-to-go each would exceed the memory limit."""
+    needed = size * (2000 + one)  # a person and their policy take about 2,000 bytes
+    require_room(f"{size:,} people take", needed, limit_mb, "a smaller pool, or a higher memory limit")

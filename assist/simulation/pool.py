@@ -21,6 +21,7 @@ from ..people.goals import Goals, costs_to_go, each_of, first_of
 from ..people.human import Human, Population
 from ..people.mixture import Mixture
 from ..person.lazy_policy import LazyPolicy
+from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
@@ -29,8 +30,7 @@ from ..team.robots import best_robots
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
-from .affordable import affordable_choices
-from .memory_needed import MEMORY_LIMIT_MB, require_room_for_people, states_within
+from .affordable import affordable_choices, require_room_for_people
 from .union import union
 
 if TYPE_CHECKING:

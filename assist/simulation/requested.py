@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.arguments import one_of, whole
+from ..person.memory_needed import require_room
 from .common_random_numbers import CommonRandomNumbers
 from .hidden_goals import GoalKnowledge
 from .model_group import World
@@ -60,3 +61,10 @@ def team_of(humans: ArrayLike, size: int, episodes: int) -> tuple[int, NDArray[n
     if team.ndim > 2 or (team.ndim == 2 and len(team) != episodes):
         raise ValueError(f"teams, shape {team.shape}: expected one row for each of {episodes} episodes")
     return team.shape[-1], team.astype(np.int64)
+
+
+def require_room_for_episodes(count: int, places: int, limit_mb: float) -> None:
+    """Raise a `LimitError` if the records of some episodes would exceed the memory limit."""
+    each = 57 * places + 40  # bytes
+    expected = f"at most {int(limit_mb * 1e6 / each):,} episodes, or a higher memory limit"
+    require_room(f"{count:,} episodes of {places} people take", count * each, limit_mb, expected)

@@ -24,6 +24,7 @@ from planner.system.progress import Wanted, adding, parts_shown, shows_progress
 from planner.system.threads import on_threads
 
 from ..people.arguments import Seed, entropy, whole, wholes
+from ..person.memory_needed import MEMORY_LIMIT_MB
 from ..team.attention import AttentionSwitching
 from ..team.policies import prepare
 from ..team.state import TeamPolicy
@@ -31,10 +32,9 @@ from ..team.travel import Travel
 from .common_random_numbers import BLOCK
 from .episodes import Episodes
 from .hidden_goals import GoalKnowledge
-from .memory_needed import MEMORY_LIMIT_MB, require_room_for_episodes
 from .model_group import World
 from .pool import Pool, require_pool
-from .requested import number_of, people_drawn, require_possible, team_of
+from .requested import number_of, people_drawn, require_possible, require_room_for_episodes, team_of
 from .run import Run
 from .schedule import Schedule
 from .task_parts import TaskParts

@@ -18,11 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.system.machine import available_memory
+
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
+from ..person.memory_needed import policy_bytes, require_room
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
-from .memory_needed import require_room
 from .subproblem_frontier import frontier_of
 from .time_expansion import AWAY, HERE, RobotMoves, TimeExpansion
 
@@ -94,7 +96,7 @@ class AttentionSubproblem:
             alone.model.choices.require_one_goal(f"prices of {len(price)} steps")
         positions = 2 + max(entry_steps, longest or 0)
         layout = TimeExpansion.of(alone, positions, len(price), kept)
-        require_room(alone, layout)
+        _require_memory(alone, layout)
         moves = RobotMoves.of(positions, alone.suggested.shape[1], entry_steps)
 
         x, position, own = layout.x, layout.position, np.arange(len(layout))
@@ -207,3 +209,16 @@ def _order(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) ->
     """Return the states that are not final, ordered from the last step to the first, then by the cost-to-go."""
     order = np.lexsort((choices.h, -layout.step))
     return order[~final[order]]
+
+
+def _require_memory(alone: AssistPOMDP, layout: TimeExpansion) -> None:
+    """Raise a `LimitError` if a problem exceeds the available memory."""
+    betas, thetas = alone.grid.shape
+    slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
+    needed = policy_bytes(len(layout), slots=slots, robots=robots, betas=betas, thetas=thetas)
+    if needed > 100e6:  # below this, the available memory is not queried
+        require_room(
+            f"a person's problem with a robot that comes and goes has {len(layout):,} states, with ways of up to "
+            f"{layout.positions - 2:,} steps, and takes", needed, available_memory() / 1e6,
+            "shorter ways (travel_time, distance) or fewer prices",
+        )  # fmt: skip
