@@ -71,6 +71,7 @@ def test_the_list_says_what_each_is() -> None:
         "about": "Two containers with one item each, two slots that take both: small enough to be worked out by hand.",
     }  # fmt: skip
     assert found["kitting/unsolvable"]["states"] is None
+    assert (found["timed/one-part"]["cost"], found["timed/cell"]["cost"]) == (2, 12.0417)  # minutes
     assert found["depot/two-boxes"]["about"].startswith("Kitting from stacked boxes")  # its file begins with no comment
     assert all(one["about"].endswith(".") for one in found.values())
     assert {folder.name for folder in DOMAINS.iterdir()} == {name.partition("/")[0] for name in found}

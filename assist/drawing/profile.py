@@ -11,6 +11,7 @@ The file defines how objects of each type look, and what each predicate means in
     in-slot = "?1 in ?2"                             # ?1 is drawn within ?2, as with `at`; `on` stacks
     [marks]
     shut = "?1 shut"                                 # a mark on an object; also with others: "?1 has ?2"
+    parts = "?1 parts ?2, size"                      # "parts = 3 of 6", where (size ?1) is 6
     [links]
     road = "?1 to ?2, length"                        # a note on ?1, with the value of a function
     [colours]
@@ -104,7 +105,7 @@ class Rule:
     how : str
         "in", "at", "on", "to", "as"; empty if `where` is the text of a mark.
     part : str or None
-        The place within `where`.
+        The place within `where`; of links and marks, the function whose value follows.
     """
 
     what: int | str
@@ -223,7 +224,7 @@ def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profil
             assert what is not None
             rule = Rule(_end(what), how or "", _end(where or ""), part)
             within = [int(end) for end in re.findall(r"\?(\d)", where or "")] if table == "marks" else []
-            for end in (rule.what, rule.where if table == "places" else 1, *within):
+            for end in (rule.what, {"places": rule.where, "marks": rule.what}.get(table, 1), *within):
                 if isinstance(end, str) and end not in things:
                     raise ProfileError(f"{file}: {table}.{predicate}: '{end}' is not among [things]")
                 if isinstance(end, int) and end > arities.get(predicate, end):
@@ -325,7 +326,7 @@ def _known_by(file: Path, where: str, of: str | list[Any], subject: Subject) -> 
 
 PATTERNS = {
     "places": r"(?P<what>\?\d|[\w-]+) (?P<how>in|at|on) (?P<where>\?\d|[\w-]+)(?:\.(?P<part>[\w-]+))?",
-    "marks": r"(?P<what>\?\d|[\w-]+) (?P<where>.+)",
+    "marks": r"(?P<what>\?\d|[\w-]+) (?P<where>.+?)(?:, (?P<part>[\w-]+))?",
     "links": r"(?P<what>\?\d) (?P<how>to) (?P<where>\?\d)(?:, (?P<part>[\w-]+))?",
     "colours": r"(?P<what>\?\d) (?P<how>as) (?P<where>\?\d)",
 }

@@ -11,7 +11,7 @@ from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from .profile import Look, Profile, Rule
-from .subject import Atom, Subject, Wanted, words_for
+from .subject import Atom, Subject, Wanted, is_number, words_for
 
 
 @dataclass
@@ -103,7 +103,8 @@ def arrange(subject: Subject, profile: Profile, values: Sequence[int], container
     for rule, fact in _said_by(profile.marks, facts):
         key, word = rule.of(fact)
         if key in nodes:
-            nodes[key].marks.append(word)
+            number = _value(subject, rule, fact, facts)
+            nodes[key].marks.append(" ".join([word, profile.texts.texts["drawing.of"], number] if number else [word]))
             shown.add(fact)
     shown |= _colour(profile, facts, nodes) | _connect(subject, profile, facts, nodes)
     task = Node(TASK, profile.texts.texts["drawing.also"], HEADING)
@@ -247,10 +248,18 @@ def _connect(subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: d
     for rule, fact in _said_by(profile.links, facts):
         what, where = Rule(rule.what, rule.how, rule.where).of(fact)
         if what in nodes and where in nodes:
-            length = "" if rule.part is None else subject.numbers.get((rule.part, *fact[1:]), "")
-            nodes[what].notes.append(f"{where} {length}".strip())
+            nodes[what].notes.append(f"{where} {_value(subject, rule, fact, facts)}".strip())
             shown.add(fact)
     return shown
+
+
+def _value(subject: Subject, rule: Rule, fact: Atom, facts: Iterable[Atom]) -> str:
+    """Return the value in a state of the function that a rule names, of the arguments of a fact; empty for none."""
+    if rule.part is None:
+        return ""
+    of = (rule.part, *(fact[1:-1] if is_number(fact) else fact[1:]))
+    now = next((one[-1].removeprefix("= ") for one in facts if is_number(one) and one[:-1] == of), None)
+    return subject.numbers.get(of, "") if now is None else now
 
 
 def _roots(

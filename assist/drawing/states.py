@@ -6,6 +6,7 @@ import difflib
 import json
 import re
 from collections.abc import Iterator, Sequence
+from fractions import Fraction
 from pathlib import Path
 
 from planner.grounding.semantics import derived
@@ -41,10 +42,19 @@ def read_state(file: str | Path, subject: Subject) -> list[int]:
         raise StateError(f"{file}: not a text file in UTF-8") from None
     given: dict[Atom, int] = {}
     known = subject.constant | subject.changing
-    changing = {fact[:-1] for fact in subject.changing if is_number(fact)}
+    numbers: dict[Atom, list[str]] = {}
+    for one in subject.changing:
+        if is_number(one):
+            numbers.setdefault(one[:-1], []).append(one[-1].removeprefix("= "))
     for line, fact in _facts(file, text):
-        if is_number(fact) and fact[:-1] not in changing:
-            continue  # values of functions that do not change do not matter
+        if is_number(fact):
+            if fact[:-1] not in numbers:
+                continue  # values of functions that do not change do not matter
+            shown_as = _among(fact[-1].removeprefix("= "), numbers[fact[:-1]])
+            if shown_as is None:
+                values_are = _listed_values(numbers[fact[:-1]])
+                raise StateError(f"{file}:{line}: {_shown(fact)} is no fact of the task; expected {values_are}")
+            fact = (*fact[:-1], f"= {shown_as}")
         if fact not in known:
             shown = {_shown(one): one for one in known}
             near = difflib.get_close_matches(_shown(fact), shown, n=1)
@@ -61,8 +71,12 @@ def read_state(file: str | Path, subject: Subject) -> list[int]:
             first, second = sorted((atoms[value] for value in held[:2]), key=lambda one: given[one or ()])
             excluded = f"{_shown(second)} cannot hold together with {_shown(first)}"
             raise StateError(f"{file}:{given[second or ()]}: {excluded} on line {given[first or ()]}")
-        if not held:
-            held = [value for value, one in enumerate(atoms) if one is None][:1]
+        if not held:  # a number that is not given has no value, where the task has such states
+            held = [value for value, one in enumerate(atoms) if one is None or one[-1] == "= undefined"][:1]
+        if not held and all(one and is_number(one) for one in atoms):
+            missing = f"(= {_shown((atoms[0] or ())[:-1])} N)"
+            shown_as = _listed_values([(one or ())[-1].removeprefix("= ") for one in atoms])
+            raise StateError(f"{file}: too few facts; expected {missing}, where N is {shown_as}")
         if not held:
             one_of = ", ".join(_shown(one) for one in atoms)
             raise StateError(f"{file}: too few facts; expected one of {one_of}")
@@ -71,7 +85,44 @@ def read_state(file: str | Path, subject: Subject) -> list[int]:
 
 
 def _shown(fact: Atom | None) -> str:
+    if fact and is_number(fact):
+        return f"(= {_shown(fact[:-1])} {fact[-1].removeprefix('= ')})"
     return f"({' '.join(fact or ())})"
+
+
+ABOVE_AND_BELOW = (("more than", " or more"), ("less than", " or less"))
+"""Words of values that stand for all above, or all below, a number."""
+
+
+def _among(given: str, shown: Sequence[str]) -> str | None:
+    """Return which of the values of a number a text means: 2.50 is "2.5", and 7 is "3 or more"; None for none."""
+    if given in shown:
+        return given
+    value = _number(given)
+    if value is None:
+        return None
+    for one in shown:
+        found = re.fullmatch(r"(more than|less than|) ?(\S+?)( or more| or less|)", one)
+        limit = _number(found[2]) if found else None
+        if found is None or limit is None:
+            continue
+        above, below = (f"{found[1]}{found[3]}" in words for words in ABOVE_AND_BELOW)
+        if (value == limit and not found[1]) or (above and value > limit) or (below and value < limit):
+            return one
+    return None
+
+
+def _number(text: str) -> Fraction | None:
+    try:
+        return Fraction(text)
+    except (ValueError, ZeroDivisionError):
+        return None
+
+
+def _listed_values(shown: Sequence[str]) -> str:
+    """Return the values of a number as a short list, in their order."""
+    words = sorted(shown, key=lambda one: (_number(re.sub(r"[a-z ]", "", one)) or 0, one))
+    return ", ".join(words if len(words) <= 8 else [*words[:3], "...", words[-1]])
 
 
 def _facts(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
@@ -108,8 +159,10 @@ def _atoms(file: Path, parts: tuple[Expression, ...]) -> Iterator[tuple[int, Ato
         else:
             words = _words([*([] if name is None else [name]), *part.parts])
             if name is not None and len(waiting) > 1 and waiting[0].word == "=" and waiting[1].word:
-                words = (*words, f"= {waiting[1].word}".strip(","))
-                del waiting[:2]
+                told = [one.word or "" for one in waiting[1:4]]
+                whole = told[0] in ("more", "less") or told[1:] in (["or", "more"], ["or", "less"])
+                words = (*words, f"= {' '.join(told if whole else told[:1])}".strip(","))
+                del waiting[: 4 if whole else 2]
             yield part.place.line, words
             name = None
     if name is not None:

@@ -18,6 +18,7 @@ import numpy as np
 from planner import Task, task_of
 from planner.grounding.semantics import derived, successors
 from planner.pddl.instances import PDDLError
+from planner.pddl.numeric_expressions import as_shown
 from planner.pddl.reader import Rule, read
 from planner.pddl.s_expressions import Expression
 
@@ -75,7 +76,7 @@ class Subject:
     changing : frozenset of Atom
         Facts that hold in some states only.
     numbers : dict of Atom to str
-        The values of functions.
+        The values of functions in the initial state, as they are shown.
     goal : tuple of Wanted
     """
 
@@ -116,7 +117,7 @@ class Subject:
             },
             constant=constant,
             changing=frozenset(changing),
-            numbers={of: str(value) for of, value in reading.problem.values.items()},
+            numbers={of: as_shown(value) for of, value in reading.problem.values.items()},
             goal=_goal(reading.problem.goal, task),
         )
 

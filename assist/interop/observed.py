@@ -192,8 +192,9 @@ def _word(fact: str) -> str:
     """Return a fact as one word of letters, digits, `_`, `-` and `.`; the empty text for a negated fact."""
     if not fact.startswith("Atom "):
         return ""
-    words = re.findall(r"[^\s(),=]+", fact.removeprefix("Atom "))
-    return ".".join(re.sub(r"[^A-Za-z0-9_-]", "-", word) for word in words)
+    atom, _, number = fact.removeprefix("Atom ").partition(" = ")
+    words = [re.sub(r"[^A-Za-z0-9_-]", "-", word) for word in re.findall(r"[^\s(),]+", atom)]
+    return ".".join([*words, *filter(None, [re.sub(r"[^A-Za-z0-9_.-]", "-", number.replace("/", "of"))])])
 
 
 def action_names(pomdp: AssistPOMDP) -> list[str]:

@@ -11,6 +11,7 @@ from planner.system.errors import MissingExtraError
 
 SHOWN = {
     "actions": "human_actions_per_person",
+    "costs": "cost_per_person",
     "interventions": "interventions",
     "moves": "moves",
     "discounted_return": "return",

@@ -85,6 +85,7 @@ class Episodes:
             policy=self.policy,
             episodes=len(self),
             actions=_mean_and_error(self.actions.mean(axis=1)),
+            costs=_mean_and_error(self.costs.mean(axis=1)),
             interventions=_mean_and_error(self.interventions),
             suggestions=_mean_and_error(self.interventions - self.executed.sum(axis=1)),
             executions=_mean_and_error(self.executed.sum(axis=1)),
@@ -130,8 +131,9 @@ class Summary:
     ----------
     policy : str
     episodes : int
-    actions, interventions, suggestions, executions, moves, discounted_return : tuple of float
-        Mean and standard error of: actions per person; interventions, which are suggestions and executions; each of
+    actions, costs, interventions, suggestions, executions, moves, discounted_return : tuple of float
+        Mean and standard error of: actions per person; their costs per person, in cost units, which are the person's
+        time where costs are durations; interventions, which are suggestions and executions; each of
         these two; changes of place; and the return of an episode.
     cut_off : int
         Number of episodes in which a person had neither finished nor left at the step limit.
@@ -146,6 +148,7 @@ class Summary:
     policy: str
     episodes: int
     actions: tuple[float, float]
+    costs: tuple[float, float]
     interventions: tuple[float, float]
     suggestions: tuple[float, float]
     executions: tuple[float, float]
@@ -160,10 +163,11 @@ class Summary:
         shown = [
             f"{what} {mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
             for what, (mean, error) in (
-                ("actions per person", self.actions), ("suggestions", self.suggestions),
+                ("actions per person", self.actions), ("cost per person", self.costs),
+                ("suggestions", self.suggestions),
                 ("executions", self.executions), ("moves", self.moves), ("return", self.discounted_return),
             )
-            if what != "executions" or mean
+            if (what != "executions" or mean) and (what != "cost per person" or self.costs[0] != self.actions[0])
         ]  # fmt: skip
         cut = f", {self.cut_off} of them cut off" if self.cut_off else ""
         why = "" if self.c_suggest_too_high is None else f"; {not_worth_its_cost(self.c_suggest_too_high)}"

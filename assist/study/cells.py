@@ -132,6 +132,7 @@ def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterat
             "theta": [round(number, 4) for number in episode.theta],
             "sigma": [round(number, 4) for number in episode.sigma],
             "actions": episode.actions,
+            "costs": episode.costs,
             "helped": episode.helped,
             "finished": episode.finished,
             "interventions": episode.interventions,

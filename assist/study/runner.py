@@ -196,7 +196,7 @@ def _is_episode(record: Mapping[str, Any]) -> bool:
     """Whether a record has exactly the fields of an episode, with valid types and one entry for each person."""
     humans = record["humans"]
     numbers = ("interventions", "moves", "steps", "discounted_return")
-    lists = ("people", "beta", "theta", "sigma", "actions", "helped", "finished")
+    lists = ("people", "beta", "theta", "sigma", "actions", "costs", "helped", "finished")
     return (
         all(isinstance(record[name], int | float) for name in numbers)
         and all(isinstance(record[name], list) and len(record[name]) == humans for name in lists)
@@ -218,9 +218,9 @@ def _write(file: Path, texts: Sequence[str]) -> None:
 def load_study(folder: str | Path) -> pd.DataFrame:
     """Read a study's episodes as a data frame, one row for each, in the study's order.
 
-    The columns are the fields of `episodes.jsonl`, which `docs/study.md` describes, and three more:
-    `human_actions_per_person`, `cut_off`, whether a person had not finished at the step limit, and `finished_percent`,
-    the percentage of people who had.
+    The columns are the fields of `episodes.jsonl`, which `docs/study.md` describes, and four more:
+    `human_actions_per_person`, `cost_per_person` (cost units), `cut_off`, whether a person had not finished at the step
+    limit, and `finished_percent`, the percentage of people who had.
 
     Parameters
     ----------
@@ -248,6 +248,7 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     frame = pd.DataFrame(read_records(folder / EPISODES))
     if len(frame):
         frame["human_actions_per_person"] = [sum(actions) / len(actions) for actions in frame["actions"]]
+        frame["cost_per_person"] = [sum(costs) / len(costs) for costs in frame["costs"]]
         frame["cut_off"] = [not all(finished) for finished in frame["finished"]]
         frame["finished_percent"] = [100 * sum(finished) / len(finished) for finished in frame["finished"]]
         for name in (*KEY[:-1], "policy"):

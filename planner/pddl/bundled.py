@@ -26,7 +26,8 @@ class BundledTask:
     about: str
     """One-sentence description: the first sentence of its file's comment, or else of its domain's."""
     states: int | None
-    cost: int | None
+    cost: float | None
+    """Optimal cost in the file's unit; a whole number where all costs are."""
 
 
 def folder() -> Path:
@@ -81,7 +82,7 @@ def _sentence(file: Path) -> str:
     return sentence[0] if sentence else words
 
 
-def _known(file: Path) -> tuple[int | None, int | None]:
+def _known(file: Path) -> tuple[int | None, float | None]:
     """Return a task's number of states and optimal cost, from the README of its folder or of a parent folder."""
     for place in file.relative_to(folder()).parents:
         readme = folder() / place / README
@@ -92,11 +93,13 @@ def _known(file: Path) -> tuple[int | None, int | None]:
                 head = cells
             elif cells and (folder() / place / cells[0]) == file:
                 row = dict(zip(head, cells, strict=True))
-                return _number(row.get("states", "")), _number(row.get("optimal cost", ""))
+                states, cost = _number(row.get("states", "")), _number(row.get("optimal cost", ""))
+                return None if states is None else int(states), cost
     return None, None
 
 
-def _number(cell: str) -> int | None:
-    """Return the whole number at the beginning of a table cell; None if there is none."""
-    digits = re.match(r"[\d,]+", cell)
-    return int(digits[0].replace(",", "")) if digits else None
+def _number(cell: str) -> float | None:
+    """Return the number at the beginning of a table cell; None if there is none."""
+    found = re.match(r"[\d,]+(\.\d+)?", cell)
+    digits = found[0].replace(",", "") if found else ""
+    return (float(digits) if "." in digits else int(digits)) if digits else None

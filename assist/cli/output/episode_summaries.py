@@ -36,9 +36,11 @@ def _cell(mean: float, error: float) -> str:
 def show_summaries(summaries: list[Summary], drawn: int, pool: int) -> None:
     """Print a row for each policy, and how many people of the pool were in a team."""
     table = Table(box=None, pad_edge=False)
-    shown = SHOWN
+    shown = dict(SHOWN)
+    if all(summary.costs[0] == summary.actions[0] for summary in summaries):  # each action costs 1
+        del shown["costs"]
     if any(summary.executions[0] for summary in summaries):  # otherwise all interventions are suggestions
-        shown = {**SHOWN, "suggestions": "suggestions", "executions": "executions"}
+        shown |= {"suggestions": "suggestions", "executions": "executions"}
     for column in ("policy", *shown.values(), "cut off"):
         table.add_column(column.replace("_", " "), justify="left" if column == "policy" else "right")
     for summary in summaries:

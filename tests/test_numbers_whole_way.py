@@ -1,0 +1,395 @@
+"""Tasks with numbers and durations go the whole way: people, policies, bounds, logs, pages, drawings, other programs.
+
+Everywhere a user looks, actions and numbers are those of the file, and costs are in its unit.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import DOMAINS, invoke, table_of, write_instance
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from teams import equal, run
+
+from assist import Pool
+from assist.drawing import Artist, plan_frames, read_state, save
+from assist.drawing.raster import png
+from assist.explain import Explanation, contrast
+from assist.interop.observed import Observed
+from assist.live import Session
+from assist.people import HumanModel, Population
+from assist.people.choices import Choices
+from assist.person import AssistPOMDP, qmdp
+from assist.team import Setting
+from planner import Instance, Table, load, sweep
+
+DOMAIN = """(define (domain mixing) (:requirements :typing :durative-actions :numeric-fluents) (:types tank)
+(:predicates (done ?t - tank))
+(:functions (litres ?t - tank) (wanted ?t - tank) (battery) (filled))
+(:durative-action fill :parameters (?t - tank) :duration (= ?duration 2.5)
+  :condition (and (at start (< (litres ?t) 1.5)) (at start (>= (battery) 0.3)))
+  :effect (and (at start (decrease (battery) 0.3)) (at end (increase (litres ?t) 0.5)) (at end (increase (filled) 1))))
+(:durative-action drain :parameters (?t - tank) :duration (= ?duration 1.25)
+  :condition (at start (>= (litres ?t) 0.5)) :effect (at end (decrease (litres ?t) 0.5)))
+(:durative-action seal :parameters (?t - tank) :duration (= ?duration 0.1)
+  :condition (and (over all (= (litres ?t) (wanted ?t))) (at start (>= (filled) 2))) :effect (at end (done ?t))))"""
+PROBLEM = """(define (problem mix) (:domain mixing) (:objects tank-a - tank)
+(:init (= (litres tank-a) 0) (= (wanted tank-a) 1) (= (battery) 1.7) (= (filled) 0))
+(:goal (done tank-a)) (:metric minimize (total-time)))"""
+ACTIONS = {"fill": 2.5, "drain": 1.25, "seal": 0.1}
+NOVICES = Population(beta=(0.1, 0.6))
+EAGER = Setting(c_suggest=0.02, c_move=0.01)
+
+
+def shipped(name: str) -> Table:
+    return table_of(Instance(DOMAINS / f"{name}.pddl", (DOMAINS / name).parent / "domain.pddl"))
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Instance:
+    return write_instance(tmp_path_factory.mktemp("mixing"), DOMAIN, PROBLEM)
+
+
+@pytest.fixture(scope="module")
+def mixing(files: Instance) -> Table:
+    return sweep(load(files))
+
+
+@pytest.fixture(scope="module")
+def trace(mixing: Table) -> list[dict[str, Any]]:
+    """The actions of two people in twenty episodes, with the suggestions of a robot that makes many."""
+    found: list[dict[str, Any]] = []
+    pool = Pool.sample(mixing, 2, population=NOVICES, seed=1, setting=EAGER)
+    pool_run = run(pool, "reactive", 2, 20, 1, trace=found)
+    assert pool_run.interventions.sum() > 0
+    return found
+
+
+def is_of_the_file(text: str, table: Table) -> bool:
+    """Whether a text has no names of the compilation: no value objects, no predicates and actions that it made."""
+    made = re.findall(r"[\w@-]*(?:value-|new-axiom|is-f)[\w-]*", text)
+    actions = re.findall(r"\((?:fill|drain|seal)[^()]*\)", text)
+    return not made and set(actions) <= set(table.task.actions)
+
+
+def test_the_numbers_of_a_state_are_those_of_the_file(mixing: Table) -> None:
+    start = mixing.task.facts(mixing.task.initial)
+    assert start == ["battery() = 1.7", "filled() = 0", "litres(tank-a) = 0"]
+    after = mixing.space.follow(["(fill tank-a)", "(fill tank-a)"])
+    assert mixing.task.facts(mixing.values([after])[0]) == [
+        "battery() = 1.1", "filled() = 2 or more", "litres(tank-a) = 1"
+    ]  # fmt: skip
+    assert mixing[mixing.initial] == 5.1
+    assert mixing.choices([after]).actions.size == 3
+
+
+def test_a_persons_time_is_the_sum_of_durations_and_a_step_is_an_action(
+    mixing: Table, trace: list[dict[str, Any]]
+) -> None:
+    assert {row["action"] for row in trace} == {f"({name} tank-a)" for name in ACTIONS}
+    assert {row["suggestion"] for row in trace} <= {None, *mixing.task.actions}
+    assert all(row["cost"] == ACTIONS[row["action"].strip("()").split()[0]] for row in trace)
+    pool = Pool.sample(mixing, 2, population=NOVICES, seed=1, setting=EAGER)
+    result = run(pool, "reactive", 2, 20, 1)
+    for episode in result:
+        for place in range(2):
+            mine = [row for row in trace if row["episode"] == f"reactive-{episode.episode}" and row["place"] == place]
+            assert [row["step"] for row in mine] == list(range(episode.actions[place]))
+            assert episode.costs[place] == pytest.approx(sum(row["cost"] for row in mine))
+    summary = result.summary()
+    assert summary.costs[0] == pytest.approx(result.costs.mean())
+    assert f"cost per person {summary.costs[0]:.2f}" in str(summary)
+
+
+def test_the_command_shows_the_time_where_it_is_not_the_number_of_actions(files: Instance, tmp_path: Path) -> None:
+    options = ("--humans", 2, "--pool", 2, "--episodes", 3, "--seed", 1, "--policy", "none")
+    said = invoke("simulate", files.problem, *options, "--out", tmp_path / "episodes.jsonl")
+    episodes = [json.loads(line) for line in (tmp_path / "episodes.jsonl").read_text().splitlines()]
+    mean = np.mean([one["costs"] for one in episodes])
+    header, row = said.stdout.splitlines()[:2]
+    assert "cost per person" in header
+    assert f"{mean:.2f} ±" in row
+    (record,) = json.loads(invoke("simulate", files.problem, *options, "--json").stdout)["policies"]
+    assert record["cost_per_person"]["mean"] == pytest.approx(mean)
+    plain = invoke("simulate", "kitting/tiny", *options)
+    assert "cost per person" not in plain.stdout  # each action costs 1
+
+
+def test_a_recorded_log_is_fitted(files: Instance, trace: list[dict[str, Any]], tmp_path: Path) -> None:
+    rows = [{name: row[name] for name in ("person", "episode", "step", "action", "suggestion")} for row in trace]
+    (tmp_path / "log.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    found = {
+        one["person"]: one for one in json.loads(invoke("fit", files.problem, tmp_path / "log.jsonl", "--json").stdout)
+    }
+    assert set(found) == {row["person"] for row in rows}
+    for name, one in found.items():
+        assert one["error"] is None
+        assert one["actions"] == sum(row["person"] == name for row in rows)
+        assert one["beta_interval"][0] <= 0.6
+        assert one["beta_interval"][1] >= 0.1
+    (tmp_path / "wrong.jsonl").write_text(json.dumps(rows[0] | {"action": "(fil tank-a)", "suggestion": None}) + "\n")
+    wrong = invoke("fit", files.problem, tmp_path / "wrong.jsonl")
+    assert wrong.exit_code == 1
+    assert "fill tank-a" in wrong.stderr
+    assert is_of_the_file(wrong.stderr, sweep(load(files)))
+
+
+def test_one_persons_policy_and_the_bound_of_a_team(files: Instance) -> None:
+    policy = json.loads(invoke("policy", files.problem, "--time-limit", 2, "--c-suggest", 0.1, "--json").stdout)
+    assert policy["value_never"] <= policy["lower"] <= policy["upper"] <= -5.1 * 0.98  # at best 2.5, 2.5, 0.1
+    bound = json.loads(invoke(
+        "bound", files.problem, "--humans", 2, "--policy", "attention", "--c-suggest", 0.1, "--episodes", 30,
+        "--time-limit", 5, "--json",
+    ).stdout)  # fmt: skip
+    assert bound["value"] - 4 * bound["value_stderr"] <= bound["upper"] <= 2 * -5.1 * 0.98
+
+
+@pytest.mark.parametrize("suffix", ["pomdpx", "pomdp"])
+def test_exported_names_are_those_of_the_file(files: Instance, mixing: Table, tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"mixing.{suffix}"
+    assert invoke("export", files.problem, "--out", out).exit_code == 0
+    text = out.read_text()
+    assert is_of_the_file(text, mixing)
+    assert "suggests (seal tank-a)" in text
+    observed = Observed.of(AssistPOMDP.of(HumanModel.exact(Choices.of(mixing))), mixing)
+    assert {"start", "battery.1.4__filled.1__litres.tank-a.0.5"} <= {
+        "__".join(sorted(name.split("__"))) for name in observed.names
+    }
+    assert any("filled.2-or-more" in name for name in observed.names)
+    assert all(name in text for name in observed.names)
+
+
+def test_an_environments_reward_is_in_the_files_unit(files: Instance, mixing: Table) -> None:
+    pytest.importorskip("gymnasium")
+    from assist.interop.gymnasium import TeamEnv
+
+    env = TeamEnv(instance=str(files.problem), humans=2, render_mode="svg")
+    seen, _ = env.reset(seed=1)
+    assert seen["cost_to_go"].tolist() == pytest.approx([5.1, 5.1])
+    _, reward, *_ = env.step(0)
+    assert reward == -5.0  # both fill for 2.5
+    assert is_of_the_file(str(env.render()), mixing)
+    assert "litres = 0.5" in str(env.render())
+
+
+def test_a_study_runs(files: Instance, tmp_path: Path) -> None:
+    pytest.importorskip("pandas")
+    (tmp_path / "study.toml").write_text(
+        f'instances = ["{files.problem}"]\nrepeats = 2\nhumans = [2]\npool = 2\ndraws = 1\ntrials = 2\n'
+        'policies = ["none", "attention"]\n[setting]\nc_suggest = 0.1\n'
+    )
+    done = invoke("study", "--protocol", tmp_path / "study.toml", "--out", tmp_path / "out", "--jobs", 1)
+    assert done.exit_code == 0, done.output
+    rows = [json.loads(line) for line in (tmp_path / "out" / "episodes.jsonl").read_text().splitlines()]
+    assert len(rows) == 2 * 2 * 2
+    assert all(cost >= 5.1 - 1e-9 for row in rows for cost in row["costs"])
+
+
+def test_a_live_session_and_its_reasons(mixing: Table, tmp_path: Path) -> None:
+    session = Session(mixing, tmp_path / "journal.sqlite", setting=EAGER)
+    for person in ("ann", "bob"):
+        session.join(person)
+    assert session.person("ann")["applicable"] == ["(fill tank-a)"]
+    assert session.person("ann")["cost_to_go"] == 5.1
+    session.observe("ann", "(fill tank-a)")
+    seen = session.observe("bob", "fill(tank-a)")
+    session.close()
+    assert seen["cost_to_go"] == pytest.approx(2.6)
+    assert is_of_the_file(json.dumps(seen), mixing)
+    known = contrast(mixing, mixing.space.follow(["(fill tank-a)"]), "(fill tank-a)", "(drain tank-a)")
+    text = Explanation(against=known).text()
+    assert (known.difference, known.unit) == (pytest.approx(1.25 + 2.5), "cost")
+    assert re.search(r"costs 3\.[78] more", text)
+    assert is_of_the_file(text, mixing)
+
+
+def test_a_plan_is_drawn_as_an_animation(files: Instance, mixing: Table, tmp_path: Path) -> None:
+    image = pytest.importorskip("PIL.Image")
+    pytest.importorskip("resvg_py")
+    artist = Artist(mixing.task)
+    plan = mixing.optimal_plan()
+    assert plan is not None
+    save(artist, plan_frames(artist, plan), tmp_path / "plan.gif")
+    with image.open(tmp_path / "plan.gif") as animation:
+        assert animation.n_frames == len(plan) + 1
+    (tmp_path / "mix.plan").write_text("\n".join(plan))
+    assert invoke("draw", files.problem, "--plan", tmp_path / "mix.plan", "--out", tmp_path / "p.html").exit_code == 0
+    assert is_of_the_file((tmp_path / "p.html").read_text(), mixing)
+
+
+def boxes(svg: str) -> dict[str, tuple[float, float, float, float]]:
+    """Return x, y, width and height of the frame of each object."""
+    found = re.findall(r'data-object="([^"]+)"[^>]*>\s*<rect class="ka-frame" x="([\d.]+)" y="([\d.]+)" '
+                       r'width="([\d.]+)" height="([\d.]+)"', svg)  # fmt: skip
+    return {name: (float(x), float(y), float(width), float(height)) for name, x, y, width, height in found}
+
+
+@pytest.mark.parametrize(
+    ("name", "action", "where", "shown"),
+    [
+        ("stock/refill", "(pick bolt bin-bolt tray-1)", ["bin-bolt", "tray-1"], ["parts = 4 of 6", "bolt = 0 of 2"]),
+        ("stock/refill", "(refill bin-bolt)", ["bin-bolt"], ["packs = 1"]),
+        (None, "(fill tank-a)", ["tank-a"], ["litres = 0", "battery = 1.7"]),
+    ],
+)
+def test_a_number_that_changes_is_seen_in_its_objects_box(
+    mixing: Table, name: str | None, action: str, where: list[str], shown: list[str]
+) -> None:
+    """With the look of `stock`, and without a look; the text stays readable on a page 760 pixels wide."""
+    image = pytest.importorskip("PIL.Image")
+    pytest.importorskip("resvg_py")
+    artist = Artist(mixing.task if name is None else shipped(name).task)
+    start = artist.subject.initial
+    if action == "(refill bin-bolt)":  # it has room for a pack when one bolt is taken
+        start = artist.subject.follow(["(pick bolt bin-bolt tray-1)"])[-1]
+    states = artist.subject.follow([action], start)
+    pictures = [artist.draw(values, width=760, theme="light") for values in states]
+    assert all(f">{text}<" in artist.draw(width=760).svg for text in shown)
+    pixels = [np.asarray(image.open(BytesIO(png(one.svg, one.width, scale=1))).convert("RGB")) for one in pictures]
+    high, wide = (min(one.shape[axis] for one in pixels) for axis in (0, 1))
+    differ = (pixels[0][:high, :wide] != pixels[1][:high, :wide]).any(axis=2)
+    for key in where:
+        x, y, width, height = map(int, boxes(pictures[0].svg)[key])
+        assert differ[y : y + height, x : x + width].sum() > 5
+    for one in pictures:
+        smallest = min(float(size) for size in re.findall(r"font-size: ([\d.]+)px", one.svg))
+        assert smallest * min(1, 760 / one.width) >= 9
+
+
+@pytest.mark.parametrize(
+    ("text", "litres", "filled"),
+    [
+        ("(= (litres tank-a) 0.50) (= (filled) 7) (= (battery) 1.1)", "0.5", "2 or more"),
+        ('["litres(tank-a) = 1", "filled() = 2 or more", "battery() = 0.8"]', "1", "2 or more"),
+        ("litres(tank-a) = 1/2 filled() = 1 battery() = 1.4", "0.5", "1"),
+    ],
+)
+def test_a_state_may_be_written_with_any_form_of_its_numbers(
+    mixing: Table, tmp_path: Path, text: str, litres: str, filled: str
+) -> None:
+    artist = Artist(mixing.task)
+    (tmp_path / "state").write_text(text)
+    drawn = artist.draw(read_state(tmp_path / "state", artist.subject)).text
+    assert f"litres tank-a = {litres};" in drawn
+    assert f"filled = {filled}." in drawn
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("(= (litres tank-a) 0.3)", "state:1: (= (litres tank-a) 0.3) is no fact of the task; expected 0, 0.5, 1, 1.5"),
+        (
+            "(= (filled) 1)",
+            "state: too few facts; expected (= (battery) N), where N is less than 0.3, 0.5, 0.8, 1.1, 1.4, 1.7",
+        ),
+    ],
+)
+def test_a_number_that_no_state_has_is_refused_with_those_that_there_are(
+    files: Instance, tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "state").write_text(text)
+    done = invoke("draw", files.problem, "--state", tmp_path / "state", "--out", tmp_path / "state.svg")
+    assert done.exit_code != 0
+    assert said in done.stderr.replace("\n", " ")
+
+
+def test_a_number_without_a_value_need_not_be_given(tmp_path: Path) -> None:
+    domain = """(define (domain d) (:requirements :numeric-fluents) (:functions (n)) (:predicates (done))
+    (:action set :parameters () :effect (assign (n) 2))
+    (:action end :parameters () :precondition (>= (n) 1) :effect (done)))"""
+    instance = write_instance(tmp_path, domain, "(define (problem p) (:domain d) (:init) (:goal (done)))")
+    artist = Artist(load(instance))
+    assert artist.draw(read_state(instance.problem, artist.subject)).text.startswith("n = undefined.")
+
+
+def priced(cost: str) -> str:
+    return f"""(define (domain walk) (:requirements :typing :action-costs :numeric-fluents) (:types place)
+(:predicates (at ?x - place) (road ?x ?y - place)) (:functions (total-cost) (steps))
+(:action go :parameters (?x ?y - place) :precondition (and (at ?x) (road ?x ?y) (< (steps) 4))
+  :effect (and (not (at ?x)) (at ?y) (increase (steps) 1) (increase (total-cost) {cost}))))"""
+
+
+WALK = """(define (problem p) (:domain walk) (:objects a b c d - place)
+(:init (at a) (= (total-cost) 0) (= (steps) 0) (road a b) (road b d) (road a c) (road c a) (road b a) (road c d))
+(:goal (at d)) (:metric minimize (total-cost)))"""
+
+
+def test_two_and_a_half_and_five_halves_are_one_number(tmp_path: Path) -> None:
+    """Also as a duration, and as a sum of two costs: the same people, Q, policies, and costs of choices."""
+    durative = priced("0").replace(":action-costs", ":durative-actions").replace("(:action go", "(:durative-action go")
+    durative = durative.replace(":precondition (and (at ?x) (road ?x ?y) (< (steps) 4))",
+        ":duration (= ?duration 2.5) "
+        ":condition (and (at start (at ?x)) (at start (road ?x ?y)) (at start (< (steps) 4)))",
+    ).replace("(increase (total-cost) 0)", "").replace("(not (at ?x)) (at ?y) (increase (steps) 1)",
+        "(at start (not (at ?x))) (at end (at ?y)) (at end (increase (steps) 1))",
+    ).replace("(total-cost) ", "")  # fmt: skip
+    timed = WALK.replace("(= (total-cost) 0) ", "").replace("(total-cost)", "(total-time)")
+    texts = [(priced("2.5"), WALK), (priced("(/ 5 2)"), WALK), (priced("(* 0.5 (+ 2 3))"), WALK), (durative, timed)]
+    tables = [sweep(load(write_instance(tmp_path / f"{n}", *pair))) for n, pair in enumerate(texts)]
+    first, *others = tables
+    assert first[first.initial] == 5.0
+    values = [qmdp(AssistPOMDP.of(HumanModel.exact(Choices.of(one)), c_suggest=0.4)) for one in tables]
+    pools = [Pool.sample(one, 4, seed=1, setting=Setting(c_suggest=0.3)) for one in tables]
+    for other, value, pool in zip(others, values[1:], pools[1:], strict=True):
+        assert np.array_equal(first.h, other.h)
+        assert np.array_equal(Choices.of(first).costs, Choices.of(other).costs)
+        assert np.array_equal(values[0].q_mdp, value.q_mdp)
+        for policy in ("none", "reactive", "attention", "priority"):
+            assert equal(run(pools[0], policy, 3, 5, 1), run(pool, policy, 3, 5, 1))
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.integers(1, 400), st.sampled_from([1, 2, 4, 8, 5, 10, 100]))
+def test_a_decimal_cost_gives_the_people_of_its_fraction(tmp_path_factory: Any, over: int, under: int) -> None:
+    folder = tmp_path_factory.mktemp("costs")
+    both = [priced(f"{over / under!r}"), priced(f"(/ {over} {under})")]
+    decimal, fraction = (sweep(load(write_instance(folder / f"{n}", text, WALK))) for n, text in enumerate(both))
+    assert decimal[decimal.initial] == fraction[fraction.initial] == pytest.approx(2 * over / under, rel=1e-15)
+    pools = [Pool.sample(one, 3, seed=2, setting=Setting(c_suggest=0.1)) for one in (decimal, fraction)]
+    assert equal(*(run(pool, "attention", 2, 4, 1) for pool in pools))
+
+
+@pytest.mark.long
+def test_two_people_in_a_browser(tmp_path: Path) -> None:
+    """One clicks on buttons, one has the keyboard alone; both finish the order, and the log has the file's actions."""
+    sync_api = pytest.importorskip("playwright.sync_api")
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if chromium is None:
+        pytest.skip("no Chromium is installed: `apt-get install chromium`")
+    from serving import served
+    from test_live_pages import Seat, Typing
+
+    class Pressing(Seat):
+        """Take an action by a click on its button."""
+
+        def takes(self, action: str) -> None:
+            self.page.click(f'#actions button:text-is("{self.artist.say(action)}")')
+
+    table = shipped("stock/refill")
+    options = ("--humans", 2, "--beta", 0.1, 0.6, "--c-suggest", 0.05, "--c-move", 0.01, "--data", tmp_path)
+    with sync_api.sync_playwright() as playwright, served(*options, instance=table.task.instance.problem) as desk:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        contexts = [browser.new_context(viewport={"width": 760, "height": 900}), browser.new_context()]
+        artist = Artist(table.task)
+        seats = [
+            kind(context.new_page(), desk, person, table, artist)
+            for kind, context, person in zip((Pressing, Typing), contexts, desk.links, strict=True)
+        ]
+        for seat in seats:
+            assert "parts = 4 of 6" in seat.page.text_content("svg.ka")
+            seat.do("(pick bolt bin-bolt tray-1)")
+            assert "parts = 3 of 6" in seat.page.text_content("svg.ka")
+            seat.finish()
+            seat.has_no_faults()
+        rows = [json.loads(line) for line in desk.ask("GET", "/api/log").text.splitlines()]
+        assert {row["person"] for row in rows} == set(desk.links)
+        assert {row["action"] for row in rows} <= set(table.task.actions)
+        browser.close()
