@@ -91,6 +91,15 @@ def test_the_numbers_of_a_state_are_those_of_the_file(mixing: Table) -> None:
     assert mixing.choices([after]).actions.size == 3
 
 
+def test_what_can_never_happen_says_nothing_of_costs(tmp_path: Path) -> None:
+    """The compilation leaves no action, and the file has no (total-cost)."""
+    domain = """(define (domain d) (:requirements :durative-actions) (:predicates (lid-open) (taken))
+    (:durative-action take :parameters () :duration (= ?duration 2) :condition (over all (lid-open))
+      :effect (and (at start (not (lid-open))) (at end (taken)))))"""
+    task = load(write_instance(tmp_path, domain, "(define (problem p) (:domain d) (:init (lid-open)) (:goal (taken)))"))
+    assert task.note == "no metric: the cost is the sum of durations"
+
+
 def test_a_persons_time_is_the_sum_of_durations_and_a_step_is_an_action(
     mixing: Table, trace: list[dict[str, Any]]
 ) -> None:

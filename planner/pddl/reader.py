@@ -127,6 +127,8 @@ class Reading:
                 return ()
             missing = "the problem has no (:metric minimize (total-cost)), so that each action costs 1"
             return (f"line {costs[0].place.line} of the domain has an action cost, but {missing}",)
+        if not costs and not self.domain.actions:
+            return ()  # as where no action can ever happen
         if not costs:
             return ("the problem minimizes (total-cost), but no action increases it, so that each action costs 0",)
         if TOTAL_COST not in self.problem.values:
