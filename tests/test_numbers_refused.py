@@ -119,6 +119,23 @@ WRONG = {
     "a wrong number of arguments": (
         "(decrease (stock ?b) 1)", "(decrease (stock) 1)", "", "", "domain.pddl:8: 'stock' takes 1 argument, not 0",
     ),
+    "a comparison as in programs": (
+        "(>= (stock ?b) 1)", "(== (stock ?b) 1)", "", "",
+        "domain.pddl:7: unknown predicate '=='; expected (= (FUNCTION ARGUMENT ...) NUMBER)",
+    ),
+    "a change as in programs": (
+        "(decrease (stock ?b) 1)", "(subtract (stock ?b) 1)", "", "",
+        "domain.pddl:8: unknown predicate 'subtract'; expected (decrease (FUNCTION ARGUMENT ...) NUMBER)",
+    ),
+    "an assignment in the initial state": (
+        "", "", "(= (stock x) 3)", "(assign (stock x) 3)",
+        "p.pddl:3: unknown predicate 'assign'; expected (= (FUNCTION ARGUMENT ...) NUMBER)",
+    ),
+    "a decimal comma": ("", "", "(= (stock x) 3)", "(= (stock x) 2,5)", "p.pddl:3: '2,5' is no number; expected"),
+    "a number with a unit": ("", "", "(= (far x y) 2)", "(= (far x y) 2min)", "p.pddl:4: '2min' is no number"),
+    "a bare duration": (
+        "(= ?duration (far ?a ?b))", "5", "", "", "domain.pddl:10: durative action 'move': '5' is no duration",
+    ),
     "a predicate as a number": (
         "(>= (stock ?b) 1)", "(>= (open ?b) 1)", "", "", "domain.pddl:7: 'open' is a predicate, and a number is",
     ),

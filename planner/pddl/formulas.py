@@ -64,6 +64,14 @@ def listed(*parts: Expression) -> Expression:
     return Expression("", parts)
 
 
+OF_OTHER_LANGUAGES = {
+    **dict.fromkeys(("==", "assign"), "; expected (= (FUNCTION ARGUMENT ...) NUMBER)"),
+    **dict.fromkeys(("add", "+="), "; expected (increase (FUNCTION ARGUMENT ...) NUMBER)"),
+    **dict.fromkeys(("subtract", "-="), "; expected (decrease (FUNCTION ARGUMENT ...) NUMBER)"),
+}
+"""What PDDL writes in place of words for numbers that are not its own, or stand elsewhere."""
+
+
 def whole_number(expression: Expression) -> int | None:
     """Return the whole number of 0 or more that an expression denotes; None if it denotes none."""
     found = re.fullmatch(r"(\d+)(\.0*)?", expression.word)
@@ -227,7 +235,7 @@ class Formulas:
                 f"expected a comparison such as (>= {shown(formula)} 1)",
             )
         if symbol is None:
-            near = meant(formula.head, {*self.names.predicates, *besides})
+            near = meant(formula.head, {*self.names.predicates, *besides}) or OF_OTHER_LANGUAGES.get(formula.head, "")
             self.refuse(formula, f"unknown predicate '{formula.head}'{near}")
         return listed(formula.parts[0], *self.arguments(formula, symbol, scope))
 
