@@ -62,7 +62,7 @@ def compared(other: Path, task: str, pairs: int) -> dict[str, Any]:
 
 
 @click.command()
-@click.argument("other", type=click.Path(path_type=Path, exists=True, file_okay=False, resolve_path=True))
+@click.argument("other", type=click.Path(path_type=Path, file_okay=False, resolve_path=True))
 @click.argument("tasks", nargs=-1)
 @click.option("--pairs", type=click.IntRange(min=2), default=12, show_default=True, help="Number of pairs.")
 @record_option

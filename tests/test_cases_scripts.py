@@ -176,7 +176,9 @@ def test_the_pages_of_a_team_obey_the_policy_too(chromium: Any, tmp_path: Path) 
         operator.wait_for_selector("#log td:has-text('undone')")
         for page in (operator, seat):
             assert page.evaluate("[window.ran, window.blocked]") == [None, []]
-            page.evaluate("markup => { document.body.lastElementChild.innerHTML = markup; }", IMAGE)
+            page.evaluate(
+                "markup => { document.querySelector('main').insertAdjacentHTML('beforeend', markup); }", IMAGE
+            )
             page.wait_for_function("() => window.blocked.length")  # the policy is in force
             assert page.evaluate("window.ran ?? null") is None
         context.close()

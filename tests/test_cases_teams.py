@@ -107,7 +107,7 @@ def test_commands_say_that_no_suggestion_was_worth_its_cost() -> None:
     team = (*options, "--humans", 2, "--episodes", 5, "--policy", "none", "--policy", "attention")
     none, attention = json.loads(invoke("simulate", *team, "--json").stdout)["policies"]
     assert (none["c_suggest_too_high"], attention["c_suggest_too_high"]) == (None, 40.0)
-    assert invoke("simulate", *team).stdout.splitlines()[-1] == f"attention: {line}"
+    assert f"attention: {line}" in invoke("simulate", *team).stdout.splitlines()
 
 
 def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,7 +48,7 @@ from unified_planning.model.metrics import (
     MinimizeSequentialPlanLength,
 )
 from unified_planning.model.walkers import StateEvaluator
-from unified_planning.shortcuts import GE, TRUE, BoolType, Equals, Int, IntType, Not, Plus, Real, UserType
+from unified_planning.shortcuts import GE, TRUE, BoolType, Equals, Int, IntType, Not, Plus, Real, RealType, UserType
 
 from planner import PDDLError, astar, cost_to_go, load, sweep
 from planner.engine import Engine
@@ -285,8 +285,39 @@ def test_random_problems_with_numbers_cost_what_a_search_finds(seed: int) -> Non
     assert table[table.initial] == pytest.approx(expected, abs=1e-9)
 
 
+def ways_of_known_length() -> Problem:
+    """Return a problem in which only some ways have a length, so that the others cannot be gone."""
+    problem = Problem("ways")
+    place = UserType("Place")
+    here, length = Fluent("here", BoolType(), p=place), Fluent("length", RealType(), a=place, b=place)
+    problem.add_fluent(here, default_initial_value=False)
+    problem.add_fluent(length)
+    shelf, bench, door = (problem.add_object(name, place) for name in ("shelf", "bench", "door"))
+    for a, b, metres in ((shelf, bench, 2), (bench, door, 1), (shelf, shelf, 1)):
+        problem.set_initial_value(length(a, b), metres)
+    problem.set_initial_value(here(shelf), True)
+    go = InstantaneousAction("go", a=place, b=place)
+    a, b = go.parameters
+    go.add_precondition(here(a))
+    go.add_effect(here(a), False)
+    go.add_effect(here(b), True)
+    problem.add_action(go)
+    problem.add_quality_metric(MinimizeActionCosts({go: length(a, b)}))
+    problem.add_goal(here(door))
+    return problem
+
+
+def test_a_number_without_a_value_keeps_from_acting() -> None:
+    problem = ways_of_known_length()
+    assert Engine.supports(problem.kind)
+    result = Engine()._solve(problem)
+    assert [str(step) for step in result.plan.actions] == ["go(shelf, bench)", "go(bench, door)"]
+    assert astar(load(problem))[0] == 3
+
+
 def test_random_problems_have_all_features_that_are_supported() -> None:
     drawn = [numbers(seed) for seed in range(40)] + [random_problem(seed) for seed in range(30)]
+    drawn.append(ways_of_known_length())
     missing = set().union(*SUPPORTED.values()) - set().union(*(problem.kind.features for problem in drawn))
     # The library never says these two: it compares fluents with the expressions in which they stand.
     assert missing <= {"STATIC_FLUENTS_IN_NUMERIC_ASSIGNMENTS", "STATIC_FLUENTS_IN_BOOLEAN_ASSIGNMENTS"}

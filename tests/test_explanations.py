@@ -600,7 +600,17 @@ def test_every_text_is_used_and_is_a_sentence(language: str, monkeypatch: pytest
             assert not set("{}") & set(sentence), sentence
             assert "None" not in sentence, sentence
             assert ".." not in sentence, sentence
-    others = ("page.", "task.", "study.", "question.", "form.", "tlx.", "refusals.", "drawing.")  # not of explanations
+    others = (
+        "date",
+        "page.",
+        "task.",
+        "study.",
+        "question.",
+        "form.",
+        "tlx.",
+        "refusals.",
+        "drawing.",
+    )  # not of explanations
     assert used == {key for key in noted.texts if not key.startswith(others)}
 
 

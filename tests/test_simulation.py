@@ -104,7 +104,9 @@ def test_any_kind_of_integer_and_a_generator_will_do(pool: Pool) -> None:
 
 
 def test_more_episodes_than_fit_the_memory_are_refused(pool: Pool) -> None:
-    with pytest.raises(LimitError, match=r"99,999,999,999 episodes of 2 people take 15,\d{3},\d{3} MB .* at most 25,9"):
+    with pytest.raises(
+        LimitError, match=r"99,999,999,999 episodes of 2 people take about 15,\d{3},\d{3} MB .* at most 25,9"
+    ):
         simulate(pool, "none", humans=2, episodes=99_999_999_999, seed=0)
 
 

@@ -214,7 +214,7 @@ def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_pat
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (("simulate", "--episodes", 99_999_999_999), 1, "99,999,999,999 episodes of 2 people take 15,400,000 MB"),
+        (("simulate", "--episodes", 99_999_999_999), 1, "99,999,999,999 episodes of 2 people take about 15,400,000 MB"),
         (("simulate", "--memory-limit", 0.5), 1, "tiny.pddl: policies for 12 people on a task of 21 states take about"),
         (("bound", "--memory-limit", 1), 1, "2 problems of people, each of up to"),
         (("simulate", "--policy", "Attention"), 2, "'Attention'; did you mean 'attention'"),

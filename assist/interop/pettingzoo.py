@@ -153,5 +153,11 @@ class RobotsEnv(pettingzoo.ParallelEnv):
 
 
 def parallel_env(instance: str | Path | Pool, humans: int = 2, **options: Any) -> RobotsEnv:
-    """Return a parallel environment with an agent for each robot of the setting; the arguments are its own."""
+    """Return a parallel environment with an agent for each robot of the setting.
+
+    Parameters
+    ----------
+    instance, humans, **options
+        As in `RobotsEnv`.
+    """
     return RobotsEnv(instance, humans, **options)

@@ -27,6 +27,11 @@ def comparison_figure(comparison: Any) -> Figure:
 
     The horizontal axis is what varies: the keys of the pools if there are several, else the team size if there are
     several, else the policy. With several pools and several team sizes there is a row of panels for each team size.
+
+    Parameters
+    ----------
+    comparison : PolicyComparison
+        What `assist.study.compare` returns.
     """
     from matplotlib.figure import Figure
 

@@ -46,6 +46,7 @@ SUPPORTED = {
         "STATIC_FLUENTS_IN_ACTIONS_COST", "FLUENTS_IN_ACTIONS_COST", "INT_NUMBERS_IN_ACTIONS_COST",
         "REAL_NUMBERS_IN_ACTIONS_COST",
     ),
+    "initial_state": ("UNDEFINED_INITIAL_NUMERIC",),
 }  # fmt: skip
 """Features of unified-planning problems that are supported, by kind: planning for one person who acts in sequence."""
 

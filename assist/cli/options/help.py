@@ -39,7 +39,7 @@ GROUPS = {
     ),
     "Run": (
         "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",
-        "--verify", "--jobs", "--scheduler", "--cache", "--resume", "--seed",
+        "--verify", "--most-values", "--jobs", "--scheduler", "--cache", "--resume", "--seed",
     ),
     "Output": ("--out", "--size-limit", "--trace", "--reasons", "--figure", "--figures", "--width", "--json", "--help"),
 }  # fmt: skip
