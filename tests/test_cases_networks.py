@@ -149,8 +149,8 @@ def test_without_cookies_and_with_large_ones_of_other_programs_pages_work(
         def forgets(route: Any) -> None:
             answer = route.fetch()
             kept = {name: value for name, value in answer.headers.items() if name != "set-cookie"}
+            without.clear_cookies()  # before the page goes on
             route.fulfill(response=answer, headers=kept)
-            without.clear_cookies()
 
         without.route("**/api/session", forgets)
         page = here.page("ann", without)

@@ -70,8 +70,9 @@ def test_the_library_s_own_examples(name: str) -> None:
         return
     solved = PlanGenerationResultStatus.SOLVED_SATISFICING if timed else PlanGenerationResultStatus.SOLVED_OPTIMALLY
     assert result.status is solved
-    with PlanValidator(problem_kind=problem.kind, plan_kind=result.plan.kind) as validator:
-        assert validator.validate(problem, result.plan)
+    if "UNDEFINED_INITIAL_NUMERIC" not in problem.kind.features:  # which no validator of the library takes
+        with PlanValidator(problem_kind=problem.kind, plan_kind=result.plan.kind) as validator:
+            assert validator.validate(problem, result.plan)
     for plan in [] if timed else example.valid_plans:
         assert length_or_cost(problem, result.plan) <= length_or_cost(problem, plan)
 
