@@ -24,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -91,18 +91,18 @@ class Worker:
         while True:
             with suppress(OSError):
                 reader, writer = await asyncio.open_connection(self.parts.hostname, self.parts.port, limit=1 << 20)
-                writer.write(asks)
-                kind = b""
-                while line := await reader.readline():
-                    name, _, value = line.rstrip().partition(b": ")
-                    kind = value if name == b"event" else kind
-                    if name == b"data" and kind == b"view":
-                        view = json.loads(value)
-                        async with self.changed:
-                            if view["seq"] >= self.view.get("seq", 0):
-                                self.view = view
-                            self.changed.notify_all()
-                writer.close()
+                with closing(writer):
+                    writer.write(asks)
+                    kind = b""
+                    while line := await reader.readline():
+                        name, _, value = line.rstrip().partition(b": ")
+                        kind = value if name == b"event" else kind
+                        if name == b"data" and kind == b"view":
+                            view = json.loads(value)
+                            async with self.changed:
+                                if view["seq"] >= self.view.get("seq", 0):
+                                    self.view = view
+                                self.changed.notify_all()
             await asyncio.sleep(RETRY)
 
     async def post(self, what: str, body: dict) -> dict:
