@@ -14,6 +14,7 @@ violation: it is printed, and the exit code is 1. Pairs that --out has already a
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import resource
@@ -110,15 +111,22 @@ def independent(domain: Path, problem: Path, plan: list[str] | None, seconds: fl
     return row
 
 
+def same(exact: str | None, cost: str | None) -> bool:
+    """Return whether an exact cost is that of a search, which answers a floating-point number; None: no plan."""
+    if exact is None or cost is None:
+        return exact == cost
+    return math.isclose(Fraction(exact), Fraction(cost), rel_tol=1e-12)
+
+
 def violation(row: dict[str, Any]) -> str:
     """Return how a pair's answers differ; empty if they agree, or if only one of them is known."""
     if row["status"] == "died":
         return row["said"]
     if row.get("direct said", "").startswith("AssertionError"):
         return row["direct said"]
-    if row.get("replayed") not in (None, row.get("cost")):
+    if row.get("replayed") is not None and not same(row["replayed"], row.get("cost")):
         return f"the plan costs {row['replayed']}, not {row['cost']}"
-    if row.get("known") and row["status"] in ("solved", "no plan") and row["direct"] != row.get("cost"):
+    if row.get("known") and row["status"] in ("solved", "no plan") and not same(row["direct"], row.get("cost")):
         return f"{row.get('cost')}, and {row['direct']} by the direct search"
     return ""
 
