@@ -133,7 +133,7 @@ def violation(row: dict[str, Any]) -> str:
 
 COLUMNS: Columns = {
     "outcome": cell("outcome"), "pairs": cell("pairs", ","), "repositories": cell("repositories", ","),
-    "compared": cell("costs compared", ","),
+    "costs compared": cell("compared", ","),
 }  # fmt: skip
 OUTCOMES = {
     "solved": "solved", "no plan": "no plan, proven", "grounded": "grounded, no plan found in time",
