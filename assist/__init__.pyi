@@ -1,6 +1,6 @@
 from .learning.fit import fit as fit
 from .learning.log import read_log as read_log
 from .live.assistant import Assistant as Assistant
+from .reports.policy_comparison import compare as compare
 from .simulation.pool import Pool as Pool
 from .simulation.simulate import simulate as simulate
-from .study.policy_comparison import compare as compare

@@ -66,11 +66,12 @@ ROOMS = {
         sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people policies study userstudy",
-    "assist.study": "policy_comparison study protocol tasks cells runner",
+    "assist.study": "study protocol tasks cells runner",
     "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file study_events codes
         participant_team participants places groups erasing cohort session tables export""",
-    "assist.reports": """statistics effects hypothesis_tests repeated_measures wording templates html_page
-        study_summary study_claims study_figures study_report userstudy_summary preregistration userstudy_report""",
+    "assist.reports": """statistics policy_comparison effects hypothesis_tests repeated_measures wording templates
+        html_page study_summary study_claims study_figures study_report userstudy_summary
+        preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures service schemas authorization request_limits task_drawings routes
         metrics streams openapi_page page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",

@@ -12,7 +12,7 @@ from scipy import stats
 
 from assist import Pool, compare, simulate
 from assist.certify import certify
-from assist.study import PolicyComparison, compared
+from assist.reports import PolicyComparison, comparison_of
 from assist.team import Setting, TeamAction, TeamState
 from planner import cost_to_go
 
@@ -33,22 +33,23 @@ def test_means_and_differences_are_those_of_simulate(pool: Pool, found: PolicyCo
     runs = {name: simulate(pool, name, humans=3, episodes=40, seed=1) for name in POLICIES}
     rows = {row.policy: row for row in found if row.humans == 3}
     for name, run in runs.items():
-        assert rows[name].discounted_return.mean == run.summary().discounted_return[0]
-        assert rows[name].actions.error == pytest.approx(run.summary().actions[1], rel=1e-12)
-        assert rows[name].cut_off == run.summary().cut_off
+        assert rows[name].means["discounted_return"].value == run.discounted_return.mean()
+        error = stats.sem(run.actions.mean(axis=1))
+        assert rows[name].summary.actions[1] == pytest.approx(error, rel=1e-12)
+        assert rows[name].summary.cut_off == run.cut_off.sum()
     more = runs["attention"].discounted_return - runs["none"].discounted_return
     low, high = stats.ttest_1samp(more, 0).confidence_interval(0.95)
-    difference = rows["attention"].discounted_return_difference
-    assert difference is not None
-    assert (difference.mean, difference.low, difference.high) == pytest.approx((more.mean(), low, high), rel=1e-9)
-    assert rows["none"].discounted_return_difference is None
+    assert rows["none"].differences is None
+    assert rows["attention"].differences is not None
+    difference = rows["attention"].differences["discounted_return"]
+    assert (difference.value, difference.low, difference.high) == pytest.approx((more.mean(), low, high), rel=1e-9)
 
 
 def test_portions_within_a_time_limit_are_the_same_episodes(pool: Pool, found: PolicyComparison) -> None:
     limited = compare(pool, POLICIES, humans=[2, 3], episodes=40, seed=1, time_limit=1e-9)
     assert limited == found  # the first portion has more episodes than were asked for
     fewer = compare(pool, ["none"], humans=2, episodes=100, seed=1, time_limit=1e-9)
-    assert fewer[0].episodes == 64
+    assert fewer[0].summary.episodes == 64
 
 
 def test_the_frame_is_tidy(found: PolicyComparison) -> None:
@@ -73,8 +74,8 @@ def test_pools_are_conditions_and_have_a_column(pool: Pool) -> None:
 def test_the_gap_to_the_optimum_is_that_of_certify(pool: Pool) -> None:
     found = compare(pool, ["none", "attention"], humans=1, episodes=30, seed=2, certified=True)
     bound, certificates = certify(pool, ["none", "attention"], team=[0], episodes=30, seed=2)
-    assert [row.upper for row in found] == [bound.upper] * 2
-    assert [row.gap_percent for row in found] == [one.gap_percent for one in certificates]
+    assert found.to_frame().upper.tolist() == [bound.upper] * 2
+    assert [row.certificate for row in found] == certificates
     assert "gap to the optimum" in str(found)
 
 
@@ -99,7 +100,7 @@ def test_a_users_policy_and_one_episode(pool: Pool) -> None:
     with pytest.raises(ValueError, match="two policies are called 'stays'"):
         compare(pool, [stays, stays], humans=2)
     found = compare(pool, {"none": "none"}, humans=2, episodes=1)
-    assert math.isnan(found[0].actions.low)
+    assert math.isnan(found[0].means["actions"].low)
     assert "±" not in str(found).splitlines()[1]
 
 
@@ -124,4 +125,4 @@ def test_a_wrong_argument_is_answered_in_one_sentence(pool: Pool, change: dict[s
 def test_only_the_same_episodes_are_compared(pool: Pool) -> None:
     runs = [simulate(pool, name, humans=2, episodes=5, seed=seed) for seed, name in enumerate(["none", "reactive"])]
     with pytest.raises(ValueError, match="same episodes and people"):
-        compared(runs)
+        comparison_of(runs)

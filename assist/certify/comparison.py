@@ -15,6 +15,7 @@ from planner.system.progress import Progress, Wanted, shows_progress
 from ..people.arguments import Seed, entropy, positive, whole
 from ..simulation.pool import Pool, require_pool
 from ..simulation.simulate import SOLVING
+from ..team.policies import by_name
 from ..team.state import TeamPolicy
 from .certificate import Certificate, Simulated, simulated_until
 from .team_bound import TeamBound, upper_bound
@@ -80,14 +81,6 @@ class Comparison:
         ]
 
 
-def _by_name(policies: Any) -> dict[str, TeamPolicy | str]:
-    """Return policies by their names: those of a mapping, or their own."""
-    if isinstance(policies, Mapping):
-        return dict(policies)
-    several = [policies] if isinstance(policies, str) or callable(policies) else policies
-    return {one if isinstance(one, str) else str(getattr(one, "__name__", "policy")): one for one in several}
-
-
 @shows_progress
 def certify(
     pool: Pool,
@@ -118,7 +111,7 @@ def certify(
     """
     require_pool(pool)
     assert callable(progress)
-    policies = _by_name(policies)
+    policies = by_name(policies)
     found = Comparison.of(
         pool, policies, episodes=episodes, seed=seed, time_limit=time_limit, progress=progress, **options
     )

@@ -31,7 +31,7 @@ def comparison_figure(comparison: Any) -> Figure:
     Parameters
     ----------
     comparison : PolicyComparison
-        What `assist.study.compare` returns.
+        What `assist.reports.compare` returns.
     """
     from matplotlib.figure import Figure
 
@@ -70,10 +70,10 @@ def _panel(axis: Axes, rows: Sequence[Any], name: str, marks: Any, varied: str, 
     width = min((b - a for a, b in zip(sorted(at.values()), sorted(at.values())[1:], strict=False)), default=1.0)
     single = places == [row.policy for row in rows]
     for number, (policy, look) in enumerate(marks.items()):
-        own = [(at[place], getattr(row, name)) for place, row in zip(places, rows, strict=True) if row.policy == policy]
+        own = [(at[place], row.means[name]) for place, row in zip(places, rows, strict=True) if row.policy == policy]
         shift = 0.0 if single else 0.06 * width * (number - (len(marks) - 1) / 2)
         x = np.array([place for place, _ in own]) + shift
-        mean = np.array([estimate.mean for _, estimate in own])
+        mean = np.array([estimate.value for _, estimate in own])
         ends = np.array([(estimate.low, estimate.high) for _, estimate in own])
         known = np.isfinite(ends).all(axis=1)
         axis.vlines(x[known], *ends[known].T, color=look.color, **THICK)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import special, stats
+from scipy import special
 
 from planner.system.files import finite
 
@@ -65,7 +65,7 @@ def mean(values: ArrayLike, level: float = 0.95) -> IntervalEstimate:
     x = np.asarray(values, dtype=float)
     if len(x) < 2:
         return IntervalEstimate(float(x.mean()), math.nan, math.nan)
-    half = float(stats.t.ppf((1 + level) / 2, len(x) - 1)) * float(x.std(ddof=1)) / math.sqrt(len(x))
+    half = float(special.stdtrit(len(x) - 1, (1 + level) / 2)) * float(x.std(ddof=1)) / math.sqrt(len(x))
     return IntervalEstimate(float(x.mean()), float(x.mean()) - half, float(x.mean()) + half)
 
 
@@ -153,7 +153,7 @@ def _jackknife(value: float, left_out: Floats, level: float) -> IntervalEstimate
     """Return Student's t interval with the jackknife standard error; `left_out` has the n leave-one-out values."""
     n = len(left_out)
     error = math.sqrt((n - 1) / n * float(((left_out - left_out.mean()) ** 2).sum()))
-    half = float(stats.t.ppf((1 + level) / 2, n - 1)) * error
+    half = float(special.stdtrit(n - 1, (1 + level) / 2)) * error
     return (
         IntervalEstimate(value, value - half, value + half)
         if math.isfinite(half)

@@ -3,10 +3,6 @@ from .cells import carry_out as carry_out
 from .cells import check as check
 from .cells import policy_of as policy_of
 from .cells import pool_of as pool_of
-from .policy_comparison import Compared as Compared
-from .policy_comparison import PolicyComparison as PolicyComparison
-from .policy_comparison import compare as compare
-from .policy_comparison import compared as compared
 from .protocol import read as read
 from .protocol import shipped as shipped
 from .runner import load_study as load_study

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,6 +70,28 @@ def named(
     if name == "rollout":
         return Rollout.of(policies, travel)
     raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', or a function')}")
+
+
+def by_name(
+    policies: Mapping[str, TeamPolicy | str] | Iterable[TeamPolicy | str] | TeamPolicy | str,
+) -> dict[str, TeamPolicy | str]:
+    """Return one or more policies by their names: those of a mapping, or their own.
+
+    Raises
+    ------
+    ValueError
+        Two have one name.
+    """
+    if isinstance(policies, Mapping):
+        found = dict(policies)
+    else:
+        found = {}
+        for one in [policies] if isinstance(policies, str) or callable(policies) else policies:
+            name = one if isinstance(one, str) else str(getattr(one, "__name__", "policy"))
+            if name in found:
+                raise ValueError(f"two policies are called {name!r}; expected a mapping of names to policies")
+            found[name] = one
+    return found
 
 
 def prepare(

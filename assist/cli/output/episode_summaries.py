@@ -14,17 +14,17 @@ from ..terminal.console import print_table
 
 
 def show_differences(runs: list[Episodes]) -> None:
-    """Print how each policy differs from the first one in the same episodes, with 95 % intervals."""
-    from ...study.policy_comparison import DIFFERENCES, MEASURES, compared
+    """Print how each policy differs from `none`, or else the first one, in the same episodes: 95 % intervals."""
+    from ...reports.policy_comparison import DIFFERENCES, MEASURES, comparison_of, shown_interval
 
-    found = compared(runs)
+    found = comparison_of(runs)
     table = Table(box=None, pad_edge=False)
     table.add_column(f"difference to {found.baseline}")
     for name in DIFFERENCES:
         table.add_column(f"{MEASURES[name]} (95 % interval)", justify="right")
     for row in found:
-        if row.policy != found.baseline:
-            table.add_row(row.policy, *(f"{getattr(row, f'{name}_difference')}" for name in DIFFERENCES))
+        if row.differences is not None:
+            table.add_row(row.policy, *(shown_interval(row.differences[name]) for name in DIFFERENCES))
     print_table(table)
 
 

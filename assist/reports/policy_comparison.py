@@ -14,74 +14,42 @@ import html
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.system.errors import MissingExtraError, expected
 from planner.system.progress import Progress, Wanted, shows_progress
 
+from ..certify.certificate import Certificate
 from ..certify.comparison import certify
 from ..people.arguments import Seed, entropy, positive, whole
-from ..simulation.episodes import Episodes
+from ..people.decision import Floats
+from ..simulation.episodes import Episodes, Summary
 from ..simulation.pool import Pool, require_pool
 from ..simulation.simulate import simulate
+from ..team.policies import by_name
 from ..team.state import TeamPolicy
+from . import statistics
+from .statistics import IntervalEstimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from ..certify.certificate import Certificate
 
 FIRST_PORTION = 64
 """Episodes of each policy in the first portion; later ones are twice as large as the one before."""
 
 MEASURES = {"actions": "actions per person", "interventions": "interventions", "discounted_return": "return"}
-"""What is compared, with its name in tables: the attribute of `Episodes`, as a mean over people where it has them."""
+"""What is compared, a mean of `Summary`, with its name in tables."""
 
 DIFFERENCES = ("actions", "discounted_return")
 """The measures whose differences the table shows; the frame has all."""
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A mean over episodes, with its interval.
-
-    Attributes
-    ----------
-    mean : float
-    error : float
-        Standard error; NaN with one episode.
-    low, high : float
-        Ends of the interval; NaN with one episode.
-    """
-
-    mean: float
-    error: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: NDArray[Any], level: float) -> Estimate:
-        """Return the mean of independent values, shape (N,), with Student's interval."""
-        mean, count = float(values.mean()), len(values)
-        if count < 2:
-            return cls(mean, math.nan, math.nan, math.nan)
-        from scipy.special import stdtrit  # quantile of Student's t distribution
-
-        error = float(values.std(ddof=1)) / math.sqrt(count)
-        half = float(stdtrit(count - 1, 0.5 + level / 2)) * error
-        return cls(mean, error, mean - half, mean + half)
-
-    def __str__(self) -> str:
-        return f"{self.mean:.2f}" if math.isnan(self.low) else f"{self.mean:.2f} ({self.low:.2f} to {self.high:.2f})"
-
-
-@dataclass(frozen=True)
-class Compared:
+class ComparedPolicy:
     """One policy under one condition.
 
     Attributes
@@ -90,62 +58,57 @@ class Compared:
         The pool's key in `compare`; "" if there is one pool.
     humans : int
         Number of people in a team.
-    policy : str
-    episodes : int
+    summary : Summary
+        Means over episodes with their standard errors. Where episodes were cut off, those of actions and of the return
+        are too small in size.
     finished : float
         Share of people who reached their goal.
-    cut_off : int
-        Number of episodes that the step limit ended. Means of actions and of the return are then too low.
-    actions, interventions, discounted_return : Estimate
-        Mean of an episode: actions per person, suggestions and executions, and the return (cost units).
-    actions_difference, interventions_difference, discounted_return_difference : Estimate or None
-        This policy minus the baseline in the same episodes; None for the baseline itself.
-    upper, gap_percent : float or None
-        Upper bound on the value of all policies, and distance of this policy's value to it in percent, for the team of
-        the first `humans` people of the pool in the robot's model; None unless asked for.
+    means : dict of IntervalEstimate
+        Mean of each of `MEASURES` with its interval.
+    differences : dict of IntervalEstimate, or None
+        This policy minus the baseline in the same episodes, for each of `MEASURES`; None for the baseline itself.
+    certificate : Certificate or None
+        Distance to the best policy for the team of the first `humans` people of the pool in the robot's model; None
+        unless asked for.
     """
 
     varied: Any
     humans: int
-    policy: str
-    episodes: int
+    summary: Summary
     finished: float
-    cut_off: int
-    actions: Estimate
-    interventions: Estimate
-    discounted_return: Estimate
-    actions_difference: Estimate | None
-    interventions_difference: Estimate | None
-    discounted_return_difference: Estimate | None
-    upper: float | None = None
-    gap_percent: float | None = None
+    means: Mapping[str, IntervalEstimate]
+    differences: Mapping[str, IntervalEstimate] | None
+    certificate: Certificate | None = None
+
+    @property
+    def policy(self) -> str:
+        """The policy's name."""
+        return self.summary.policy
 
     @classmethod
     def of(
         cls, run: Episodes, baseline: Episodes | None, level: float, varied: Any = "",
         certificate: Certificate | None = None,
-    ) -> Compared:  # fmt: skip
+    ) -> ComparedPolicy:  # fmt: skip
         """Return the means of a policy's episodes, and the differences to a baseline's in the same episodes."""
         own = {name: _each(run, name) for name in MEASURES}
-        means: dict[str, Any] = {name: Estimate.of(values, level) for name, values in own.items()}
-        for name, values in own.items():
-            difference = None if baseline is None else Estimate.of(values - _each(baseline, name), level)
-            means[f"{name}_difference"] = difference
+        differences = None
+        if baseline is not None:
+            differences = {name: statistics.mean(own[name] - _each(baseline, name), level) for name in MEASURES}
         return cls(
-            varied=varied, humans=run.people.shape[1], policy=run.policy, episodes=len(run),
-            finished=float(run.finished.mean()), cut_off=int(run.cut_off.sum()), **means,
-            upper=None if certificate is None else certificate.upper,
-            gap_percent=None if certificate is None else certificate.gap_percent,
+            varied=varied, humans=run.people.shape[1], summary=run.summary(), finished=float(run.finished.mean()),
+            means={name: statistics.mean(values, level) for name, values in own.items()}, differences=differences,
+            certificate=certificate,
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class PolicyComparison:
-    """Policies that were compared on common random numbers; a sequence of `Compared`.
+    """Policies that were compared on common random numbers; a sequence of `ComparedPolicy`.
 
     Attributes
     ----------
-    rows : tuple of Compared
+    rows : tuple of ComparedPolicy
         By pool, then team size, then policy in the order given.
     baseline : str
         The policy that differences refer to.
@@ -155,7 +118,7 @@ class PolicyComparison:
         Confidence level of intervals.
     """
 
-    rows: tuple[Compared, ...]
+    rows: tuple[ComparedPolicy, ...]
     baseline: str
     varied: str
     level: float
@@ -163,17 +126,19 @@ class PolicyComparison:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def __iter__(self) -> Iterator[Compared]:
+    def __iter__(self) -> Iterator[ComparedPolicy]:
         return iter(self.rows)
 
-    def __getitem__(self, row: int) -> Compared:
+    def __getitem__(self, row: int) -> ComparedPolicy:
         return self.rows[row]
 
     def to_frame(self) -> Any:
         """Return a tidy `pandas.DataFrame` with a row for each condition and policy; with the extra `study`.
 
-        Its columns are those of `Compared`. An estimate has four: its name for the mean, and the name with `_error`,
-        `_low` and `_high`. The column `varied` has the name that `compare` was given.
+        Its columns are the name that `compare` was given for the pools' keys, `humans`, `policy`, `episodes`,
+        `finished`, `cut_off`; for each of `MEASURES` the mean by its name, and the name with `_error` (standard error),
+        `_low` and `_high`; the same for the name with `_difference`, without an error; and `upper` and `gap_percent` of
+        certificates.
 
         Raises
         ------
@@ -184,10 +149,19 @@ class PolicyComparison:
             import pandas as pd
         except ImportError:
             raise MissingExtraError("a data frame needs", "pandas", "study") from None
-        frame = pd.DataFrame([_columns(row) for row in self.rows])
-        if all(row.upper is None for row in self.rows):
-            frame = frame.drop(columns=["upper", "gap_percent"])
-        return frame.rename(columns={"varied": self.varied}) if self.varied else frame.drop(columns="varied")
+        return pd.DataFrame([self._columns(row) for row in self.rows])
+
+    def _columns(self, row: ComparedPolicy) -> dict[str, Any]:
+        """Return a row of the frame."""
+        found: dict[str, Any] = {self.varied: row.varied} if self.varied else {}
+        found |= {"humans": row.humans, "policy": row.policy, "episodes": row.summary.episodes}
+        found |= {"finished": row.finished, "cut_off": row.summary.cut_off}
+        for name in MEASURES:
+            found |= {**_parts(name, row.means[name]), f"{name}_error": getattr(row.summary, name)[1]}
+            found |= _parts(f"{name}_difference", None if row.differences is None else row.differences[name])
+        if row.certificate is not None:
+            found |= {"upper": row.certificate.upper, "gap_percent": row.certificate.gap_percent}
+        return found
 
     def figure(self) -> Figure:
         """Return a figure of the means and differences with their intervals; with the extra `plots`.
@@ -204,26 +178,26 @@ class PolicyComparison:
     def table(self) -> tuple[list[str], list[list[str]]]:
         """Return the columns and the rows of the table that people see."""
         several = len({row.humans for row in self.rows}) > 1
+        with_gap = any(row.certificate is not None for row in self.rows)
         columns = [*([self.varied] if self.varied else []), *(["people"] if several else []), "policy"]
         for name, shown in MEASURES.items():
             columns += [shown, *([f"difference to {self.baseline}"] if name in DIFFERENCES else [])]
-        with_gap = any(row.gap_percent is not None for row in self.rows)
         columns += ["cut off", *(["gap to the optimum"] if with_gap else [])]
         lines = []
         for row in self.rows:
             cells = [*([f"{row.varied}"] if self.varied else []), *([f"{row.humans}"] if several else []), row.policy]
             for name in MEASURES:
-                difference = getattr(row, f"{name}_difference")
-                cells.append(_mean(getattr(row, name)))
+                mean, error = getattr(row.summary, name)
+                cells.append(f"{mean:.2f}" if math.isnan(error) else f"{mean:.2f} ± {error:.2f}")
                 if name in DIFFERENCES:
-                    cells.append("" if difference is None else str(difference))
-            cells += [f"{row.cut_off}", *([_gap(row.gap_percent)] if with_gap else [])]
+                    cells.append("" if row.differences is None else shown_interval(row.differences[name]))
+            cells += [f"{row.summary.cut_off}", *([_gap(row.certificate)] if with_gap else [])]
             lines.append(cells)
         return columns, lines
 
     def note(self) -> str:
         """Return the sentence below the table, which says what its numbers are."""
-        count = {row.episodes for row in self.rows}
+        count = {row.summary.episodes for row in self.rows}
         episodes = f"{min(count):,}" if len(count) == 1 else f"{min(count):,} to {max(count):,}"
         how = f"differences in the same episodes, {self.level:.0%} interval"
         return f"mean ± standard error over {episodes} episodes; {how}"
@@ -308,7 +282,9 @@ def compare(
         raise ValueError("pool: expected at least one")
     for one in pools.values():
         require_pool(one)
-    named = _named(policies)
+    named = by_name(policies)
+    if not named:
+        raise ValueError("policies: expected at least one")
     sizes = [whole("humans", one, 1) for one in ([humans] if np.ndim(humans) == 0 else list(humans))]  # type: ignore[arg-type]
     base = baseline or ("none" if "none" in named else next(iter(named)))
     if base not in named:
@@ -318,7 +294,7 @@ def compare(
     count, seed_number = whole("episodes", episodes, 1), entropy(seed)
     limit = None if time_limit is None else positive("time_limit", time_limit)
     conditions = [(key, one, size) for key, one in pools.items() for size in sizes]
-    rows: list[Compared] = []
+    rows: list[ComparedPolicy] = []
     for done, (key, one, size) in enumerate(conditions):
         share = None if limit is None else limit / len(conditions)
         tell = partial(_told, progress, f" ({done + 1} of {len(conditions)} conditions)" * (len(conditions) > 1))
@@ -331,13 +307,13 @@ def compare(
             )
             gaps = {certificate.policy: certificate for certificate in found}
         rows += [
-            Compared.of(run, None if name == base else runs[base], level, key, gaps.get(name))
+            ComparedPolicy.of(run, None if name == base else runs[base], level, key, gaps.get(name))
             for name, run in runs.items()
         ]
     return PolicyComparison(tuple(rows), base, varied if isinstance(pool, Mapping) else "", level)
 
 
-def compared(runs: Iterable[Episodes], *, baseline: str | None = None, level: float = 0.95) -> PolicyComparison:
+def comparison_of(runs: Iterable[Episodes], *, baseline: str | None = None, level: float = 0.95) -> PolicyComparison:
     """Compare policies whose episodes were simulated already, with the same people and random numbers.
 
     Parameters
@@ -362,24 +338,8 @@ def compared(runs: Iterable[Episodes], *, baseline: str | None = None, level: fl
         same = np.array_equal(run.episode, every[base].episode) and np.array_equal(run.people, every[base].people)
         if not same:
             raise ValueError(f"{run.policy}: expected the same episodes and people as those of {base}")
-    rows = [Compared.of(run, None if name == base else every[base], level) for name, run in every.items()]
+    rows = [ComparedPolicy.of(run, None if name == base else every[base], level) for name, run in every.items()]
     return PolicyComparison(tuple(rows), base, "", level)
-
-
-def _named(policies: Any) -> dict[str, str | TeamPolicy]:
-    """Return policies by name. Two of one name are an error."""
-    if isinstance(policies, Mapping):
-        found = dict(policies)
-    else:
-        found = {}
-        for one in [policies] if isinstance(policies, str) or callable(policies) else policies:
-            name = one if isinstance(one, str) else str(getattr(one, "__name__", "policy"))
-            if name in found:
-                raise ValueError(f"two policies are called {name!r}: expected a mapping of names to policies")
-            found[name] = one
-    if not found:
-        raise ValueError("policies: expected at least one")
-    return found
 
 
 def _runs(
@@ -401,33 +361,27 @@ def _told(progress: Progress, where: str, what: str, done: int, total: int | Non
     progress(what + where, done, total)
 
 
-def _each(run: Episodes, name: str) -> NDArray[Any]:
+def _each(run: Episodes, name: str) -> Floats:
     """Return a measure of each episode, shape (N,); the mean over people where it has one for each."""
     values = np.asarray(getattr(run, name), dtype=float)
     return values.mean(axis=1) if values.ndim == 2 else values
 
 
-def _columns(row: Compared) -> dict[str, Any]:
-    """Return a row of the frame."""
-    found: dict[str, Any] = {}
-    for field in fields(row):
-        value = getattr(row, field.name)
-        estimate = field.name.removesuffix("_difference") in MEASURES
-        if not estimate:
-            found[field.name] = value
-            continue
-        for part in ("mean", "error", "low", "high"):
-            column = field.name if part == "mean" else f"{field.name}_{part}"
-            found[column] = math.nan if value is None else getattr(value, part)
-    return found
+def _parts(name: str, estimate: IntervalEstimate | None) -> dict[str, float]:
+    """Return the columns of an estimate; NaN where there is none."""
+    found = estimate or IntervalEstimate(math.nan, math.nan, math.nan)
+    return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
 
 
-def _mean(estimate: Estimate) -> str:
-    """Return a mean with its standard error, as a table shows it."""
-    return f"{estimate.mean:.2f}" if math.isnan(estimate.error) else f"{estimate.mean:.2f} ± {estimate.error:.2f}"
+def shown_interval(estimate: IntervalEstimate) -> str:
+    """Return an estimate with its interval, as tables show it."""
+    if math.isnan(estimate.low):
+        return f"{estimate.value:.2f}"
+    return f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})"
 
 
-def _gap(percent: float | None) -> str:
-    if percent is None:
+def _gap(certificate: Certificate | None) -> str:
+    """Return the distance to the best policy, as tables show it."""
+    if certificate is None:
         return ""
-    return f"at most {percent:.1f} %" if percent >= 0 else "0 %, within the error"
+    return f"at most {certificate.gap_percent:.1f} %" if certificate.gap_percent >= 0 else "0 %, within the error"
