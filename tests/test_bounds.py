@@ -177,10 +177,9 @@ def test_people_with_one_model_share_one_problem(tiny_choices: Choices) -> None:
     assert max(total for what, _, total in told if what == "bounding people's problems") == 1
     certificate = found.certify(pool.policy("priority"), episodes=200)
     assert certificate.humans == 40
-    # 2.63 or 2.51 with these random numbers: decisions between equally good people depend on rounding.
-    error = 100 * certificate.value_stderr / abs(certificate.value)
-    assert certificate.gap_percent == pytest.approx(2.6, abs=2 * error)
-    assert error < 0.7
+    assert found.upper == pytest.approx(-299.622, abs=0.01)
+    # 2.5 or 2.6 here: which of two equally good people is helped depends on rounding.
+    assert 2 < certificate.gap_percent < 3
 
 
 def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choices) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from planner import LimitError, PDDLError, Task, astar, cost_to_go, instance, load, sweep
+from planner import LimitError, Limits, PDDLError, Task, astar, cost_to_go, instance, load, sweep
 from planner.pddl.reader import read
 
 FREE = """(:functions (n)) (:action up :parameters () :effect (increase (n) 2))
@@ -33,6 +33,12 @@ def test_a_swing_is_swept_once_all_its_states_are_known(tmp_path: Path) -> None:
     assert not task.beyond
     assert (len(table), table[table.initial]) == (19, 8)  # up and down in turn, k from 0 to 9: n falls by one each time
     assert not any("beyond" in fact for variable in task.variables for fact in variable.facts)
+
+
+def test_too_little_time_is_no_refusal_of_the_file(tmp_path: Path) -> None:
+    file = written(tmp_path, FREE, "(:init (= (n) 0)) (:goal (= (n) 1))")
+    with pytest.raises(LimitError, match="out of time while the values of numbers"):
+        load(file, limits=Limits(seconds=1e-9))
 
 
 def test_states_of_a_number_without_an_end_are_solved_on_demand(tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ class _Trials:
                 explore(watched, watched.budget, 1, lambda *_: None)  # one thread: the same states are met each time
             except LeftError:
                 states -= len(watched)
-            except LimitError:
+            except LimitError:  # too many states
                 break
             else:
                 closed = self._compiler.compilation(replace(trial, known=watched.numbers()))
@@ -119,11 +119,12 @@ class _Trials:
         """Yield the trials of which the translator does not decide that there is no plan."""
         values = FIRST_VALUES
         while True:
-            trial = Trial(min(values, self._most_values))
+            trial, left = Trial(min(values, self._most_values)), self._left()
             try:
                 compilation = self._compiler.compilation(trial)
-                task = ground(compilation, self._left())
-            except (PDDLError, LimitError):  # too many combinations of values
+                task = ground(compilation, left)
+            except (PDDLError, LimitError):  # too many combinations of values, or for too long
+                self._left()  # which raises an error if it is the caller's time that is over
                 return
             if not task.decided_by_translator or holds_initially(task):
                 yield trial, compilation, task

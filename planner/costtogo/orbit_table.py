@@ -27,6 +27,7 @@ from ..system.arrays import outline
 from ..system.limits import Budget, LimitError
 from ..system.machine import processors
 from ..system.progress_reports import Progress
+from .sweep import require_sweepable
 from .table import Table
 
 AT_ONCE = 300_000_000
@@ -95,8 +96,7 @@ def orbits(
     canonicalisation, in facts permuted by symmetries; the default takes some minutes of one processor. A `LimitError`
     says that there are no symmetries or too many orbits, or that time or memory is exhausted.
     """
-    if task.beyond:
-        raise LimitError("a number has no proven bound")
+    require_sweepable(task)
     budget = Budget.within(max_orbits, memory_limit_mb, deadline, stop, reserved_bytes)
     looking, forming = budget.during("symmetries were looked for"), budget.during("orbits were listed")
     group = symmetries(task, check=lambda: looking(0))
