@@ -119,7 +119,7 @@ CASES = {
         "--instance kitting/tiny --people 2 --episodes 20 --policy priority",
     ),
 }
-NEED_DATA = {"collection", "covered", "live_pictures", "numeric_pddl", "paired", "symbolic"}
+NEED_DATA = {"collection", "covered", "live_pictures", "numeric_pddl", "symbolic"}
 """Scripts that need other people's files or programs, another checkout, or a browser."""
 
 WRITES = {"cost_to_go", "fit_figures", "fit time", "growth", "pomdp"} | {c for c in CASES if c.startswith("team")}

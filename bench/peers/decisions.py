@@ -46,7 +46,7 @@ def main(name: str, decisions: int = 200) -> None:
         followed = person.suggestion is not None and rng.random() < 0.5
         team.observe(person.person, person.suggestion if followed else rng.choice(person.applicable))
         team.recommend()
-    print(json.dumps({"seconds": time.process_time() - begun, "lookups": count[0]}))
+    print(json.dumps({"seconds": time.process_time() - begun, "count": count[0]}))
 
 
 if __name__ == "__main__":
