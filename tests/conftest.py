@@ -11,8 +11,9 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -257,6 +258,18 @@ def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subp
 def invoke(*arguments: object) -> Result:
     """Run the command in this process, which takes a tenth of the time."""
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def one_name_for_two(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """unified-planning lets two kinds of things have one name, and prints and warns of nothing."""
+    from unified_planning.environment import get_environment
+
+    monkeypatch.setattr(get_environment(), "error_used_name", False)
+    monkeypatch.setattr(get_environment(), "credits_stream", None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def understood(instance: Instance) -> Any:

@@ -6,8 +6,7 @@ import heapq
 import itertools
 import math
 import random
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -21,6 +20,9 @@ from planner import load, sweep
 from planner.engine import Engine
 
 pytestmark = pytest.mark.cases
+
+
+pytestmark = pytest.mark.usefixtures("one_name_for_two")
 
 
 def kit() -> Problem:
@@ -241,16 +243,6 @@ def cheapest(problem: Problem) -> float:
                     price = (state.get_value(said) if said.is_fluent_exp() else said).int_constant_value()
                 heapq.heappush(queue, (cost + price, next(count), simulator.apply(state, action, parameters)))
     return math.inf
-
-
-@pytest.fixture(autouse=True)
-def quiet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Two kinds of things may have one name."""
-    monkeypatch.setattr(get_environment(), "error_used_name", False)
-    monkeypatch.setattr(get_environment(), "credits_stream", None)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 @pytest.mark.parametrize("seed", range(30))

@@ -10,8 +10,7 @@ import heapq
 import itertools
 import math
 import random
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -54,17 +53,9 @@ from planner import PDDLError, astar, cost_to_go, load, sweep
 from planner.engine import Engine
 from planner.pddl.built_problems import SUPPORTED
 
+pytestmark = pytest.mark.usefixtures("one_name_for_two")
+
 START, END = StartTiming(), EndTiming()
-
-
-@pytest.fixture(autouse=True)
-def quiet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Two kinds of things may have one name."""
-    monkeypatch.setattr(get_environment(), "error_used_name", False)
-    monkeypatch.setattr(get_environment(), "credits_stream", None)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def numbers(seed: int) -> Problem:
