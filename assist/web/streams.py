@@ -95,7 +95,7 @@ async def _all(watcher: Watcher) -> AsyncIterator[bytes]:
         yield b"".join(events)
 
 
-def whole(service: Service, kind: str, view: Callable[[], Any]) -> EventStream:
+def view_stream(service: Service, kind: str, view: Callable[[], Any]) -> EventStream:
     """Return a stream of one view of everything, for an operator's page: now, and after every change.
 
     Parameters
@@ -130,7 +130,7 @@ async def person_events(name: Own, service: Desk) -> Response:
 @router.get("/api/team/events", tags=["operator"], response_class=Response, responses=refusals(403) | DESCRIBED)
 async def team_events(_: Operator, service: Desk) -> Response:
     """Stream the operator's view (`team`)."""
-    return whole(service, "team", service.team)
+    return view_stream(service, "team", service.team)
 
 
 @router.get("/api/team/changes", tags=["operator"], response_class=Response, responses=refusals(403) | DESCRIBED)

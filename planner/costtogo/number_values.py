@@ -80,17 +80,17 @@ class _Trials:
     def sufficient(self, refusal: UnprovenError) -> tuple[Compilation, Task]:
         """Return the compilation and the task of a trial that suffices; if there is none, raise the refusal."""
         from ..search.forward_search import explore  # slow to import, and seldom needed
-        from .watched_states import LeftError, Watched
+        from .watched_states import BeyondError, WatchedStates
 
         states, open_trials = MOST_STATES, []
         for trial, compilation, task in self._made():
             if not task.beyond:
                 return compilation, task
             open_trials.append((compilation, task))
-            watched = Watched(task, states)
+            watched = WatchedStates(task, states)
             try:
                 explore(watched, watched.budget, 1, lambda *_: None)  # one thread: the same states are met each time
-            except LeftError:
+            except BeyondError:
                 states -= len(watched)
             except LimitError:  # too many states
                 break

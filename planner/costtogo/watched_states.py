@@ -16,11 +16,11 @@ from ..states.packing import Packing, holds
 from ..system.limits import Budget, LimitError
 
 
-class LeftError(LimitError):
+class BeyondError(LimitError):
     """A reachable state has a number beyond its values."""
 
 
-class Watched(RegistrySpace):
+class WatchedStates(RegistrySpace):
     """The states of a trial, whose enumeration ends once one has a number beyond its values."""
 
     def __init__(self, task: Task, most_states: int) -> None:
@@ -46,5 +46,5 @@ class Watched(RegistrySpace):
         parts = super().expand(block)
         for _, _, after in parts:
             if any(np.any(holds(after, *condition)) for condition in self._beyond):
-                raise LeftError("a number is beyond its values")
+                raise BeyondError("a number is beyond its values")
         return parts

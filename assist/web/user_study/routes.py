@@ -23,7 +23,7 @@ from ..authorization import READ, WRITE, Operator, Own, refusals
 from ..page_routes import page, piece
 from ..routes import plain
 from ..schemas import Once, Person
-from ..streams import DESCRIBED, whole
+from ..streams import DESCRIBED, view_stream
 from ..tokens import VISITOR
 from .service import ForgedError, StudyService
 
@@ -287,7 +287,7 @@ async def overviews(_: Operator, study: Study) -> Response:
     async def overview() -> bytes:
         return json.dumps(await study.overview()).encode()
 
-    return whole(study, "study", overview)
+    return view_stream(study, "study", overview)
 
 
 @router.get(
