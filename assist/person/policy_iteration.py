@@ -73,6 +73,7 @@ ONLY = np.int64(0)  # the place of the only beta; numba would compile again for 
 KRYLOV_STEPS = 200  # of two products each; 20 to 60 converge in all tasks that were tried
 AT_ONCE = 20_000_000  # entries that are read before the clock is; they take about 0.02 s
 INEXACT = 0.05  # equations of a policy that will change are solved to this share of the last change
+FEW_CHANGES = 1e-3  # share of a policy; one that changes by less is nearly the best, and is solved precisely
 SMALL = 20_000  # values; the sweeps over fewer take less time than to start threads
 
 
@@ -223,7 +224,8 @@ class _Region:
                 return True
             if equations is not None and (not late or number.bit_count() == 1):
                 precise = self._precise(scale)
-                goal = max(INEXACT * change, precise) if changed else precise
+                early = changed > FEW_CHANGES * len(order) * len(m.theta)
+                goal = max(INEXACT * change, precise) if early else precise
                 equations.solve(found, policy, goal, self.stop)
                 solved, settled = True, goal == precise
         return False
