@@ -1,0 +1,33 @@
+"""What a change of learning must keep: estimates, intervals and comparisons of small logs, as recorded."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from gates_records import near
+from learning_figures import figures, plain
+
+FILE = Path(__file__).parent / "data" / "learning.json"
+RECORDED: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
+
+
+@cache
+def every() -> dict[str, Any]:
+    return dict(figures(large=False))
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_figures_are_as_recorded(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = plain(every()[name]())
+    assert near(RECORDED[name], found, 1e-6), f"{name} was {RECORDED[name]}, is {found}"
+
+
+def test_every_figure_is_recorded() -> None:
+    assert set(every()) == set(RECORDED)
