@@ -24,13 +24,11 @@ from typing import Any
 
 import click
 import numpy as np
+from advice_rules import RULES, model_of
 from tables import cell, record_option, write_record
 
 from assist.learning.advice_fit import (
-    BASE_RATES,
     COMPARED,
-    POSITIVE,
-    UNIT,
     base_of,
     base_rates,
     compare_advice,
@@ -40,8 +38,8 @@ from assist.learning.advice_fit import (
     local_maximum,
 )
 from assist.learning.advice_log import AdviceLog, read_advice
-from assist.learning.advice_model import BASES, AdviceModel
-from assist.learning.advice_rules import RULES
+from assist.learning.advice_model import BASES
+from assist.learning.advice_rules import Rule
 from assist.learning.trust_scores import ratio
 from planner.system.files import atomic
 
@@ -76,7 +74,7 @@ def fixed(folder: Path, known: dict[str, AdviceLog]) -> float:
             rule, log = RULES[row["rule"]], known[row["data"]]
             given = dict(pair.split("=") for pair in filter(None, row["rule_parameters"].split(";")))
             values = [*BASES[row["base"]].values(), *(float(given[name]) for name in rule.parameters)]
-            found = -AdviceModel.of(row["base"], rule.name, values).predictions(log)
+            found = -model_of(row["base"], rule, tuple(values)).predictions(log)
             off = max(
                 abs(found.mean() - float(row["nats_per_decision"])),
                 abs(found[~log.agrees].mean() - float(row["nats_per_disagreement"])),
@@ -97,17 +95,18 @@ def near_reference(folder: Path, log: AdviceLog, data: str, base: str, rule: str
         row = next(
             row for row in csv.DictReader(stream) if (row["data"], row["base"], row["rule"]) == (data, base, rule)
         )
-    own = AdviceModel.of(base, rule)
+    own = model_of(base, RULES[rule])
+    positive, unit = ("sigma", *own.rule.positive), own.rule.unit
     read = {name: float(row[columns.get(name, name)]) for name in BASES[base] if row[columns.get(name, name)]}
     read |= {name: float(row[columns.get(name, f"r_{name}")]) for name in own.rule.parameters}
     values = [  # logarithms and logits in the file
-        math.exp(number) if name in POSITIVE else 1 / (1 + math.exp(-number)) if name in UNIT else number
+        math.exp(number) if name in positive else 1 / (1 + math.exp(-number)) if name in unit else number
         for name, number in ((name, read.get(name, -math.inf)) for name in own.parameters)
     ]
     fold, total, behind = fold_of(log.person), 0.0, 0.0
     for each in range(8):
         training, left_out = log.of(fold != each), log.of(fold == each)
-        near, own = local_maximum(AdviceModel.of(base, rule, values), training), fit_model(own, training)
+        near, own = local_maximum(model_of(base, own.rule, tuple(values)), training), fit_model(own, training)
         total -= near.log_likelihood(left_out)
         behind += own.log_likelihood(training) - near.log_likelihood(training)
     return total / len(log), behind
@@ -129,7 +128,7 @@ def fitted(folder: Path, known: dict[str, AdviceLog], allowed: float, keep: Path
                 if row["rule"] == "base rate (agree, disagree)":
                     found = base_rates(log)
                 elif row["rule"] in RULES:
-                    found = held_out(log, row["base"], row["rule"])
+                    found = held_out(log, model_of(row["base"], RULES[row["rule"]]))
                 else:
                     click.echo(f"{row['data']:10} {row['base']:2} {row['rule']:60} not here")
                     continue
@@ -164,16 +163,16 @@ def compared(known: dict[str, AdviceLog]) -> Iterator[dict[str, Any]]:
             }  # fmt: skip
 
 
-def elsewhere(known: dict[str, AdviceLog], others: dict[str, AdviceLog], rules: tuple[str, ...]) -> None:
+def elsewhere(known: dict[str, AdviceLog], others: dict[str, AdviceLog], rules: tuple[Rule, ...]) -> None:
     """Print how well rules fitted to the known people predict others."""
     for name, log in others.items():
         base, begins = base_of(log), np.flatnonzero(log.first)
         counts = np.diff(np.append(begins, len(log))).astype(float)
-        constant = -fit_model(AdviceModel.of(base, "none"), known[name]).log_likelihoods(log)
+        constant = -fit_model(model_of(base, RULES["none"]), known[name]).log_likelihoods(log)
         for rule in rules:
-            found = -fit_model(AdviceModel.of(base, rule), known[name]).log_likelihoods(log)
+            found = -fit_model(model_of(base, rule), known[name]).log_likelihoods(log)
             (nats, se), (difference, its_se) = ratio(found, counts), ratio(found - constant, counts)
-            click.echo(f"{name:10} {base:2} {rule:45} {nats:.4f} ({se:.4f})  {difference:+.4f} ({its_se:.4f})")
+            click.echo(f"{name:10} {base:2} {rule.name:45} {nats:.4f} ({se:.4f})  {difference:+.4f} ({its_se:.4f})")
 
 
 @click.command()
@@ -211,7 +210,7 @@ def main(
                 raise SystemExit(f"more than {allowed} nats off")
             return
     if others is not None:
-        elsewhere(known, logs(others), tuple(rule for rule in COMPARED.values() if rule != BASE_RATES))
+        elsewhere(known, logs(others), tuple(rule for rule in COMPARED.values() if rule))
         return
     rows = []
     for row in compared(known):

@@ -34,6 +34,8 @@ from assist.learning import (  # noqa: E402
     read_advice,
 )
 from assist.learning.advice_fit import COMPARED, base_of, compare_advice, fit_advice, held_out  # noqa: E402
+from assist.learning.advice_model import AdviceModel  # noqa: E402
+from assist.learning.advice_rules import RULES  # noqa: E402
 from assist.learning.hierarchy import fit_terms  # noqa: E402
 from assist.learning.trust_comparison import compare_trust  # noqa: E402
 from assist.people.choices import Choices  # noqa: E402
@@ -106,7 +108,10 @@ def of_acting(table: Table, count: int) -> Iterator[tuple[str, Callable[[], Any]
 
     def full() -> Any:
         found = fit(table, Log.of(rows), seed=0)
-        return [estimates(r.fit for r in found.values()), [[r.check.p, *r.check.scores.values()] for r in found.values()]]
+        return [
+            estimates(r.fit for r in found.values()),
+            [[r.check.p, *r.check.scores.values()] for r in found.values()],
+        ]
 
     yield "checked", full
     yield "own model", lambda: estimates(r.fit for r in fit(table, Log.of(rows), chooses=short_sighted).values())
@@ -141,8 +146,11 @@ def of_goals(count: int) -> Iterator[tuple[str, Callable[[], Any]]]:
 
     def fitted() -> Any:
         found = fit_with_goals(goals.tables, log, prior=PRIOR, method=Method(eta=0.2))
-        return [estimates(r.fit for r in found.values()), [list(r.fit.goal_posteriors().values()) for r in found.values()],
-                [r.suboptimal_actions for r in found.values()], population(found.distribution())]  # fmt: skip
+        return [
+            estimates(r.fit for r in found.values()),
+            [list(r.fit.goal_posteriors().values()) for r in found.values()],
+            [r.suboptimal_actions for r in found.values()], population(found.distribution()),
+        ]  # fmt: skip
 
     def posteriors() -> Any:
         found = infer_goals(goals.tables, log, prior=PRIOR)
@@ -166,12 +174,12 @@ def of_rules(table: Table, count: int, suggestions: int, kinds: tuple[str, ...])
     yield "rules", lambda: comparison(compare_trust(seen, folds=2))
 
 
-def of_advice(log: Any, folds: int, rules: dict[str, str]) -> Iterator[tuple[str, Any]]:
+def of_advice(log: Any, folds: int, rules: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield figures of judgements with advice."""
     for name in ("constant", "paper", "outcome", "outcome-at-disagreement", "reliability"):
         yield name, lambda name=name: fit_advice(log, name)
     yield "compared", lambda: comparison(compare_advice(log, rules=rules, folds=folds))
-    yield "answers", lambda: held_out(log, base_of(log), "none", folds).tolist()[:50]
+    yield "answers", lambda: held_out(log, AdviceModel.of(base_of(log), RULES["constant"]), folds).tolist()[:50]
 
 
 def figures(large: bool) -> Iterator[tuple[str, Callable[[], Any]]]:
@@ -180,9 +188,9 @@ def figures(large: bool) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield from of_goals(6 if large else 2)
     every = ("constant", "paper", "outcome", "outcome-at-disagreement", "reliability")
     yield from of_rules(table, *((25, 60, every) if large else (5, 8, ("paper", "reliability"))))
-    from test_advice import simulated
+    from recorded import simulated
 
-    few = {"constant": "none", "outcome": COMPARED["outcome"], "base rates": "base rates"}
+    few = {name: COMPARED[name] for name in ("constant", "outcome", "base rates")}
     log = simulated(24, 25, 2, steps=0.5) if large else simulated(10, 8, 2, steps=0.5)
     yield from ((f"advice, {name}", of) for name, of in of_advice(log, 3, COMPARED if large else few))
 

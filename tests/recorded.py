@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 
+from assist.learning.advice_log import AdviceLog
+from assist.learning.advice_model import LAPSE
 from assist.learning.log import Entry, Log
 from assist.learning.observations import EvaluatedStates, Observations, observe
 from assist.learning.replay import replay
@@ -81,3 +84,21 @@ def people_at_work(
 def write_log(file: Path, rows: list[dict], tail: str = "") -> Path:
     file.write_text("".join(json.dumps(row) + "\n" for row in rows) + tail)
     return file
+
+
+def simulated(people: int, trials: int, seed: int, *, spread: float = 1.5, steps: float = 0.0) -> AdviceLog:
+    """Draw people of base E, whose logit theta falls by `steps` after each disagreement with wrong advice."""
+    rng = np.random.default_rng(seed)
+    rows: list[list[object]] = []
+    for k in range(people):
+        logit = rng.normal(0.5, spread)
+        for trial in range(trials):
+            agrees, right, c = rng.random() < 0.5, rng.random() < 0.6, rng.uniform(0, 1)
+            z = 3.3 + 1.2 * c if agrees else min(max(logit, -4.595), 4.595) - 1.5 * c
+            follows = rng.random() < LAPSE + (1 - 2 * LAPSE) / (1 + math.exp(-z))
+            rows.append([f"p{k:03}", trial == 0, 0, agrees, follows, right, True, c, 0.0])
+            if not agrees and not right:
+                logit -= steps
+    person, *others = (list(column) for column in zip(*rows, strict=True))
+    kinds = (bool, int, bool, bool, bool, bool, float, float)
+    return AdviceLog(np.array(person), *(np.array(c, dtype=k) for c, k in zip(others, kinds, strict=True)))

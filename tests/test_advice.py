@@ -5,16 +5,18 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from advice_rules import RULES as COMPARED_BEFORE
+from advice_rules import model_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recorded import simulated
 
 from assist.learning.advice_fit import (
-    BASE_RATES,
     base_rates,
     compare_advice,
     fit_advice,
@@ -25,37 +27,26 @@ from assist.learning.advice_fit import (
 )
 from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
-from assist.learning.advice_rules import RULES, moved_by
+from assist.learning.advice_rules import DEFAULT_STEPS, RULES, Rule
 from assist.learning.trust_scores import ratio
 from assist.people.trust_rules import LEAST, Event, LogitSteps
 from planner.system.errors import InputFileError
 
-
-def simulated(people: int, trials: int, seed: int, *, spread: float = 1.5, steps: float = 0.0) -> AdviceLog:
-    """Draw people of base E, whose logit theta falls by `steps` after each disagreement with wrong advice."""
-    rng = np.random.default_rng(seed)
-    rows: list[list[object]] = []
-    for k in range(people):
-        logit = rng.normal(0.5, spread)
-        for trial in range(trials):
-            agrees, right, c = rng.random() < 0.5, rng.random() < 0.6, rng.uniform(0, 1)
-            z = 3.3 + 1.2 * c if agrees else min(max(logit, -4.595), 4.595) - 1.5 * c
-            follows = rng.random() < LAPSE + (1 - 2 * LAPSE) / (1 + math.exp(-z))
-            rows.append([f"p{k:03}", trial == 0, 0, agrees, follows, right, True, c, 0.0])
-            if not agrees and not right:
-                logit -= steps
-    person, *others = (list(column) for column in zip(*rows, strict=True))
-    kinds = (bool, int, bool, bool, bool, bool, float, float)
-    return AdviceLog(np.array(person), *(np.array(c, dtype=k) for c, k in zip(others, kinds, strict=True)))
+CONSTANT = AdviceModel.of("E", RULES["constant"])
 
 
 def after(
-    theta: float, good: float, bad: float, start: float, kind: int, logit: bool, numbers: np.ndarray, *seen: object
-) -> tuple[float, float, float]:
-    """Return theta and the counts after a judgement."""
-    of_start, a, b, c, d, good, bad = moved_by(good, bad, kind, logit, numbers, *seen)
-    t = start if of_start else theta
-    return min(max((a * t + b) / (c * t + d), LEAST), 1 - LEAST), good, bad
+    theta: float, rule: Rule, *parameters: float, agrees: bool, right: bool, shown: bool, times: int = 1
+) -> float:
+    """Return theta after equal judgements."""
+    log = simulated(1, times, 0)
+    flags = {"agrees": agrees, "right": right, "shown": shown}
+    log = AdviceLog(**vars(log) | {name: np.full(times, flag) for name, flag in flags.items()})
+    start = theta
+    for a, b, c, d in rule.moves(log, *(parameters or rule.parameters.values())):
+        source = start if rule.from_start else theta
+        theta = min(max((a * source + b) / (c * source + d), LEAST), 1 - LEAST)
+    return theta
 
 
 @pytest.mark.parametrize("slope", ["", "random confidence slope + "])
@@ -64,7 +55,7 @@ def test_the_likelihood_is_that_of_the_model(slope: str) -> None:
     log = simulated(4, 12, 0)
     log = AdviceLog(**vars(log) | {"advice_confidence": np.linspace(-0.5, 0.5, len(log))})
     for base in BASES:
-        model = AdviceModel.of(base, f"{slope}L agreement + outcome at disagreement")
+        model = model_of(base, COMPARED_BEFORE[f"{slope}L agreement + outcome at disagreement"])
         own, total = model.parameters, 0.0
         nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
         # b1 differs between people under one of the rules: the mean over a second normal distribution.
@@ -103,7 +94,7 @@ def test_the_likelihood_is_that_of_the_model(slope: str) -> None:
 def test_the_likelihood_of_thousands_of_answers_is_the_sum_of_their_predictions(base: str) -> None:
     """The product of the answers of one person is far smaller than the smallest floating-point number."""
     log = simulated(2, 4_500, 0)
-    model = AdviceModel.of(base, "L outcome")
+    model = AdviceModel.of(base, RULES["outcome"])
     total = model.log_likelihood(log)
     assert total < -1_000
     assert total == pytest.approx(model.predictions(log).sum(), rel=1e-9)
@@ -112,7 +103,7 @@ def test_the_likelihood_of_thousands_of_answers_is_the_sum_of_their_predictions(
 def test_parameters_of_people_with_thousands_of_answers_are_found() -> None:
     log = simulated(3, 1_500, 1)
     found = fit_advice(log, "constant")
-    true = AdviceModel.of("E", "none", (0.5, 1.5, 1.5, 3.3, 1.2)).log_likelihood(log)
+    true = replace(CONSTANT, values=(0.5, 1.5, 1.5, 3.3, 1.2)).log_likelihood(log)
     assert true < found["log_likelihood"] < 0
     assert found["parameters"]["b1"] == pytest.approx(1.5, abs=0.3)
 
@@ -121,7 +112,7 @@ def test_parameters_of_people_with_thousands_of_answers_are_found() -> None:
 def test_few_people_with_many_judgements_have_enough_nodes(people: int, trials: int) -> None:
     """Thousands of judgements tell theta more closely than the nodes of the quadrature are apart."""
     log = simulated(people, trials, 1)
-    start = AdviceModel.of("E", "none")
+    start = CONSTANT
     found = fit_model(start, log)
     assert found.log_likelihood(log) == pytest.approx(on_a_fine_grid(found, log), abs=0.02 * people)
     assert start.refined(log).log_likelihood(log) == pytest.approx(on_a_fine_grid(start, log), abs=0.02 * people)
@@ -159,13 +150,9 @@ def test_base_rates_are_those_of_the_people_of_other_folds() -> None:
 
 def test_rules_are_compared_with_base_rates_and_fixed_steps() -> None:
     log = simulated(24, 12, 0)
-    rules = {
-        "constant": "none",
-        "rates": BASE_RATES,
-        "fixed": "L agreement + outcome at disagreement, fixed .05/.15/.25",
-    }
+    rules = {"constant": RULES["constant"], "rates": None, "fixed": DEFAULT_STEPS}
     found = {score.rule: score for score in compare_advice(log, rules=rules, folds=2).scores}
-    logs = held_out(log, "E", "none", 2).sum(), base_rates(log, 2).sum()
+    logs = held_out(log, CONSTANT, 2).sum(), base_rates(log, 2).sum()
     assert [found[name].nats_per_choice * len(log) for name in ("constant", "rates")] == pytest.approx(
         [-one for one in logs]
     )
@@ -192,26 +179,24 @@ def test_a_rule_of_logs_is_the_rule_of_planning_tasks(
     """The matching rule of `people.trust_rules` updates theta in the same way."""
     rule = LogitSteps(agreement, gain, loss)
     event = Event(*(np.asarray(each) for each in (0.0, agrees, True, shown, right)))
-    numbers = np.array(RULES["L agreement + outcome at disagreement"].coefficients(agreement, gain, loss), dtype=float)
-    moved, _, _ = after(theta, 0.0, 0.0, theta, 0, True, numbers, agrees, right, shown, 0.5)
+    own = RULES["outcome-at-disagreement"], agreement, gain, loss
+    moved = after(theta, *own, agrees=agrees, right=right, shown=shown)
     assert moved == pytest.approx(float(rule.update(np.array(theta), event)), abs=1e-12)
 
 
-@pytest.mark.parametrize("rule", [rule for rule in RULES.values() if rule.kind != 0], ids=lambda rule: rule.name)
-def test_theta_goes_the_way_of_the_outcomes(rule: object) -> None:
-    numbers = np.array(rule.coefficients(*rule.start), dtype=float)  # type: ignore[attr-defined]
+COUNTING = [rule for rule in COMPARED_BEFORE.values() if not rule.by_steps]
+
+
+@pytest.mark.parametrize("rule", COUNTING, ids=lambda rule: rule.name)
+def test_theta_goes_the_way_of_the_outcomes(rule: Rule) -> None:
     for right in (True, False):
-        theta, good, bad = 0.5, 0.0, 0.0
-        for _ in range(5):
-            before = theta
-            theta, good, bad = after(theta, good, bad, 0.5, rule.kind, False, numbers, right, right, True, 0.5)  # type: ignore[attr-defined]
-            if "agreement" not in rule.name or "own" in rule.name:  # type: ignore[attr-defined]
-                assert theta >= before if right else theta <= before
-            assert LEAST <= theta <= 1 - LEAST
+        thetas = [0.5, *(after(0.5, rule, agrees=right, right=right, shown=True, times=n) for n in range(1, 6))]
+        assert all((b >= a if right else b <= a) for a, b in pairwise(thetas))
+        assert all(LEAST <= theta <= 1 - LEAST for theta in thetas)
 
 
 def test_parameters_of_simulated_people_are_found() -> None:
-    fitted = fit_model(AdviceModel.of("E", "none"), simulated(150, 25, 1)).parameters
+    fitted = fit_model(CONSTANT, simulated(150, 25, 1)).parameters
     assert fitted["mu"] == pytest.approx(0.5, abs=0.4)
     assert fitted["sigma"] == pytest.approx(1.5, rel=0.25)
     assert fitted["b1"] == pytest.approx(1.5, abs=0.5)
@@ -220,7 +205,7 @@ def test_parameters_of_simulated_people_are_found() -> None:
 def test_a_fit_of_clipped_steps_is_the_best_of_local_maxima() -> None:
     """With too few nodes there are many maxima, which tell nothing about people."""
     log, rng = simulated(20, 20, 3), np.random.default_rng(1)
-    model = AdviceModel.of("E", "eq7 eta=.2, unit steps")
+    model = AdviceModel.of("E", COMPARED_BEFORE["eq7 eta=.2, unit steps"])
     found = fit_model(model, log)
     coarse, fine = [], []
     for _ in range(6):
@@ -233,7 +218,8 @@ def test_a_fit_of_clipped_steps_is_the_best_of_local_maxima() -> None:
 
 def test_the_right_rule_predicts_people_better_whom_it_has_not_seen() -> None:
     log = simulated(40, 25, 2, steps=0.8)
-    constant, moving = (held_out(log, "E", name, folds=2) for name in ("none", "L outcome at disagreement gain/loss"))
+    rules = RULES["constant"], COMPARED_BEFORE["L outcome at disagreement gain/loss"]
+    constant, moving = (held_out(log, AdviceModel.of("E", rule), folds=2) for rule in rules)
     begins = np.flatnonzero(log.first)
     difference, error = ratio(np.add.reduceat(moving - constant, begins), np.diff(np.append(begins, len(log))) * 1.0)
     assert difference > 3 * error > 0

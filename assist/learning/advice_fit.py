@@ -18,26 +18,20 @@ from scipy.optimize import minimize
 from ..people.decision import Floats
 from .advice_log import AdviceLog
 from .advice_model import BASES, AdviceModel
-from .advice_rules import OF_NAMES, STEPS
+from .advice_rules import DEFAULT_STEPS, OF_THE_PAPER, ONE_THETA, RULES, Rule
 from .trust_scores import TrustComparison
-
-POSITIVE = {"sigma", "slope", "n0", "w", "ws", "wf"}
-UNIT = {"gam", "r0"}
 
 POINTS, LOCAL = 30, 3
 """Random points, and searches from the most likely ones, where a likelihood has many local maxima."""
 
 BASE_RATES = "base rates"
-"""In place of a rule's name: the shares of people who followed, at agreement and at disagreement."""
+"""Name of the shares of people who followed, at agreement and at disagreement; there is no rule."""
 
-COMPARED = {
-    BASE_RATES: BASE_RATES,
-    "one theta": "shared",
-    "paper, eta 0.2": "eq7 eta=.2, confidence units",
-    **OF_NAMES,
-    "outcome-at-disagreement, default steps": "L agreement + outcome at disagreement, fixed .03/.10/.20",
-}
-"""What is compared unless other rules are given: simpler predictions, and the shipped rules, fitted and as shipped."""
+COMPARED: dict[str, Rule | None] = {
+    BASE_RATES: None, ONE_THETA.name: ONE_THETA, OF_THE_PAPER.name: OF_THE_PAPER, **RULES,
+    DEFAULT_STEPS.name: DEFAULT_STEPS,
+}  # fmt: skip
+"""What is compared unless other rules are given: simpler predictions, and the shipped rules, as shipped and fitted."""
 
 WIDTHS = {"mu": 1.0, "sigma": 0.5}
 """Standard deviations of the random points; of other parameters, half of the value at which fits begin."""
@@ -66,10 +60,10 @@ def fit_model(start: AdviceModel, log: AdviceLog) -> AdviceModel:
 def _best(start: AdviceModel, log: AdviceLog) -> AdviceModel:
     """Return the model of largest marginal likelihood with the nodes of `start`."""
     surface = _Likelihood(start, log)
-    initial = AdviceModel.of(start.base, start.rule.name).values
+    initial = type(start).of(start.base, start.rule).values
     common, rest = initial[: len(BASES[start.base])], initial[len(BASES[start.base]) :]
     starts = [surface.point(start.values)]
-    if start.rule.kind == STEPS and rest and (start.values == initial or surface.kinks):
+    if rest and start.rule.by_steps and (start.values == initial or surface.kinks):
         starts.append(surface.point((*common, *(0.3 * value for value in rest))))
     if surface.kinks:
         starts.append(surface.point(initial))
@@ -105,22 +99,31 @@ class _Likelihood:
 
     @property
     def kinks(self) -> bool:
-        """Whether theta moves by steps and is clipped: derivatives mislead there."""
-        rule = self.start.rule
-        return rule.kind == STEPS and not rule.logit and any(rule.coefficients(*rule.start))
+        """Whether derivatives mislead."""
+        return self.start.rule.clipped
 
     def point(self, values: Sequence[float]) -> Floats:
-        return np.array([_to(name, value) for name, value in zip(self.names, values, strict=True)])[self.free]
+        return np.array([self._to(name, value) for name, value in zip(self.names, values, strict=True)])[self.free]
 
     def model(self, point: Floats) -> AdviceModel:
         moved = iter(point.tolist())
         return replace(
             self.start,
             values=tuple(
-                _from(name, next(moved)) if one else value
+                self._from(name, next(moved)) if one else value
                 for name, one, value in zip(self.names, self.free, self.start.values, strict=True)
             ),
         )
+
+    def _to(self, name: str, value: float) -> float:
+        if name == "sigma" or name in self.start.rule.positive:
+            return math.log(max(value, 1e-6))
+        return math.log(value / (1 - value)) if name in self.start.rule.unit else value
+
+    def _from(self, name: str, value: float) -> float:
+        if name == "sigma" or name in self.start.rule.positive:
+            return math.exp(min(max(value, -15.0), 15.0))
+        return 1 / (1 + math.exp(-min(max(value, -30.0), 30.0))) if name in self.start.rule.unit else value
 
     def finite(self, point: Floats) -> AdviceModel:
         """Return the model at a point, with an error if its likelihood is not finite."""
@@ -177,18 +180,6 @@ def _scoring(people: Callable[[Floats], Floats], point: Floats, enough: float = 
     return point
 
 
-def _to(name: str, value: float) -> float:
-    if name in POSITIVE:
-        return math.log(max(value, 1e-6))
-    return math.log(value / (1 - value)) if name in UNIT else value
-
-
-def _from(name: str, value: float) -> float:
-    if name in POSITIVE:
-        return math.exp(min(max(value, -15.0), 15.0))
-    return 1 / (1 + math.exp(-min(max(value, -30.0), 30.0))) if name in UNIT else value
-
-
 def fold_of(person: NDArray[np.str_], folds: int = 8) -> NDArray[np.int64]:
     """Return the fold of each row's person, shape (N,): the number in their name, modulo the number of folds.
 
@@ -198,10 +189,9 @@ def fold_of(person: NDArray[np.str_], folds: int = 8) -> NDArray[np.int64]:
     return found if (found != found[0]).any() else np.unique(person, return_inverse=True)[1].astype(np.int64) % folds
 
 
-def held_out(log: AdviceLog, base: str, rule: str, folds: int = 8) -> Floats:
+def held_out(log: AdviceLog, start: AdviceModel, folds: int = 8) -> Floats:
     """Return the log probability of each answer, shape (N,), with parameters fitted to the people of other folds."""
     fold, found = fold_of(log.person, folds), np.empty(len(log))
-    start = AdviceModel.of(base, rule)
     for each in range(folds):
         inside = fold == each
         if inside.any():
@@ -231,7 +221,7 @@ def _rate(log: AdviceLog, rows: NDArray[np.bool_]) -> float:
 
 
 def compare_advice(
-    log: AdviceLog, *, rules: Mapping[str, str] = COMPARED, folds: int = 8, level: float = 0.95,
+    log: AdviceLog, *, rules: Mapping[str, Rule | None] = COMPARED, folds: int = 8, level: float = 0.95,
     progress: Callable[[int], None] | None = None,
 ) -> TrustComparison:  # fmt: skip
     """Compare trust rules on held-out people.
@@ -239,8 +229,8 @@ def compare_advice(
     Parameters
     ----------
     log : AdviceLog
-    rules : mapping of str to str
-        Names of rules in `RULES`, or `BASE_RATES`, by names in the result; "constant" is among these.
+    rules : mapping of str to Rule or None
+        Rules by name, "constant" among them; None stands for base rates.
     folds : int
         Groups of people that are left out in turn.
     level : float
@@ -258,12 +248,13 @@ def compare_advice(
         raise ValueError("one person; a comparison needs two or more, to learn from some about others")
     base, scores, estimates = base_of(log), {}, {}
     for name, rule in rules.items():
-        if rule == BASE_RATES:
+        if rule is None:
             of_rows = base_rates(log, folds)
             estimates[name] = {"agreement": _rate(log, log.agrees), "disagreement": _rate(log, ~log.agrees)}
         else:
-            of_rows = held_out(log, base, rule, folds)
-            estimates[name] = fit_model(AdviceModel.of(base, rule), log).parameters
+            start = AdviceModel.of(base, rule)
+            of_rows = held_out(log, start, folds)
+            estimates[name] = fit_model(start, log).parameters
         scores[name] = np.add.reduceat(of_rows, begins)
         if progress is not None:
             progress(1)
@@ -279,7 +270,7 @@ def fit_advice(log: AdviceLog, rule: str) -> dict[str, Any]:
     log
         People's choices before and after advice.
     rule
-        A name of `OF_NAMES`.
+        A name of `RULES`.
 
     Returns
     -------
@@ -292,7 +283,7 @@ def fit_advice(log: AdviceLog, rule: str) -> dict[str, Any]:
         The likelihood is not finite.
     """
     base = base_of(log)
-    model = fit_model(AdviceModel.of(base, OF_NAMES[rule]), log)
+    model = fit_model(AdviceModel.of(base, RULES[rule]), log)
     return {
         "rule": rule, "base": base, "parameters": model.parameters, "log_likelihood": model.log_likelihood(log),
         "people": int(log.first.sum()), "choices": len(log),

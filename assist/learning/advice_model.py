@@ -9,19 +9,17 @@ own choice, -1 elsewhere, z is one of
 - base "E": a0 + a1 c where the advice is the own choice, else logit(theta) - b1 c: agreement does not inform theta;
 - base "EA": base "E" plus `advised` times the advisor's confidence, in all rows.
 
-Under two rules b1 differs between people, too: it is normal with the standard deviation `slope`.
-
-The initial theta, and b1 where it differs, are integrated out: by Gauss-Hermite quadrature, or on more nodes that are
-evenly spaced where many judgements of a person tell theta closely. Their posterior is updated after each row, so that
-every row is predicted from the rows before it.
+The initial theta is integrated out: by Gauss-Hermite quadrature, or on more nodes that are evenly spaced where many
+judgements of a person tell theta closely. Its posterior is updated after each row, so that every row is predicted from
+the rows before it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +30,7 @@ from planner.system.jit import njit
 from ..people.decision import Floats
 from ..people.trust_rules import LEAST
 from .advice_log import AdviceLog
-from .advice_rules import MOST_LOG_ODDS, RULES, Rule, moved_by
+from .advice_rules import MOST_LOG_ODDS, Rule
 
 LAPSE = 0.0005
 """Least probability of a final choice, so that no single answer decides a fit."""
@@ -56,8 +54,12 @@ ENOUGH = 0.01
 TOGETHER = 64
 """Answers whose likelihoods are multiplied before the logarithm is taken; `LAPSE` to this power does not underflow."""
 
-SLOPES, SLOPE_WEIGHTS = np.polynomial.hermite_e.hermegauss(11)
-SLOPE_WEIGHTS = SLOPE_WEIGHTS / SLOPE_WEIGHTS.sum()
+BASES = {
+    "A": {"mu": 2.0, "sigma": 1.0, "b0": 1.5, "b1": 1.5},
+    "E": {"mu": 0.5, "sigma": 1.5, "b1": 1.5, "a0": 3.3, "a1": 1.2},
+    "EA": {"mu": 0.5, "sigma": 1.5, "b1": 1.5, "a0": 3.3, "a1": 1.2, "advised": 2.0},
+}
+"""Parameters of each base, with values at which fits begin."""
 
 
 @cache
@@ -69,14 +71,6 @@ def quadrature(nodes: int) -> tuple[Floats, Floats]:
         points = np.linspace(-WIDEST, WIDEST, nodes)
         weights = np.exp(-(points**2) / 2)
     return points, weights / weights.sum()
-
-
-BASES = {
-    "A": {"mu": 2.0, "sigma": 1.0, "b0": 1.5, "b1": 1.5},
-    "E": {"mu": 0.5, "sigma": 1.5, "b1": 1.5, "a0": 3.3, "a1": 1.2},
-    "EA": {"mu": 0.5, "sigma": 1.5, "b1": 1.5, "a0": 3.3, "a1": 1.2, "advised": 2.0},
-}
-"""Parameters of each base, with values at which fits begin."""
 
 
 @dataclass(frozen=True)
@@ -99,12 +93,10 @@ class AdviceModel:
     nodes: int = NODES
 
     @classmethod
-    def of(cls, base: str, rule: str, values: Sequence[float] | None = None) -> AdviceModel:
-        """Return the model of these names; with the values at which fits begin, unless values are given."""
-        known = RULES[rule]
-        if values is None:
-            values = (*(BASES[base] | {"sigma": 0.0} if known.shared else BASES[base]).values(), *known.start)
-        return cls(base, known, tuple(values))
+    def of(cls, base: str, rule: Rule) -> Self:
+        """Return the model with the values at which fits begin."""
+        of_base = BASES[base] | {"sigma": 0.0} if rule.shared else BASES[base]
+        return cls(base, rule, (*of_base.values(), *rule.parameters.values()))
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -112,36 +104,34 @@ class AdviceModel:
         return dict(zip((*BASES[self.base], *self.rule.parameters), self.values, strict=True))
 
     def likelihood(self, log: AdviceLog) -> tuple[Floats, Floats]:
-        """Return the likelihood of each answer at each node, shape (N, K), and the log weights of the nodes, (K,).
+        """Return the likelihood of each answer at each node, shape (N, K), and the log weights of the nodes, (K,)."""
+        answers, known = self._answers(log)
+        found = np.repeat(known[:, None], self.nodes, axis=1)
+        self._filled(answers, log, found)
+        return found, np.log(quadrature(self.nodes)[1])
 
-        The nodes are those of theta_0; under rules whose b1 differs between people, these for each node of b1.
-        """
-        weights = self._nodes()[1]
-        found = np.empty((len(log), len(weights)))
-        self._likelihood(found, log)
-        return found, np.log(weights)
+    def _answers(self, log: AdviceLog) -> tuple[Answers, Floats]:
+        """Return the answers as compiled code reads them, and the likelihood of those that do not depend on theta."""
+        own, c = self.parameters, log.confidence
+        advised = log.advice_confidence * own.get("advised", 0.0)
+        if self.base == "A":
+            shift = np.where(log.agrees, 1.0, -1.0) * (own["b0"] + own["b1"] * c) + advised
+            depends = np.ones(len(log), dtype=bool)
+        else:
+            shift = np.where(log.agrees, own["a0"] + own["a1"] * c, -own["b1"] * c) + advised
+            depends = ~log.agrees
+        odds = np.exp(np.clip(-shift, -MOST_LOG_ODDS, MOST_LOG_ODDS))
+        same = LAPSE + (1 - 2 * LAPSE) / (1 + odds)
+        known = np.where(depends, 1.0, np.where(log.follows, same, 1 - same))
+        return Answers(log.first, log.sequence, log.follows, depends, odds), known
 
-    def _nodes(self) -> tuple[Floats, Floats]:
-        """Return the nodes of b1, shape (M,), and the weights of all nodes, shape (M * `nodes`,)."""
-        own, weights = self.parameters, quadrature(self.nodes)[1]
-        if "slope" not in own:
-            return np.array([own["b1"]]), weights
-        return own["b1"] + own["slope"] * SLOPES, np.multiply.outer(SLOPE_WEIGHTS, weights).ravel()
-
-    def _likelihood(self, found: Floats, log: AdviceLog) -> Floats:
+    def _filled(self, answers: Answers, log: AdviceLog, found: Floats) -> Floats:
+        """Return people's log likelihoods of the answers that depend on theta, and fill in those at each node."""
         own = self.parameters
-        start = np.clip(expit(own["mu"] + own["sigma"] * quadrature(self.nodes)[0]), LEAST, 1 - LEAST)
-        slopes, weights = self._nodes()
-        rule = np.array(self.rule.coefficients(*self.values[len(BASES[self.base]) :]), dtype=float)
-        by_agreement = self.base != "A"
-        agree = np.array([own["a0"], own["a1"]] if by_agreement else [0.0, 0.0])
-        totals = np.empty(int(log.first.sum()))
-        _likelihood(
-            found, totals, log.first, log.sequence, log.agrees, log.follows, log.right, log.shown, log.confidence,
-            log.advice_confidence * own.get("advised", 0.0), np.tile(start, len(slopes)), weights, self.rule.kind,
-            self.rule.logit, rule, by_agreement, agree, own.get("b0", 0.0), slopes,
-        )  # fmt: skip
-        return totals
+        points, weights = quadrature(self.nodes)
+        start = np.clip(expit(own["mu"] + own["sigma"] * points), LEAST, 1 - LEAST)
+        moves = self.rule.moves(log, *self.values[len(BASES[self.base]) :])
+        return _likelihood(found, answers, moves, self.rule.from_start, start, weights)
 
     def predictions(self, log: AdviceLog) -> Floats:
         """Return the log probability of each answer, given the person's answers before it, shape (N,)."""
@@ -160,13 +150,15 @@ class AdviceModel:
 
     def log_likelihoods(self, log: AdviceLog) -> Floats:
         """Return the log probability of each person's answers: the sums of `predictions`, in the order of the log."""
-        return self._likelihood(np.empty((0, len(self._nodes()[1]))), log)
+        answers, known = self._answers(log)
+        found = self._filled(answers, log, np.empty((0, self.nodes)))
+        return found + np.add.reduceat(np.log(known), np.flatnonzero(log.first))
 
     def log_likelihood(self, log: AdviceLog) -> float:
         """Return the log probability of all answers."""
         return float(self.log_likelihoods(log).sum())
 
-    def refined(self, log: AdviceLog) -> AdviceModel:
+    def refined(self, log: AdviceLog) -> Self:
         """Return the model with as many nodes as the log needs: twice as many change little, by `ENOUGH`."""
         model, found = self, self.log_likelihood(log)
         while model.nodes < MOST_NODES:
@@ -178,63 +170,59 @@ class AdviceModel:
         return model
 
 
+class Answers(NamedTuple):
+    """People's answers as compiled code reads them: arrays of shape (N,).
+
+    `depends` marks those that depend on theta. Their log-odds are logit(theta) minus the logarithm of `odds`.
+    """
+
+    first: NDArray[np.bool_]
+    sequence: NDArray[np.int64]
+    follows: NDArray[np.bool_]
+    depends: NDArray[np.bool_]
+    odds: Floats
+
+
 @njit(error_model="numpy")
 def _likelihood(
-    found: Floats, totals: Floats, first: NDArray[np.bool_], sequence: NDArray[np.int64], agrees: NDArray[np.bool_],
-    follows: NDArray[np.bool_], right: NDArray[np.bool_], shown: NDArray[np.bool_], confidence: Floats, advised: Floats,
-    start: Floats, weights: Floats, kind: int, logit: bool, rule: Floats, by_agreement: bool, agree: Floats,
-    bonus: float, slopes: Floats,
-) -> None:  # fmt: skip
-    """Fill in people's log likelihoods, and in `found` that of each answer at each node, shape (N, K), if it has rows.
+    found: Floats, answers: Answers, moves: Floats, from_start: bool, start: Floats, weights: Floats
+) -> Floats:
+    """Return people's log likelihoods, and fill in that of each answer at each node, shape (N, K), if `found` has rows.
 
-    A person's is the log of the mean, over nodes, of the product of the likelihoods of their answers. The nodes are
-    those of theta_0 with each node of b1, `slopes`, shape (M,): `start` and `weights` have shape (K,), K a multiple of
-    M. `bonus` is b0, and `agree` has a0 and a1.
+    A person's is the log of the mean, over nodes of theta_0, of the product of the likelihoods of their answers.
 
-    What differs between nodes is rational in theta: exponentials are taken once for each row, and loops over nodes are
-    vectorised.
+    What differs between nodes is rational in theta, so that loops over nodes are vectorised.
     """
-    nodes, advisors, block = len(start), sequence.max() + 1, len(start) // len(slopes)
-    theta, product, p, logs = np.empty((advisors, nodes)), weights.copy(), np.empty(nodes), np.zeros(nodes)
-    good, bad = np.zeros(advisors), np.zeros(advisors)
-    person, of_all, log_of_all, answers = -1, 1.0, 0.0, 0
-    for i in range(len(first)):
-        if first[i]:
+    nodes, count = len(start), len(answers.first)
+    theta, product = np.empty((answers.sequence.max() + 1, nodes)), weights.copy()
+    p, logs, totals = np.empty(nodes), np.zeros(nodes), np.empty(answers.first.sum())
+    person, heard = -1, 0
+    for i in range(count):
+        if answers.first[i]:
             person += 1
-            product[:], theta[:], of_all, log_of_all, answers = weights, start, 1.0, 0.0, 0
-            good[:], bad[:], logs[:] = 0.0, 0.0, 0.0
-        a, c = sequence[i], confidence[i]
-        if agrees[i] and by_agreement:
-            z = agree[0] + agree[1] * c + advised[i]
-            same = LAPSE + (1.0 - 2.0 * LAPSE) / (1.0 + math.exp(min(max(-z, -MOST_LOG_ODDS), MOST_LOG_ODDS)))
-            p[:] = same if follows[i] else 1.0 - same
-            of_all *= p[0]
-        else:
-            low, slope = (LAPSE, 1.0 - 2.0 * LAPSE) if follows[i] else (1.0 - LAPSE, 2.0 * LAPSE - 1.0)
-            for j in range(len(slopes)):
-                z = bonus + slopes[j] * c
-                z = (z if agrees[i] else -z) + advised[i]
-                odds = math.exp(min(max(-z, -MOST_LOG_ODDS), MOST_LOG_ODDS))
-                for k in range(j * block, (j + 1) * block):
-                    p[k] = low + slope * theta[a, k] / (theta[a, k] + (1.0 - theta[a, k]) * odds)
-                    product[k] *= p[k]
-        if len(found):
-            found[i] = p
-        if i + 1 == len(first) or first[i + 1]:
+            product[:], theta[:], logs[:], heard = weights, start, 0.0, 0
+        a = answers.sequence[i]
+        if answers.depends[i]:
+            low, slope = (LAPSE, 1.0 - 2.0 * LAPSE) if answers.follows[i] else (1.0 - LAPSE, 2.0 * LAPSE - 1.0)
+            odds = answers.odds[i]
+            for k in range(nodes):
+                p[k] = low + slope * theta[a, k] / (theta[a, k] + (1.0 - theta[a, k]) * odds)
+                product[k] *= p[k]
+            if len(found):
+                found[i] = p
+            heard += 1
+            if heard % TOGETHER == 0:
+                logs += np.log(product)
+                product[:] = 1.0
+        if i + 1 == count or answers.first[i + 1]:
             highest = logs.max()
-            if answers >= TOGETHER:
+            if heard >= TOGETHER:
                 product *= np.exp(logs - highest)
-            totals[person] = math.log(product.sum()) + highest + math.log(of_all) + log_of_all
-        answers += 1
-        if answers % TOGETHER == 0:
-            logs += np.log(product)
-            log_of_all += math.log(of_all)
-            product[:], of_all = 1.0, 1.0
-        of_start, top, top_one, bottom, bottom_one, good[a], bad[a] = moved_by(
-            good[a], bad[a], kind, logit, rule, agrees[i], right[i], shown[i], c
-        )
+            totals[person] = math.log(product.sum()) + highest
+        top, top_one, bottom, bottom_one = moves[i]
         if top != 1.0 or top_one != 0.0 or bottom != 0.0 or bottom_one != 1.0:
-            source = start if of_start else theta[a]
+            source = start if from_start else theta[a]
             for k in range(nodes):
                 moved = (top * source[k] + top_one) / (bottom * source[k] + bottom_one)
                 theta[a, k] = min(max(moved, LEAST), 1.0 - LEAST)
+    return totals
