@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -15,6 +16,7 @@ from .picture import WIDTH, Artist, Picture
 from .raster import png, require
 
 FORMATS = (".svg", ".png", ".gif", ".html")
+SECONDS = 1.2  # of each step of an animation: time to read two lines of text
 
 
 def save(artist: Artist, rows: Sequence[Row], file: str | Path, *, width: float = WIDTH) -> int:
@@ -77,24 +79,35 @@ def animation(pictures: Sequence[Picture]) -> bytes:
         for picture in pictures
     ]
     written = io.BytesIO()
-    times = [1200] * (len(frames) - 1) + [3600]  # milliseconds; time to read two lines of text, and a pause at the end
+    step = round(1000 * SECONDS)
+    times = [step] * (len(frames) - 1) + [3 * step]  # milliseconds, with a pause at the end
     # Equal frames are kept, since each is a step.
     frames[0].save(written, "GIF", save_all=True, append_images=frames[1:], duration=times, loop=0, optimize=False)
     return written.getvalue()
 
 
 def page(artist: Artist, pictures: Sequence[Picture]) -> str:
-    """Return an HTML page that shows one picture at a time, with buttons, keys and automatic playback."""
-    folder = Path(__file__).parent
-    steps = "\n".join(
-        f'<figure class="step"{" hidden" * bool(number)}>{one.svg}<figcaption>{escape(one.text)}</figcaption></figure>'
-        for number, one in enumerate(pictures)
-    )
+    """Return an HTML page without a script that shows one picture at a time: by hand, by keys, or one after another."""
+    count = len(pictures)
+    choices, steps, rules = [], [], []
+    for n, one in enumerate(pictures, start=1):
+        first = " checked autofocus" * (n == 1)
+        choices.append(
+            f'<input type="radio" name="step" autocomplete="off" id="step-{n}" aria-label="{n} of {count}"{first}>'
+        )
+        turns = [
+            f'<label class="turn" for="step-{other}">{words}</label>'
+            for other, words in ((n - 1, "Back"), (n + 1, "Next"))
+            if 1 <= other <= count
+        ]
+        said = f"<figcaption><b>{n} of {count}</b> {escape(one.text)}</figcaption>"
+        steps.append(f'<figure class="step" id="picture-{n}">{one.svg}{said}{" ".join(turns)}</figure>')
+        shown = f"main:has(#step-{n}:checked) #picture-{n} {{ visibility: visible; }}"
+        rules.append(f"{shown} #picture-{n} {{ animation-delay: {(n - 1 - count) * SECONDS:.1f}s; }}")
     values = {
-        "title": escape(artist.subject.task.name), "steps": steps, "last": str(len(pictures) - 1),
-        "style": svg.style(), "count": str(len(pictures)),
+        "title": escape(artist.subject.task.name), "steps": "\n".join(steps), "choices": "\n".join(choices),
+        "style": svg.style(), "rules": "\n".join(rules), "seconds": f"{count * SECONDS:.1f}",
+        "share": f"{100 / count:.4f}",
     }  # fmt: skip
-    content = (folder / "film.html").read_text(encoding="utf-8")
-    for name, value in values.items():
-        content = content.replace(f"<!--{name}-->", value).replace(f"/*{name}*/", value)
-    return content
+    content = Path(__file__).with_name("film.html").read_text(encoding="utf-8")
+    return re.sub(r"<!--(\w+)-->|/\*(\w+)\*/", lambda place: values[place[1] or place[2]], content)
