@@ -7,6 +7,7 @@ import importlib.util
 import io
 import json
 import math
+import re
 import statistics
 import time
 import zipfile
@@ -34,6 +35,7 @@ from assist.reports.effects import (
     detectable_within,
     within_participants,
 )
+from assist.texts import catalogue
 from assist.userstudy.tables import COLUMNS
 from assist.userstudy.tables import written as written_rows
 from assist.web.user_study import rehearsal, server
@@ -152,6 +154,84 @@ def test_a_study_in_which_hardly_anybody_took_part_says_so(tmp_path: Path) -> No
     assert "Conditions with fewer than two participants cannot be compared." in text
     assert "rehearsal" not in text
     assert "](figures/" not in text
+
+
+FRAGMENT = re.compile(r"[^{}]{14,}")
+
+
+def german(folder: Path, plan: str) -> Path:
+    """Write an unpacked export of a study in German, in which four people finished and two left."""
+    people: list[dict[str, object]] = []
+    done = [("P1", "none"), ("P2", "attention"), ("P3", "none"), ("P4", "attention")]
+    for name, condition in done:
+        people += [{"participant": name, "condition": condition, "status": "done", "stage": "thanks", "group": None}]
+    people += [
+        {"participant": f"P{n}", "status": status, "stage": "consent", "excluded": why}
+        for n, (status, why) in enumerate([("gone", None), ("withdrew", None), ("declined", "zu spät")], start=5)
+    ]
+    every = [one | {"simulated": True, "failed_checks": 0} for one in people]
+    where = [{"participant": name, "condition": condition, "period": 1} for name, condition in done]
+    tasks = [
+        one | {"task": "tiny", "finished": True, "actions": 6 + n, "suggestions": n % 2, "followed": n % 2}
+        | {"seconds": 2.5 * n, "suboptimal_actions": n, "optimal_cost": 6.0, "position": 1}
+        for n, one in enumerate(where)
+    ]  # fmt: skip
+    answers = [
+        one | {"questionnaire": "trust", "item": item, "position": n, "answer": str(1 + n), "score": float(1 + n)}
+        for n, one in enumerate(where)
+        for item in ("rely", "wary")
+    ]
+    exported(folder, participants=every, tasks=tasks, answers=answers)
+    written(folder / "study.toml", plan.replace("seed = 3", 'seed = 3\nlanguage = "de"'))
+    return folder
+
+
+def test_the_report_of_a_german_study_is_german_also_in_its_figures(tmp_path: Path) -> None:
+    plan = PLAN.replace("seed = 3", 'seed = 3\nconfirmatory = ["actions"]')
+    folder = german(tmp_path / "data", plan)
+    assert "Aktionen pro Aufgabe" in run("study-report", folder).stdout
+    text, page = ((folder / "report" / f"report.{kind}").read_text("utf-8") for kind in ("md", "html"))
+    drawn = "\n".join(file.read_text("utf-8") for file in (folder / "report" / "figures").glob("*.svg"))
+    assert '<html lang="de">' in page
+    for said in (
+        "**Probe.** Die Teilnehmenden sind simuliert", "| gekommen | 7 |",
+        "zurückgetreten; ihre Daten sind entfernt | 1 |", "| von der Studienleitung ausgeschlossen: zu spät | 1 |",
+        "| Aktionen pro Aufgabe | 7,0 (",
+        "### Konfirmatorisch", "Wenige Teilnehmende", "Cronbachs Alpha über seine Fragen: 1,00.",
+        "![Verlauf der Teilnehmenden](figures/flow.png)", "Umgekehrte Fragen sind umgepolt.",
+    ):  # fmt: skip
+        assert said in text, said
+    assert "Teilnehmende, die diesen Abschnitt erreichten" in drawn
+    assert re.search(r"<!-- \d+,\d+ -->", drawn)  # numbers at the axes
+    english = catalogue("en").section("report")
+    fragments = {one.strip() for words in english.values() for one in FRAGMENT.findall(words) if " " in one.strip()}
+    assert len(fragments) > 50
+    assert [one for one in fragments if one in text or one in page or one in drawn] == []
+
+
+def test_the_template_of_the_report_has_no_words_of_its_own() -> None:
+    source = (Path(userstudy_report.__file__).with_name("userstudy_report.md.jinja")).read_text(encoding="utf-8")
+    own = re.sub(r"\{%.*?%\}|\{\{.*?\}\}", "", source, flags=re.DOTALL)
+    assert not re.search(r"[A-Za-z]", own), own
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ('design = "within"', "Verglichen wird innerhalb der Personen"),
+        ('[group]\nsize = 2\nthen = "start"', "Die Einheit der Auswertung ist die Gruppe"),
+    ],
+)
+def test_every_design_has_a_german_report(tmp_path: Path, more: str, said: str) -> None:
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(userstudy_report, "_pictures", lambda *_: iter(()))
+        folder = tmp_path / "data"
+        exported(folder)
+        plan = PLAN.replace("simulated = 2", "simulated = 0").replace("seed = 3", 'seed = 3\nlanguage = "de"')
+        plan = f"{plan}\n{more}" if more.startswith("[") else plan.replace("seed = 3", f"seed = 3\n{more}")
+        written(folder / "study.toml", plan)
+        run("study-report", folder)
+    assert said in (folder / "report" / "report.md").read_text("utf-8")
 
 
 def test_what_people_typed_breaks_neither_the_page_nor_a_table(tmp_path: Path) -> None:

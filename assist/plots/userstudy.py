@@ -10,17 +10,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..texts.catalogue import Catalogue, catalogue
 from .style import BLUE, GREY, PAGE_WIDTH, PolicyLook, ink, legend_below, looks, sample, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 Rows = Sequence[Mapping[str, Any]]
 
 
 @styled
-def outcomes_figure(measures: Rows, points: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
+def outcomes_figure(
+    measures: Rows, points: Mapping[str, Mapping[str, Sequence[float]]], texts: Catalogue | None = None
+) -> Figure:
     """Plot each measure by condition: a point for each participant, next to the mean with its 95 % interval.
 
     Parameters
@@ -29,6 +33,8 @@ def outcomes_figure(measures: Rows, points: Mapping[str, Mapping[str, Sequence[f
         Keys `measure`, `label`, and `cells` with `condition`, `n`, `mean`, `low`, `high`.
     points : mapping of mapping of sequence of float
         The participants' values, by measure and condition.
+    texts : Catalogue, optional
+        Texts of the report's language; English unless given, here and in the other figures.
     """
     shown = looks(cell["condition"] for cell in measures[0]["cells"])
     figure, axes = _panels(len(measures), 2.5)
@@ -47,11 +53,12 @@ def outcomes_figure(measures: Rows, points: Mapping[str, Mapping[str, Sequence[f
         axis.set_title(measure["label"])
         axis.set_ylim(bottom=min(0, axis.get_ylim()[0]))
         axis.grid(axis="y")
+        _in_language(axis.yaxis, texts)
     return figure
 
 
 @styled
-def differences_figure(measures: Rows, reference: str) -> Figure:
+def differences_figure(measures: Rows, reference: str, texts: Catalogue | None = None) -> Figure:
     """Plot the differences of conditions from the reference, with 95 % intervals.
 
     Parameters
@@ -59,7 +66,9 @@ def differences_figure(measures: Rows, reference: str) -> Figure:
     measures : sequence of dict
         Keys `label`, and `differences` with `condition`, `mean`, `low`, `high`, `hedges_g`.
     reference : str
+    texts : Catalogue, optional
     """
+    texts = texts or catalogue()
     names = [one["condition"] for one in max(measures, key=lambda one: len(one["differences"]))["differences"]]
     shown = looks(names)
     figure, axes = _panels(len(measures), 0.8 + 0.3 * len(names))
@@ -68,16 +77,15 @@ def differences_figure(measures: Rows, reference: str) -> Figure:
             place = -names.index(one["condition"])
             _interval(axis, place, one, shown[one["condition"]], vertical=False)
             if one["hedges_g"] is not None:
-                axis.annotate(
-                    f"g = {one['hedges_g']:.2f}", (one["mean"], place), (0, 6), textcoords="offset points",
-                    ha="center", fontsize=7.5,
-                )  # fmt: skip
+                text, at = f"g = {texts.decimal(one['hedges_g'], 2)}", (one["mean"], place)
+                axis.annotate(text, at, (0, 6), textcoords="offset points", ha="center", fontsize=7.5)
         axis.axvline(0, color=ink(), linewidth=0.9, alpha=0.6)
         axis.set_yticks([-number for number in range(len(names))], names)
         axis.set_ylim(0.4 - len(names), 0.75)
         axis.set_title(measure["label"])
         axis.grid(axis="x")
-    figure.supxlabel(f"difference from {reference}; g is Hedges' g", fontsize=9)
+        _in_language(axis.xaxis, texts)
+    figure.supxlabel(texts.phrase("report.figures.difference", reference=reference), fontsize=9)
     return figure
 
 
@@ -114,14 +122,16 @@ def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], en
 
 
 @styled
-def flow_figure(flow: Rows) -> Figure:
+def flow_figure(flow: Rows, texts: Catalogue | None = None) -> Figure:
     """Plot how many participants reached each stage of the procedure, how many left there, and how many withdrew.
 
     Parameters
     ----------
     flow : sequence of dict
         Keys `stage`, `reached`, `left`, `there`, `withdrew`.
+    texts : Catalogue, optional
     """
+    texts = texts or catalogue()
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
@@ -132,15 +142,27 @@ def flow_figure(flow: Rows) -> Figure:
         axis.barh(-place, stay, color=BLUE, height=0.6)
         axis.barh(-place, row["left"], left=stay, color=GREY, height=0.6, alpha=0.6)
         said = [str(row["reached"])]
-        said += [f"{row['left']} left"] if row["left"] else []
-        said += [f"{row['there']} present"] if row["there"] else []
-        said += [f"{row['withdrew']} withdrew"] if row["withdrew"] else []
+        for key, word in (("left", "left"), ("there", "present"), ("withdrew", "withdrew")):
+            said += [texts.phrase(f"report.figures.{word}", n=row[key])] if row[key] else []
         axis.annotate(", ".join(said), (row["reached"], -place), (5, 0), textcoords="offset points", va="center")
     axis.set_yticks([-place for place in range(len(flow))], [row["stage"] for row in flow])
     axis.set_xlim(0, 1.18 * max(1, flow[0]["reached"]))
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axis.set_xlabel("participants who reached this stage and did not withdraw (grey: left there)")
+    axis.set_xlabel(texts.phrase("report.figures.reached"))
     return figure
+
+
+def _in_language(axis: Axis, texts: Catalogue | None) -> None:
+    """Write the numbers of an axis with the decimal sign of a language."""
+    from matplotlib.ticker import ScalarFormatter
+
+    sign = (texts or catalogue()).texts["decimal"]
+
+    class Formatter(ScalarFormatter):
+        def __call__(self, value: float, place: int | None = None) -> str:
+            return str(super().__call__(value, place)).replace(".", sign)
+
+    axis.set_major_formatter(Formatter())
 
 
 def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:

@@ -30,7 +30,7 @@ def require_packages(*packages: str) -> None:
             raise MissingExtraError("reports need", package, "study")
 
 
-def html_page(title: str, text: str, *, dark: bool) -> str:
+def html_page(title: str, text: str, *, dark: bool, language: str = "en") -> str:
     """Return a text in Markdown as an HTML page.
 
     Parameters
@@ -38,6 +38,8 @@ def html_page(title: str, text: str, *, dark: bool) -> str:
     title, text : str
     dark : bool
         Whether there are figures for dark backgrounds, too.
+    language : str
+        Tag of the text's language.
     """
     import markdown
 
@@ -47,7 +49,7 @@ def html_page(title: str, text: str, *, dark: bool) -> str:
         reader.inlinePatterns.deregister(pattern)
     body = ELSEWHERE.sub(r"\1", reader.convert(text))
     body = IMAGE.sub(_for_both_backgrounds, body) if dark else body
-    return rendered("page.html.jinja", title=title, body=body, dark=dark)
+    return rendered("page.html.jinja", title=title, body=body, dark=dark, language=language)
 
 
 def _for_both_backgrounds(image: re.Match[str]) -> str:

@@ -69,7 +69,9 @@ def register(study: UserStudy, folder: Path) -> dict[str, Any]:
 
 
 def compared(study: UserStudy, tables: Tables, folder: Path) -> dict[str, Any] | None:
-    """Return when a study was registered, and how it differs from the record; None if it was not registered.
+    """Return when a study was registered, and how it differs from the record, in words of the study's language.
+
+    The result is None if it was not registered.
 
     Raises
     ------
@@ -84,13 +86,13 @@ def compared(study: UserStudy, tables: Tables, folder: Path) -> dict[str, Any] |
         at, digest, analysis = datetime.fromisoformat(record["registered"]), record["study"], dict(record["analysis"])
     except (ValueError, KeyError, TypeError) as error:
         raise DamagedFileError(file, None, f"not a preregistration: {error}") from None
-    deviations = []
+    deviations, phrase = [], study.catalogue.phrase
     first = min((row["arrived"] for row in tables.participants if row["arrived"] is not None), default=None)
     if first is not None and datetime.fromisoformat(first) < at:
-        deviations.append("it was registered after the first participant had arrived")
+        deviations.append(phrase("report.registered_late"))
     if digest != hashlib.sha256(study.file.read_bytes()).hexdigest():
-        deviations.append("the study's file has changed")
+        deviations.append(phrase("report.file_changed"))
     changed = [name for name, own in analysis_digests().items() if analysis.get(name) != own]
     if changed:
-        deviations.append(f"the code of the analysis has changed ({', '.join(changed)})")
+        deviations.append(phrase("report.analysis_changed", files=", ".join(changed)))
     return {"registered": record["registered"], "deviations": deviations}

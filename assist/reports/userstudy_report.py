@@ -14,16 +14,17 @@ from planner.system.files import atomic
 
 from ..plots import style
 from ..plots import userstudy as draw
+from ..texts.catalogue import Catalogue
 from ..userstudy.plan import UserStudy
 from ..userstudy.plan_file import read
-from ..userstudy.questionnaires import TLX
+from ..userstudy.questionnaires import TLX, Item
 from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Row, Tables, tables, text_of
 from .html_page import html_page, require_packages
 from .preregistration import compared
 from .statistics import FEW
 from .templates import rendered
-from .userstudy_summary import TASK_MEASURES, measures, summarise
+from .userstudy_summary import ALL, measures, summarise
 from .wording import interval, number, p_value, short, value
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
     for name, (_, figure) in pictures.items():
         style.save_for_pages(figure, out / FIGURES, name, dark=False)
     text = report_text(study, summary, {name: said for name, (said, _) in pictures.items()})
-    page = html_page(study.title, text, dark=False)
+    page = html_page(study.title, text, dark=False, language=study.catalogue.tag)
     numbers = json.dumps(summary, indent=1) + "\n"
     for name, content in {"summary.json": numbers, "report.md": text, "report.html": page}.items():
         with atomic(out / name) as path:
@@ -116,51 +117,65 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
     return summary
 
 
-def headline(summary: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+def headline(summary: dict[str, Any], texts: Catalogue | None = None) -> tuple[list[str], list[list[str]]]:
     """Return the titles and rows of a table with the mean of each measure in each condition."""
     names = [cell["condition"] for cell in summary["measures"][0]["cells"]]
-    return ["", *names], [[one["label"], *map(value, one["cells"])] for one in summary["measures"]]
+    rows = [[one["label"], *(value(cell, texts) for cell in one["cells"])] for one in summary["measures"]]
+    return ["", *names], rows
 
 
 def _pictures(
     study: UserStudy, found: Tables, summary: dict[str, Any]
 ) -> Iterator[tuple[str, tuple[str, Callable[[], Figure]]]]:
+    texts, phrase = study.catalogue, study.catalogue.phrase
     shown = [one for one in summary["measures"] if any(cell["n"] for cell in one["cells"])]
     if shown:
         points = {
             one.name: {name: list(own.values()) for name, own in one.values.items()} for one in measures(study, found)
         }
-        yield "outcomes", ("Each measure by condition", partial(draw.outcomes_figure, shown, points))
+        yield "outcomes", (phrase("report.figures.outcomes"), partial(draw.outcomes_figure, shown, points, texts))
     differing = [one for one in shown if one["differences"]]
     if differing:
-        text = f"Differences from {study.reference}"
-        yield "differences", (text, partial(draw.differences_figure, differing, study.reference))
+        text = phrase("report.differences.title", reference=study.reference)
+        yield "differences", (text, partial(draw.differences_figure, differing, study.reference, texts))
     for one in summary["questionnaires"]:
         if one["n"]:
             own = study.questionnaire(one["questionnaire"])
-            texts = {
-                item.name: item.name if own.form == TLX else short(item.text) + " (reversed)" * item.reversed
-                for item in own.scale
-            }
-            yield (
-                f"scales-{own.name}",
-                (f"{own.name} by item", partial(draw.scales_figure, one, texts, own.scale[0].ends[:2])),
-            )
+            names = {item.name: _name(own.form, item, texts) for item in own.scale}
+            items = [row | {"condition": _where(row["condition"], texts)} for row in one["items"]]
+            figure = partial(draw.scales_figure, one | {"items": items}, names, own.scale[0].ends[:2])
+            yield f"scales-{own.name}", (phrase("report.figures.scales", name=own.name), figure)
     if summary["flow"][0]["reached"]:
-        yield "flow", ("Progress of participants", partial(draw.flow_figure, summary["flow"]))
+        yield "flow", (phrase("report.figures.flow"), partial(draw.flow_figure, summary["flow"], texts))
+
+
+def _name(form: str, item: Item, texts: Catalogue) -> str:
+    """Return the label of an item in a figure."""
+    if form == TLX:
+        return item.name
+    return texts.phrase("report.reversed", item=short(item.text)) if item.reversed else short(item.text)
+
+
+def _where(condition: str, texts: Catalogue) -> str:
+    """Return the name of a condition, or what stands for all participants."""
+    return texts.phrase("report.all") if condition == ALL else condition
 
 
 def report_text(study: UserStudy, summary: dict[str, Any], pictures: dict[str, str]) -> str:
-    """Return the report in Markdown; `pictures` has the description of each figure."""
-    head, rows = headline(summary)
+    """Return the report in Markdown, in the study's language; `pictures` has the description of each figure."""
+    texts = study.catalogue
+    head, rows = headline(summary, texts)
     return rendered(
         "userstudy_report.md.jinja",
-        study=study, summary=summary, pictures=pictures, few=FEW, head=["measure", *head[1:]], rows=rows,
-        difference_rows=_difference_rows, mixed_rows=list(_mixed_rows(summary["measures"])), rank_rows=_rank_rows,
+        study=study, summary=summary, pictures=pictures, few=FEW, phrase=texts.phrase,
+        head=[texts.phrase("report.conditions.measure"), *head[1:]], rows=rows,
+        number=partial(number, texts=texts), value=partial(value, texts=texts), where=partial(_where, texts=texts),
+        difference_rows=partial(_difference_rows, texts=texts), rank_rows=partial(_rank_rows, texts=texts),
+        mixed_rows=list(_mixed_rows(summary["measures"], texts)),
     )  # fmt: skip
 
 
-def _difference_rows(measures: Iterable[dict[str, Any]]) -> Iterator[list[Any]]:
+def _difference_rows(measures: Iterable[dict[str, Any]], texts: Catalogue) -> Iterator[list[Any]]:
     """Yield the rows of a table of the differences of conditions from the reference."""
     for one in measures:
         for other in one["differences"]:
@@ -168,26 +183,28 @@ def _difference_rows(measures: Iterable[dict[str, Any]]) -> Iterator[list[Any]]:
             if one["confirmatory"]:
                 p = other.get("p_holm")
                 shown = "yes" if p is not None and p < 0.05 else "no"
-            effect = number(other["hedges_g"], "")
-            yield [one["label"], other["condition"], interval(other), effect, p_value(p), shown]
+            effect, word = number(other["hedges_g"], "", texts), texts.phrase(f"report.{shown}")
+            yield [one["label"], other["condition"], interval(other, texts=texts), effect, p_value(p, texts), word]
 
 
-def _mixed_rows(measures: Iterable[dict[str, Any]]) -> Iterator[list[Any]]:
+def _mixed_rows(measures: Iterable[dict[str, Any]], texts: Catalogue) -> Iterator[list[Any]]:
     """Yield the rows of a table of the differences by mixed models."""
     for one in measures:
         for other in one["differences"]:
             if "mixed_model" in other:
-                yield [one["label"], other["condition"], interval(other["mixed_model"])]
+                yield [one["label"], other["condition"], interval(other["mixed_model"], texts=texts)]
 
 
-def _rank_rows(tests: Iterable[dict[str, Any]]) -> Iterator[list[Any]]:
+def _rank_rows(tests: Iterable[dict[str, Any]], texts: Catalogue) -> Iterator[list[Any]]:
     """Yield the rows of a table of comparisons by ranks, of measures or of single items."""
     for one in tests:
-        what = TASK_MEASURES[one["measure"]] if "measure" in one else f"{one['questionnaire']}: {one['item']}"
-        yield [what, one["condition"], one["n"], number(one["effect"], ""), p_value(one["p"])]
+        own = "measure" in one
+        what = texts.phrase(f"report.measures.{one['measure']}") if own else f"{one['questionnaire']}: {one['item']}"
+        yield [what, one["condition"], one["n"], number(one["effect"], "", texts), p_value(one["p"], texts)]
 
 
 def _shows(one: dict[str, Any]) -> str:
+    """Return the key of the text that says what an interval shows."""
     if one["low"] is None:
-        return "no interval"
-    return "more" if one["low"] > 0 else "less" if one["high"] < 0 else "not shown"
+        return "no_interval"
+    return "more" if one["low"] > 0 else "less" if one["high"] < 0 else "not_shown"

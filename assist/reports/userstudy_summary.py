@@ -28,14 +28,8 @@ from .statistics import FEW, IntervalEstimate, mean
 ALL = "all participants"
 """Stands for the condition where answers do not belong to one."""
 
-TASK_MEASURES = {
-    "actions": "actions per task",
-    "suboptimal_actions": "suboptimal actions per task",
-    "seconds": "seconds per task",
-    "suggestions": "suggestions per task",
-    "followed": "suggestions followed, %",
-    "completion": "all tasks finished, %",
-}
+TASK_MEASURES = ("actions", "suboptimal_actions", "seconds", "suggestions", "followed", "completion")
+"""Measures of tasks, in the order of the report."""
 
 RANKED = ("actions", "suboptimal_actions", "seconds")
 """Measures of which more is worse, so that participants who did not finish have the worst rank."""
@@ -47,7 +41,9 @@ class Measure:
 
     Attributes
     ----------
-    name, label : str
+    name : str
+    label : str
+        In the study's language.
     values : dict of dict
         Values by condition and participant, or group.
     """
@@ -59,14 +55,15 @@ class Measure:
 
 def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
     """Yield the measures: completion, those of participants who finished all tasks, and those of questionnaires."""
-    for name, label in TASK_MEASURES.items():
+    phrase = study.catalogue.phrase
+    for name in TASK_MEASURES:
         found: dict[str, dict[str, float]] = {one.name: {} for one in study.conditions}
         for (participant, condition), rows in _attempts(tables).items():
             done = _has_finished(study, rows)
             value = 100.0 * done if name == "completion" else _of_tasks(name, rows) if done else None
             if value is not None:
                 found[condition][participant] = value
-        yield Measure(name, label, _of_units(tables, found))
+        yield Measure(name, phrase(f"report.measures.{name}"), _of_units(tables, found))
     for one in study.questionnaires:
         if one.scale and study.is_by_condition(one):
             found = {condition.name: {} for condition in study.conditions}
@@ -74,8 +71,9 @@ def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
                 if (score := one.mean(scores)) is not None:
                     found[condition][participant] = score
             low, high, _ = one.scale[0].ends
-            raw = "raw " if one.form == TLX else ""
-            yield Measure(one.name, f"{one.name}: {raw}mean, {low:g} to {high:g}", _of_units(tables, found))
+            kind = "raw_mean" if one.form == TLX else "mean"
+            label = phrase(f"report.{kind}", name=one.name, low=f"{low:g}", high=f"{high:g}")
+            yield Measure(one.name, label, _of_units(tables, found))
 
 
 def _of_units(tables: Tables, values: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:

@@ -1,4 +1,4 @@
-"""Wording of reports: tables, intervals, and conclusions from intervals."""
+"""Wording of reports: tables, intervals, and conclusions from intervals; in English unless texts are given."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from ..study.study import OWN
+from ..texts.catalogue import Catalogue, catalogue
 
 Record = dict[str, Any]
 
+ENDS = ("low", "high")
 MARKUP = re.compile(r"<(?=[!/?a-zA-Z])")
 """Signs with which HTML begins a tag or a comment."""
 
@@ -32,29 +34,34 @@ def short(text: str, most: int = 48) -> str:
     return text if len(text) <= most else f"{text[: most - 1].rstrip()}…"
 
 
-def number(estimate: float | None, missing: str = "undefined") -> str:
+def number(estimate: float | None, missing: str | None = None, texts: Catalogue | None = None) -> str:
     """Return a number with two decimals, or what stands for a missing one."""
-    return missing if estimate is None else f"{estimate:.2f}"
+    texts = texts or catalogue()
+    if estimate is None:
+        return texts.phrase("report.undefined") if missing is None else missing
+    return texts.decimal(estimate, 2)
 
 
-def p_value(p: float | None) -> str:
+def p_value(p: float | None, texts: Catalogue | None = None) -> str:
     """Return a p-value as journals print it."""
-    return "undefined" if p is None else "< .001" if p < 0.001 else f"{p:.3f}"
+    texts = texts or catalogue()
+    if p is None:
+        return texts.phrase("report.undefined")
+    return f"< {texts.decimal(0.001, 3).removeprefix('0')}" if p < 0.001 else texts.decimal(p, 3)
 
 
-def interval(estimate: Record, digits: int = 1) -> str:
+def interval(estimate: Record, digits: int = 1, texts: Catalogue | None = None) -> str:
     """Return a number with its interval, if it has one."""
+    texts = texts or catalogue()
     if estimate["mean"] is None:
-        return "undefined (no others)"
-    text = f"{estimate['mean']:.{digits}f}"
-    if estimate["low"] is None:
-        return text
-    return f"{text} ({estimate['low']:.{digits}f} to {estimate['high']:.{digits}f})"
+        return texts.phrase("report.no_others")
+    mean, *ends = (None if estimate[key] is None else texts.decimal(estimate[key], digits) for key in ("mean", *ENDS))
+    return str(mean) if ends[0] is None else texts.phrase("report.between", mean=mean, low=ends[0], high=ends[1])
 
 
-def value(cell: Record) -> str:
+def value(cell: Record, texts: Catalogue | None = None) -> str:
     """Return the mean of a cell with its interval, or a dash for a cell without values."""
-    return interval(cell) if cell["n"] else "-"
+    return interval(cell, texts=texts) if cell["n"] else "-"
 
 
 def with_deviation(cell: Record) -> str:

@@ -1,4 +1,4 @@
-"""Texts of pages, questionnaires, refusals and explanations: one TOML file for each language.
+"""Texts of pages, questionnaires, refusals, explanations and reports of studies: one TOML file for each language.
 
 A language is a file in this folder. A file elsewhere can be given by its path; its name is the language's tag, such as
 `fr.toml`. Each file has the same texts, and each text has placeholders only of those that the English one has.
@@ -41,10 +41,18 @@ class Catalogue:
     file: Path
     texts: Mapping[str, str]
 
-    def __call__(self, key: str, **values: str) -> str:
+    def __call__(self, key: str, **values: object) -> str:
         """Return a text with its placeholders replaced; its first letter is a capital."""
-        text = self.texts[key].format(**values)
+        text = self.phrase(key, **values)
         return text[:1].upper() + text[1:]
+
+    def phrase(self, key: str, **values: object) -> str:
+        """Return a text with its placeholders replaced, as a part of a sentence or a cell of a table."""
+        return self.texts[key].format(**values)
+
+    def decimal(self, value: float, digits: int) -> str:
+        """Return a number with a fixed number of decimals."""
+        return f"{value:.{digits}f}".replace(".", self.texts["decimal"])
 
     @property
     def tag(self) -> str:
