@@ -18,8 +18,8 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": """lazy_imports errors arrays files machine processes threads signs progress_reports progress jit
-        limits workers""",
+    "planner.system": """lazy_imports errors arrays files machine processes threads signs progress_reports progress
+        compiling jit limits workers""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
         saturation value_ranges value_encoder value_scope numeric_encoding numeric_compiler compilation writer
@@ -28,10 +28,11 @@ ROOMS = {
     "planner.states": "packing state_space",
     "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors
         expansion distance_updates""",
-    "planner.search.ranking": "transition_normal_form mutexes linear_invariants variable_clusters state_ranking",
+    "planner.search.ranking": """transition_normal_form digits mutexes linear_invariants variable_clusters
+        state_ranking""",
     "planner.search.symmetry": "automorphisms canonical_states",
-    "planner.search": """distances search_space successor_generator state_registry ranked_index
-        forward_search backward_search""",
+    "planner.search": """distances search_space rules sorted_space numbering forward_search backward_search
+        relaxation successor_generator state_registry ranked_index compiled_search""",
     "planner.costtogo": """watched_states number_values load cost_to_go table astar cache verification first_answer
         sweep goals orbit_table table_file on_demand portfolio""",
     "planner.batch": "solve_record solve_instance results_folder solve_batch",

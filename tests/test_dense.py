@@ -13,12 +13,12 @@ from conftest import DOMAINS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from plain import explore
-from test_sweep import UNLISTED, check, module, random_task
+from test_sweep import COMPILED, UNLISTED, check, module, random_task
 
 from planner import Effect, Operator, Task, Variable, instance, load
+from planner.search.ranking.digits import Digits
 from planner.search.ranking.linear_invariants import PRIME, determined, invariants
 from planner.search.ranking.mutexes import Mutexes
-from planner.search.ranking.state_ranking import StateRanking
 from planner.search.ranking.transition_normal_form import split_operators
 from planner.search.ranking.variable_clusters import clusters
 
@@ -176,8 +176,8 @@ def test_the_tasks_have_what_is_looked_for() -> None:
 @pytest.mark.slow
 def test_tables_equal_plain_search(seed: int, costs: range, few: bool) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StateRanking, "of", classmethod(lambda *_: None))  # only the dense coding is left
-        options = None if few else UNLISTED  # few states are listed before it is looked for
+        only_dense(patch)
+        options = COMPILED if few else UNLISTED  # few states are listed before it is looked for
         table = check(composed(seed, costs=costs), options)
         if not few:
             assert len(table.space.numbering.coding.clusters) <= len(table.task.variables)  # type: ignore[attr-defined]
@@ -188,10 +188,16 @@ def test_a_counted_task_has_a_dense_ranking() -> None:
     """41 thousand states of a product of 4e9: the ranking leaves little out."""
     task = load(DOMAINS / "depot" / "five-items.pddl")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "MANY", 1 << 20)
+        for name in ("numbering", "compiled_search"):
+            patch.setattr(f"planner.search.{name}.MANY", 1 << 20)
         table = module.sweep(task, options=UNLISTED)
     assert len(table) == 41_472
     assert table.space.numbering.coding.size < 64 * len(table)
+
+
+def only_dense(patch: pytest.MonkeyPatch) -> None:
+    """Let a ranking by single variables have too many ranks, so that only the dense one is left."""
+    patch.setattr(Digits, "of", classmethod(lambda *_: Digits({}, (), 1 << 62, ())))
 
 
 def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:
@@ -224,8 +230,8 @@ def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:
 )
 def test_many_variables_that_determine_each_other_fit_no_word(count: int, size: int, toggles: int, dead: int) -> None:
     """Their values together are more than 64 bits, and more variables are constant than a field counts."""
-    with pytest.MonkeyPatch.context() as patch:  # only the dense coding is left
-        patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
+    with pytest.MonkeyPatch.context() as patch:
+        only_dense(patch)
         table = check(tied(count, size, toggles, dead), UNLISTED)
     assert len(table) == size * 2**toggles
     assert table.h[table.initial] == size - 1
@@ -235,7 +241,7 @@ def test_a_ranking_is_not_looked_for_all_the_time() -> None:
     task = composed(0, costs=range(1, 2))
     plain = module.sweep(task)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
+        only_dense(patch)
         options = replace(UNLISTED, ranking_share=-1)  # its share is over before it begins
         assert module.sweep(task, options=options).note is None
         table = module.sweep(task, deadline=time.monotonic() + 60, options=options)

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 from plain import explore
-from test_dense import composed, tied
-from test_sweep import UNLISTED, SweepOptions, module
+from test_dense import composed, only_dense, tied
+from test_sweep import COMPILED, UNLISTED, module
 from test_sweep import check as compared
 
 from planner import Effect, LimitError, Operator, Task, Variable, instance
 from planner.costtogo.orbit_table import orbits
+from planner.search import compiled_search
 from planner.search.ranking.linear_invariants import determined, invariants
 from planner.search.ranking.mutexes import Mutexes
 from planner.search.ranking.state_ranking import StateRanking
@@ -151,8 +152,8 @@ def test_messages_say_in_which_phase_time_ended() -> None:
     ):
         stop.set()
         for phase, search in (
-            ("operators were split", lambda b: module.explored(task, b, 1, lambda *_: None, SweepOptions())),
-            ("a ranking was looked for", lambda b: module._denser(task, None, moves_of(task), b, 0.25)),
+            ("operators were split", lambda b: compiled_search.explored(task, b, 1, lambda *_: None, COMPILED)),
+            ("a ranking was looked for", lambda b: compiled_search._denser(task, None, moves_of(task), b, 0.25)),
             ("operators were laid out", lambda b: RegistrySpace(task, b)),
         ):
             with pytest.raises(LimitError, match=f"^{how} while {phase}$"):
@@ -194,7 +195,7 @@ def test_where_looking_for_a_ranking_takes_too_much_memory_states_are_listed() -
 def test_where_a_ranking_takes_too_much_memory_states_are_listed() -> None:
     """Sets of 400 moves for each of 4,096 rows need more memory than two states do."""
     task = turning([{}, *({3: 1} if a % 22 == 2 else {2: 1} for a in range(1, 400))], 22)
-    plenty, little = module.sweep(task), module.sweep(task, memory_limit_mb=2)
+    plenty, little = (module.sweep(task, memory_limit_mb=limit, options=COMPILED) for limit in (None, 2))
     assert plenty.note is None
     assert little.note is not None
     assert little.note.endswith("its ranking takes too much memory")
@@ -211,7 +212,7 @@ def equal(one: Any, other: Any) -> None:
 def test_facts_that_never_change_take_nothing_of_a_ranking(listed: bool) -> None:
     """The table is the same as without 300 constant facts, next to 384 states."""
     task, alive = tied(3, 3, 7, 300), module.sweep(tied(3, 3, 7))
-    table = compared(task, None if listed else UNLISTED)
+    table = compared(task, COMPILED if listed else UNLISTED)
     assert table.note is None
     assert len(table) == len(alive) == 384
     values = table.values(np.arange(len(table)))
@@ -238,7 +239,7 @@ def test_facts_that_others_rule_out_never_change_either() -> None:
         }
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
+        only_dense(patch)
         table = compared(task, UNLISTED)
     assert len(table) == len(explore(task)) == 96
     assert not table.values(np.arange(96))[:, 7].any()

@@ -15,10 +15,12 @@ from test_symmetry import copies
 from planner import LimitError, Packing, StateSpace, Table, Task, load
 from planner.costtogo.orbit_table import orbits
 from planner.grounding.semantics import derived, successors
+from planner.search import compiled_search
 from planner.states.packing import Ints
 from planner.system.limits import Budget
 
 module = importlib.import_module("planner.costtogo.sweep")
+digits = importlib.import_module("planner.search.ranking.digits")
 State = tuple[int, ...]
 
 
@@ -43,7 +45,7 @@ def by_words(task: Task) -> Ints:
 def by_rank(task: Task) -> Ints:
     """Return the states by ascending rank; the task has a ranking by single variables."""
     states = np.array([state for layer in layers(task) for state in layer])
-    _, coding = module._plain(task, Budget(None, 1e12, None, None))
+    _, coding = compiled_search._plain(task, Budget(None, 1e12, None, None))
     return states[np.argsort(states @ coding.stride)]
 
 
@@ -58,19 +60,24 @@ def test_tasks_with_few_ranks_are_numbered_by_rank() -> None:
     rng = random.Random("ranks")
     for _ in range(20):
         task = random_task(rng)
-        if all(len(set(o.effects)) for o in task.operators) and module._plain(task, Budget(None, 1e12, None, None))[1]:
-            check(module.sweep(task).space, by_rank(task))
+        if (
+            all(len(set(o.effects)) for o in task.operators)
+            and compiled_search._plain(task, Budget(None, 1e12, None, None))[1]
+        ):
+            for options in (None, module.SweepOptions(small_states=0)):
+                check(module.sweep(task, options=options).space, by_rank(task))
     check(module.sweep(load("domains/kitting/paper.pddl")).space, by_rank(load("domains/kitting/paper.pddl")))
 
 
 @pytest.mark.parametrize("axioms", [False, True])
 def test_others_are_numbered_by_layer_and_packed_words(axioms: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "split_operators", lambda *_: None)
+    monkeypatch.setattr(digits, "split_operators", lambda *_: None)
     monkeypatch.setattr("planner.search.state_registry.STATES_AT_A_TIME", 3)
     rng = random.Random(f"words {axioms}")
     for _ in range(20):
         task = random_task(rng, axioms=axioms, costs=range(3))
-        check(module.sweep(task).space, by_words(task))
+        for options in (None, module.SweepOptions(small_states=0)):
+            check(module.sweep(task, options=options).space, by_words(task))
 
 
 def ascending(table: Table) -> bool:
@@ -87,7 +94,7 @@ def ascending(table: Table) -> bool:
 
 
 def test_states_of_several_words_and_orbits_are_numbered_so_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "split_operators", lambda *_: None)
+    monkeypatch.setattr(digits, "split_operators", lambda *_: None)
     rng = random.Random("several words")
     for _ in range(10):
         task = with_more(random_task(rng), rng, dead=70, tied=True)

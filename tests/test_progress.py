@@ -29,7 +29,7 @@ from assist.study.runner import run_study
 from assist.team.settings import Setting
 from planner import Instance, Table, cost_to_go, sweep
 from planner.system import progress
-from planner.system.jit import compiling
+from planner.system.compiling import compiling
 from planner.system.workers import outcomes
 
 

@@ -12,7 +12,7 @@ import pytest
 from conftest import KITTING, SMALL, named, solvable, thinned
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_sweep import UNLISTED, SweepOptions, counter, random_task
+from test_sweep import COMPILED, UNLISTED, SweepOptions, counter, random_task
 
 from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, sweep
 from planner.costtogo.astar import ADMISSIBLE
@@ -129,7 +129,7 @@ def test_goals_that_fast_downward_does_not_read() -> None:
     for facts in [((0, 1), (0, 0)), ((0, 0), (0, 1))]:
         never = replace(counter(2), goal=facts)
         assert check(never) == float("inf")
-        for options in (None, UNLISTED, SweepOptions(small_bitmap=0)):
+        for options in (None, COMPILED, UNLISTED, SweepOptions(0, small_bitmap=0)):
             table = sweep(never, options=options)
             assert not table.is_goal(np.arange(len(table))).any()
             assert table.dead_end.all()

@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_dense import composed
-from test_sweep import UNLISTED, module, random_task
+from test_dense import composed, only_dense
+from test_sweep import COMPILED, UNLISTED, digits, random_task, sweep
 from test_symmetry import copies
 
 from planner import CostToGo, Effect, LimitError, OnDemand, Operator, Packing, Table, Task, Variable
 from planner.costtogo.orbit_table import orbits
 from planner.grounding import semantics
 from planner.search.ranked_index import RankedIndex
-from planner.search.ranking.state_ranking import StateRanking
 from planner.search.state_registry import RegistryIndex
 from planner.search.symmetry.automorphisms import symmetries
 
@@ -92,16 +91,17 @@ def steps(known: CostToGo, states: list[int]) -> None:
 def check(task: Task, *, symmetric: bool = True) -> set[str]:
     """Compare all indices that are possible with the reference; return which these are."""
     expected, found = reference(task), {"registry"}
+    equal(sweep(task), expected)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "split_operators", lambda *_: None)
-        table = module.sweep(task)
+        patch.setattr(digits, "split_operators", lambda *_: None)
+        table = sweep(task, options=COMPILED)
         assert isinstance(table.space.numbering, RegistryIndex) or not task.operators
         equal(table, expected)
     for dense in (False, True):
         with pytest.MonkeyPatch.context() as patch:
             if dense:
-                patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
-            table = module.sweep(task, options=UNLISTED)
+                only_dense(patch)
+            table = sweep(task, options=UNLISTED)
             equal(table, expected)
             if isinstance(table.space.numbering, RankedIndex):
                 found.add("dense" if dense else "plain")

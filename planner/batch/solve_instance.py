@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -22,13 +22,14 @@ from ..costtogo.first_answer import Answer, Early
 from ..costtogo.number_values import grounded
 from ..grounding.fast_downward import FastDownwardError
 from ..grounding.semantics import plan_cost, replay
-from ..grounding.task import Effect, Operator, Task, Variable
+from ..grounding.task import Task
 from ..pddl.compilation import NO_SEQUENTIAL_PLAN
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.plan_execution import execute
 from ..pddl.reader import Reading, read
 from ..pddl.validation import InvalidPlanError
 from ..pddl.validation_process import SecondReader
+from ..system.compiling import compiling
 from ..system.errors import MismatchError
 from ..system.files import atomic
 from ..system.limits import LimitError, Limits
@@ -162,7 +163,8 @@ def solve_instance(
             second = None  # it would not know what a compilation stands for
             if not reading.numeric:
                 second = until_solved.enter_context(SecondReader(reading, phases.limits()))
-            task = _grounded(reading, options, phases, until_solved)
+            until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
+            task = _grounded(reading, options, phases)
             record = _solve(task, second, options, place, phases, use)
     except Exception as error:
         found = _record_of(error, instance, options)
@@ -197,27 +199,12 @@ def _record_of(error: Exception, instance: Instance, options: SolveOptions) -> S
     return None
 
 
-def _grounded(reading: Reading, options: SolveOptions, phases: _Phases, until_solved: ExitStack) -> Task:
-    """Compile and ground an instance. Meanwhile, a thread loads the compiled code that the search needs."""
+def _grounded(reading: Reading, options: SolveOptions, phases: _Phases) -> Task:
+    """Compile away what Fast Downward does not know, and ground an instance."""
     with phases.phase("translate", "reading"):
-        loading = threading.Thread(target=_load_search, args=(reading.instance, phases, until_solved), daemon=True)
-        loading.start()
         compilation, task = grounded(reading, phases.limits(), options.most_values)
         phases.compiled = {what: count for what, count in compilation.compiled.items() if count}
-        loading.join()
         return task
-
-
-def _load_search(instance: Instance, phases: _Phases, until_solved: ExitStack) -> None:
-    """Load the compiled code by solving the smallest task, a switch. This saves 0.1 of 1.1 seconds."""
-    switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
-    with suppress(Exception):  # what fails here fails again in the search, which reports it
-        from ..system.jit import compiling
-
-        until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
-        from ..costtogo.sweep import sweep
-
-        sweep(Task(instance, switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)), progress=False)
 
 
 class _Swept(NamedTuple):

@@ -26,13 +26,13 @@ from ..system.progress import Progress, Wanted, shows_progress
 from .cache import Cache
 from .cost_to_go import CostToGo
 from .load import task_of
-from .on_demand import OnDemand
-from .orbit_table import OrbitTable, orbits
 from .sweep import sweep
 from .table import Table
 
 if TYPE_CHECKING:
     from .load import AnyTask
+    from .on_demand import OnDemand
+    from .orbit_table import OrbitTable
 
 FIRST = 0.008
 """Seconds for which the sweep runs alone. A task of some ten thousand states is swept in that time."""
@@ -109,6 +109,8 @@ def cost_to_go(
         return _race(task, np.atleast_2d(np.asarray(states, dtype=np.int64)), swept, cache, jobs, limits, progress)
     answer = swept(progress=progress)
     if isinstance(answer, _Unswept):
+        from .on_demand import OnDemand  # here and below, since most tasks need no compiled code
+
         return OnDemand(task, cache=cache, jobs=jobs, limits=limits, reason=answer.reason, orbits=answer.orbits)
     return answer
 
@@ -140,6 +142,8 @@ def _swept(
         if stop is not None and stop.is_set():
             return _Unswept(str(error), None)
         reason, states = str(error), max_states + 1
+    from .orbit_table import orbits
+
     try:
         most = max_states // 4  # an orbit takes more time and memory than a state
         half = None if deadline is None else (time.monotonic() + deadline) / 2
@@ -162,6 +166,8 @@ def _race(
     The duration of a sweep is unknown until the states are enumerated. Then its remaining part takes about as long as
     the enumeration. If the remaining requests would take four times that, the single-state search ends.
     """
+    from .on_demand import OnDemand
+
     on_demand = OnDemand(task, cache=cache, jobs=jobs, limits=limits)
     wanted = on_demand.numbers(states)
     if not np.isnan(on_demand.known(wanted)).any():

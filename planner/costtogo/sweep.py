@@ -9,25 +9,17 @@ method: a registry of packed states, with all transitions in memory.
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..grounding.task import Task
 from ..pddl.formulas import LARGEST_COST
 from ..search.backward_search import distances
 from ..search.forward_search import explore
-from ..search.kernels.ranked_successors import RankedOperators
-from ..search.ranked_index import RankedSpace
-from ..search.ranking.mutexes import Mutexes
-from ..search.ranking.state_ranking import MANY, StateRanking
-from ..search.ranking.transition_normal_form import TNFOperator, exactly_one, split_operators
+from ..search.numbering import SweepOptions, strides
 from ..search.search_space import SearchSpace
-from ..search.state_registry import RegistrySpace
-from ..search.successor_generator import ranked_operators
+from ..search.sorted_space import SortedSpace, TooLargeError
 from ..states.state_space import StateSpace
 from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError
 from ..system.machine import processors
@@ -37,35 +29,6 @@ from .table import Table
 
 if TYPE_CHECKING:
     from .load import AnyTask
-
-LOOKING = "a ranking was looked for"
-"""Phase in messages about limits: the construction of a ranking."""
-
-
-@dataclass(frozen=True)
-class SweepOptions:
-    """Options of how a sweep numbers the states. They affect its time and memory, but not the table.
-
-    Attributes
-    ----------
-    small_bitmap : int
-        Number of ranks up to which nothing else than the ranked search is tried. The bitmap of so many takes 64 MB.
-    transitions_per_pair, most_transitions : int
-        Transitions that are enumerated before a denser ranking is sought: so many per pair of a move and a fact, as the
-        time for seeking it grows with their number, but at most `most_transitions`.
-    ranks_per_transition : int
-        If a bitmap would be larger, one transition for so many ranks is enumerated first, in case that the bitmap would
-        be sparse.
-    ranking_share : float
-        Share of the remaining time for the search of a denser ranking. After that, the best ranking so far is used, if
-        any.
-    """
-
-    small_bitmap: int = 1 << 29
-    transitions_per_pair: int = 4
-    most_transitions: int = 1 << 22
-    ranks_per_transition: int = 1 << 14
-    ranking_share: float = 0.25
 
 
 @shows_progress
@@ -134,86 +97,23 @@ def explored(
 
     The note is None, or says why a slower search without a ranking was used.
     """
-
-    def registry(most: float = math.inf) -> SearchSpace | None:
-        return explore(RegistrySpace(task, budget), budget, threads, progress, most)
-
-    try:
-        space: SearchSpace | None = None
-        moves, coding = _plain(task, budget)
-        if coding is None or coding.size > options.small_bitmap:
-            size = math.inf if coding is None else coding.size
-            most = size // options.ranks_per_transition
-            if size > MANY:
-                pairs = len(moves) * sum(task.sizes)
-                most = min(options.transitions_per_pair * pairs, options.most_transitions)
-            with suppress(MemoryLimitError, MemoryError):  # a ranked search may need less memory
-                space = registry(most)
-        if space is None:
-            moves, dense = _denser(task, coding, moves, budget, options.ranking_share)
-            if dense.size > MANY:
-                with suppress(MemoryLimitError, MemoryError):
-                    space = registry(dense.size // options.ranks_per_transition)
-        if space is None:
-            space = explore(_ranked(task, dense, moves, budget), budget, threads, progress)
-        assert space is not None
+    if (space := _small(task, budget, progress, options)) is not None:
         return space, None
-    except UnrankedError as error:
-        space = registry()
-        assert space is not None
-        return space, f"swept without a ranking, which takes some ten times as long as with one: {error}"
+    from ..search import compiled_search  # the compiler takes longer to import than a small task to solve
+
+    return compiled_search.explored(task, budget, threads, progress, options)
 
 
-class UnrankedError(Exception):
-    """A task has no ranking; the message says why."""
-
-
-def _plain(task: Task, budget: Budget) -> tuple[list[TNFOperator], StateRanking | None]:
-    """Return the moves of a task, and its ranking by single variables if 62 bits suffice."""
-    if any(variable.axiom_layer >= 0 for variable in task.variables):
-        raise UnrankedError("it has derived variables")
+def _small(task: Task, budget: Budget, progress: Progress, options: SweepOptions) -> SortedSpace | None:
+    """Return the space of a task by the readable search; None if the task is not small."""
+    if not options.small_states:
+        return None
     try:
-        moves = split_operators(task, budget.during("operators were split"))
-        if moves is None:
-            raise UnrankedError("its operators split into very many moves")
-        groups, moves = exactly_one(task, moves, budget.during(LOOKING))
-        return moves, StateRanking.of(task, groups, moves, budget.during(LOOKING))
-    except (MemoryLimitError, MemoryError):
-        raise UnrankedError("looking for a ranking took too much memory") from None
-
-
-def _denser(
-    task: Task, coding: StateRanking | None, moves: list[TNFOperator], budget: Budget, share: float
-) -> tuple[list[TNFOperator], StateRanking]:
-    """Return the moves and a ranking with at most as many ranks, a better one if the given one has too many."""
-    why = "its states take more than 62 bits each"
-    if coding is None or coding.size > MANY:
-        part = budget.part(share)
-        try:
-            mutexes = Mutexes.of(task, moves, part.during(LOOKING))
-            if mutexes is not None:
-                part = part.beside(mutexes.together.nbytes + mutexes.barred.nbytes)
-                found = StateRanking.dense(task, mutexes, part.during(LOOKING))
-                if found is not None and (coding is None or found.size < coding.size):
-                    return mutexes.moves, found
-        except (MemoryLimitError, MemoryError):
-            why = "looking for a ranking took too much memory"
-        except LimitError:
-            budget.during(LOOKING)(0)
-            why = "looking for a ranking took too long"
-    if coding is None:
-        raise UnrankedError(why)
-    return moves, coding
-
-
-def _ranked(task: Task, coding: StateRanking, moves: list[TNFOperator], budget: Budget) -> RankedSpace:
-    """Return the space of the ranked states, with the layout of the operators in both directions."""
-    left = budget.beside(coding.decoder.rows.nbytes)  # these tables are in use throughout the search
-    both: list[RankedOperators] = []
-    try:
-        for own in (moves, [move.inverse() for move in moves]):
-            both.append(ranked_operators(own, coding, task.costs, left.during("operators were laid out")))
-            left = left.beside(both[-1].table.nbytes + both[-1].candidates.sets.nbytes)
-        return RankedSpace(coding, both[0], both[1], left, task.initial)
-    except (MemoryLimitError, MemoryError):
-        raise UnrankedError("its ranking takes too much memory") from None
+        space = SortedSpace(task, budget, options.small_states)
+        explore(space, budget, 1, progress)
+        stride = strides(task, space.transitions, budget, options)
+    except (TooLargeError, MemoryLimitError, MemoryError):
+        return None
+    if stride is not None:
+        space.by_rank(stride)
+    return space

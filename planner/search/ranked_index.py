@@ -21,8 +21,9 @@ from ..system.threads import on_threads
 from .kernels import distance_updates, expansion, rank_set, unranking
 from .kernels.rank_set import RankSet
 from .kernels.ranked_successors import RankedOperators
-from .ranking.state_ranking import MANY, StateRanking
-from .search_space import relaxed
+from .ranking.digits import MANY
+from .ranking.state_ranking import StateRanking
+from .relaxation import relaxed
 
 RANKS_AT_A_TIME = 1 << 16
 """Ranks in a block of the frontier, which is the unit of a thread's work and of checks of limits."""

@@ -20,7 +20,7 @@ from ..states.state_space import Part
 from ..system.limits import Budget, LimitError
 from .kernels import distance_updates, packed_successors, state_hash
 from .kernels.packed_successors import PackedOperators
-from .search_space import relaxed
+from .relaxation import relaxed
 from .successor_generator import TRANSITIONS_AT_A_TIME, Expanded, expanded, packed_operators
 from .symmetry.canonical_states import Forms, canonical
 

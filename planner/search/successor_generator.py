@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grounding.task import Effect, Fact, Task
-from ..states.packing import Ints, Packing, Words, can_hold
+from ..grounding.task import Fact, Task
+from ..states.packing import Ints, Packing, Words
 from ..system.limits import Check, unchecked
 from .kernels import packed_successors
 from .kernels.decision_tree import DecisionTree
@@ -24,6 +24,7 @@ from .kernels.packed_successors import PackedOperators, Rules
 from .kernels.ranked_successors import ApplicableSets, RankedOperators
 from .ranking.state_ranking import StateRanking
 from .ranking.transition_normal_form import TNFOperator
+from .rules import Rule, axiom_stages, grouped, possible_operators
 
 
 class _DecisionTreeBuilder:
@@ -222,14 +223,6 @@ TRANSITIONS_AT_A_TIME = 1 << 15
 """Approximate number of transitions of a block that is expanded at once. It bounds the memory of a block."""
 
 
-Masks = tuple[Words, Words, Words, Words]
-"""Mask and bits of a rule's condition, then the bits that it clears and those that it sets."""
-
-
-Rule = tuple[Sequence[Fact], Masks]
-"""Condition of a rule as facts, and its masks."""
-
-
 Expanded = tuple[NDArray[np.int32], NDArray[np.int32], Words]
 """Number of actions of each state, the actions, and the packed successors."""
 
@@ -246,50 +239,16 @@ def packed_operators(task: Task, packing: Packing, check: Check = unchecked) -> 
     def still(_needed: float) -> None:
         check(in_use)
 
-    possible = [n for n, operator in enumerate(task.operators) if can_hold(operator.preconditions)]
-    order = sorted(possible, key=lambda number: (task.operators[number].action, number))
+    order = possible_operators(task)
     conditions = [frozenset(task.operators[number].preconditions) for number in order]
-    stages = list(_axioms(task, packing))
+    stages = list(axiom_stages(task, packing))
     return PackedOperators(
         trees_of([conditions], packing, still)[0],
         np.array([task.operators[number].action for number in order], dtype=np.int64),
-        _rules([_grouped(task.operators[n].effects, packing) for n in order], packing, still),
+        _rules([grouped(task.operators[n].effects, packing) for n in order], packing, still),
         _rules([rules for rules, _ in stages], packing, still),
         np.array([again for _, again in stages], dtype=bool),
     )
-
-
-def _grouped(effects: Sequence[Effect], packing: Packing) -> list[Rule]:
-    """Return effects as rules, one for each distinct condition that can hold."""
-    groups: dict[tuple[Fact, ...], list[Fact]] = {}
-    for effect in effects:
-        if can_hold(effect.conditions):
-            groups.setdefault(effect.conditions, []).append((effect.variable, effect.value))
-    return [(facts, (*packing.condition(facts), *packing.condition(written))) for facts, written in groups.items()]
-
-
-def _axioms(task: Task, packing: Packing) -> Iterator[tuple[list[Rule], bool]]:
-    """Yield the stages of a task's axioms: the defaults of derived variables first, then layer by layer."""
-    derived = [v for v, variable in enumerate(task.variables) if variable.axiom_layer >= 0]
-    if derived:
-        nothing = np.zeros(packing.words, dtype=np.uint64)
-        yield [((), (nothing, nothing, *packing.condition([(v, task.initial[v]) for v in derived])))], False
-    for layer in sorted({task.variables[v].axiom_layer for v in derived}):
-        own = [axiom for axiom in task.axioms if task.variables[axiom.variable].axiom_layer == layer]
-        yield from _stages(_grouped(own, packing))
-
-
-def _stages(layer: Sequence[Rule]) -> Iterator[tuple[list[Rule], bool]]:
-    """Yield a layer's axioms in stages, each after the axioms that it needs, and whether the stage is cyclic."""
-    left = list(layer)
-    while left:
-        open_ = np.bitwise_or.reduce([cleared for _, (_, _, cleared, _) in left])
-        later = [bool((masks[0] & open_).any()) for _, masks in left]
-        if all(later):
-            yield left, True
-            return
-        yield [rule for rule, waits in zip(left, later, strict=True) if not waits], False
-        left = [rule for rule, waits in zip(left, later, strict=True) if waits]
 
 
 def _rules(groups: Sequence[Sequence[Rule]], packing: Packing, check: Check) -> Rules:

@@ -9,8 +9,8 @@ import hashlib
 import linecache
 import pickle
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from types import FunctionType, ModuleType
@@ -19,6 +19,8 @@ from typing import Any
 import numba
 import numpy as np
 from numba.core import event
+
+from .compiling import announce
 
 BLAS = "scipy.linalg.cython_blas"
 
@@ -111,16 +113,14 @@ def _is_plain_class(value: object) -> bool:
     return isinstance(value, type) and not issubclass(value, tuple)
 
 
-@contextmanager
-def compiling(tell: Callable[[], None]) -> Iterator[None]:
-    """Call `tell` before each function that is compiled within the context because it is not in the cache."""
+class _Listener(event.Listener):
+    """Announces each function that is compiled because it is not in the cache."""
 
-    class Listener(event.Listener):
-        def on_start(self, event: Any) -> None:  # noqa: ARG002
-            tell()
+    def on_start(self, event: Any) -> None:  # noqa: ARG002
+        announce()
 
-        def on_end(self, event: Any) -> None:
-            """Do nothing."""
+    def on_end(self, event: Any) -> None:
+        """Do nothing."""
 
-    with event.install_listener("numba:compile", Listener()):
-        yield
+
+event.register("numba:compile", _Listener())

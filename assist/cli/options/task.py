@@ -8,6 +8,7 @@ import click
 
 import planner
 from planner import Instance, InstanceError, find_instances
+from planner.system.compiling import compiling
 from planner.system.progress import compiling_line, stages
 
 from ..terminal.console import ExitCode, fail
@@ -27,8 +28,6 @@ def one_instance(instance: str, domain: str | None) -> Instance:
 
 def tell_of_compiling() -> None:
     """Make the running command announce compilation, if any function is compiled before the command ends."""
-    from planner.system.jit import compiling
-
     context = click.get_current_context(silent=True)
     if context is not None:
         context.with_resource(compiling(compiling_line()))

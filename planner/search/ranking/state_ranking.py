@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,16 +27,11 @@ from ...grounding.task import Fact, Task
 from ...states.packing import Ints, Packing, Words
 from ...system.limits import Check, unchecked
 from ..kernels.unranking import FIELD_BITS, FIELDS, NOWHERE, PRIME, UnrankingTables, decode_all
+from .digits import Digits, Sum
 from .linear_invariants import Determined, determined
 from .mutexes import Mutexes
 from .transition_normal_form import TNFOperator
 from .variable_clusters import Cluster, clusters
-
-MANY = 1 << 33
-"""Number of ranks above which the dense ranking is tried: a bitmap of this size takes 1 GB."""
-
-Sum = tuple[int, dict[Fact, int]]
-"""An affine sum over facts: a constant, and the coefficient of each fact (1 where it holds, else 0)."""
 
 
 @dataclass(frozen=True)
@@ -77,20 +72,16 @@ class StateRanking:
         cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[TNFOperator], check: Check = unchecked
     ) -> StateRanking | None:
         """Return the ranking by single variables, without those that the groups imply; None if 62 bits are too few."""
-        sizes = task.sizes
-        sums = _implied(sizes, groups, check)
-        # Blocks of states are sorted by rank. Variables that are tested often should change rarely, so they come last.
-        uses = Counter(v for move in moves for v in move.facts)
-        digits = sorted((v for v in range(len(sizes)) if (v, 0) not in sums), key=lambda v: (uses[v], v))
-        size = math.prod(sizes[v] for v in digits)
-        if size >= 1 << 62:
+        plain = Digits.of(task, groups, moves, check)
+        if plain.size >= 1 << 62:
             return None
+        sizes, sums, digits = task.sizes, plain.implied, plain.variables
         packing = Packing.of(task)
         own = tuple(Cluster((v,), np.arange(n)[:, None]) for v, n in enumerate(sizes))
         constant, parts = _parts(packing, sizes, sums)
         chunks, stride = _chunks(own, digits), _strides(own, digits)
         decoder = _decoder([[parts[v] for v in chunk] for chunk in chunks], constant, [], [])
-        return cls(packing, np.array(sizes, dtype=np.int64), own, stride, size, {}, decoder, chunks, sums)
+        return cls(packing, np.array(sizes, dtype=np.int64), own, stride, plain.size, {}, decoder, chunks, sums)
 
     @classmethod
     def dense(cls, task: Task, mutexes: Mutexes, check: Check = unchecked) -> StateRanking | None:
@@ -277,51 +268,6 @@ def _chunks(clusters: Sequence[Cluster], digits: Sequence[int]) -> list[list[int
             chunks.append([])
         chunks[-1].append(number)
     return chunks
-
-
-def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]], check: Check) -> dict[Fact, Sum]:
-    """Choose variables to leave out, and express each of their facts by facts of the other variables.
-
-    A fact has the value 1 where it holds and 0 elsewhere. A variable needs one group for all but one of its values, so
-    that variables with few values are tried first.
-    """
-    sums: dict[Fact, Sum] = {}
-    needed: set[int] = set()  # variables that occur in the sums of chosen ones
-    by_fact: dict[Fact, list[frozenset[Fact]]] = {}
-    for group in groups:
-        variables = Counter(v for v, _ in group)
-        for fact in group:
-            if variables[fact[0]] == 1:
-                by_fact.setdefault(fact, []).append(group)
-    for variable in sorted(range(len(sizes)), key=lambda v: (sizes[v], v)):
-        check(0)
-        if variable in needed:
-            continue
-        own: dict[Fact, Sum] = {}
-        price: dict[Fact, int] = {}  # number of additional variables that would be needed
-        for fact in ((variable, value) for value in range(sizes[variable])):
-            for group in by_fact.get(fact, ()):
-                candidate = _one_minus([sums.get(f, (0, {f: 1})) for f in group - {fact}])
-                more = len({v for v, _ in candidate[1]} - needed)
-                if more < price.get(fact, len(sizes)):
-                    own[fact], price[fact] = candidate, more
-        if len(own) < sizes[variable] - 1:
-            continue
-        if len(own) == sizes[variable]:  # one sum is superfluous
-            del own[max(price, key=lambda fact: (price[fact], fact))]
-        rest = next(value for value in range(sizes[variable]) if (variable, value) not in own)
-        own[variable, rest] = _one_minus(list(own.values()))
-        sums.update(own)
-        needed.update(v for _, terms in own.values() for v, _ in terms)
-    return sums
-
-
-def _one_minus(sums: Sequence[Sum]) -> Sum:
-    """Return one minus the sum of the given sums."""
-    terms: Counter[Fact] = Counter()
-    for _, own in sums:
-        terms.subtract(own)
-    return 1 - sum(constant for constant, _ in sums), {fact: n for fact, n in terms.items() if n}
 
 
 def _parts(packing: Packing, sizes: Sequence[int], sums: dict[Fact, Sum]) -> tuple[Words, dict[int, Words]]:
