@@ -10,7 +10,6 @@ from .costtogo.load import task_of as task_of
 from .costtogo.on_demand import OnDemand as OnDemand
 from .costtogo.portfolio import cost_to_go as cost_to_go
 from .costtogo.portfolio import known_costs as known_costs
-from .costtogo.sweep import SweepOptions as SweepOptions
 from .costtogo.sweep import sweep as sweep
 from .costtogo.table import Table as Table
 from .costtogo.table_file import SavedTable as SavedTable
@@ -27,6 +26,7 @@ from .pddl.instance_finder import find_instances as find_instances
 from .pddl.instance_finder import instance as instance
 from .pddl.instances import Instance as Instance
 from .pddl.instances import PDDLError as PDDLError
+from .search.numbering import SweepOptions as SweepOptions
 from .states.packing import Packing as Packing
 from .states.state_space import StateSpace as StateSpace
 from .states.state_space import Transitions as Transitions

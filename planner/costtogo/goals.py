@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING
 from ..grounding.task import Effect, Fact, Task
 from ..pddl.instances import PDDLError
 from ..search.backward_search import distances
+from ..search.numbering import SweepOptions
 from ..states.state_space import StateSpace
 from ..system.limits import Budget
 from ..system.machine import processors
 from ..system.progress import Wanted, shows_progress
 from .load import task_of
-from .sweep import SweepOptions, explored, require_sweepable
+from .sweep import explored, require_sweepable
 from .table import Table
 
 if TYPE_CHECKING:

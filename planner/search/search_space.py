@@ -1,10 +1,11 @@
 """The interface between the searches and the indices of states.
 
 The searches (`forward_search`, `backward_search`) know states by *keys*, in blocks. A `SearchSpace` expands and relaxes
-such blocks with compiled code. There are three, each with its own `StateIndex`:
+such blocks. There are four, each with its own `StateIndex`:
 
-- `RankedSpace` is the fastest. Keys are ranks, the reachable ones are a bitmap, and the backward search applies inverse
-  operators, so that no transitions are stored.
+- `SortedSpace` is for small tasks. It uses numpy alone, since compiling takes longer than to search them.
+- `RankedSpace` is the fastest of the compiled ones. Keys are ranks, the reachable ones are a bitmap, and the backward
+  search applies inverse operators, so that no transitions are stored.
 - `RegistrySpace` works for every task. Keys are the numbers of packed states, in the order of their discovery until
   `finish` sorts each layer, and the transitions are stored.
 - A `RegistrySpace` with a function that replaces each state by the canonical state of its orbit.

@@ -79,10 +79,9 @@ class _Operators(NamedTuple):
                 for array, mask in zip((when, bits, cleared, value), masks, strict=True):
                     array[number, place] = mask
         needed = [packing.condition(task.operators[number].preconditions) for number in order]
-        masks, values = (np.array([pair[i] for pair in needed], dtype=np.uint64) for i in range(2))
+        each = np.array(needed, dtype=np.uint64).reshape(len(order), 2, packing.words)
         action = np.array([task.operators[number].action for number in order], dtype=np.int32)
-        each = len(order), packing.words
-        return cls(action, masks.reshape(each), values.reshape(each), (when, bits), ~cleared, value)
+        return cls(action, each[:, 0], each[:, 1], (when, bits), ~cleared, value)
 
     def applicable(self, states: Words) -> tuple[Ints, Ints]:
         """Return the states and the operators of all transitions of states, by state and then by action."""
@@ -137,7 +136,7 @@ class SortedIndex:
     states: Words
     """All states, shape (n, words), in the order of their numbers."""
     sorted_keys: Keys
-    by_key: Ints
+    by_key: NDArray[np.int32]
     """Number of the state of each sorted key."""
     offsets: Ints
     """The transitions of state `s` are the rows `offsets[s]:offsets[s + 1]` of the next two arrays."""
@@ -151,7 +150,7 @@ class SortedIndex:
         legal = np.all((values >= 0) & (values < self.sizes), axis=1)
         wanted = keys(self.packing.pack(np.where(legal[:, None], values, 0)))
         place = np.minimum(np.searchsorted(self.sorted_keys, wanted), len(self.sorted_keys) - 1)
-        return np.where(legal & (self.sorted_keys[place] == wanted), self.by_key[place], -1)
+        return np.where(legal & (self.sorted_keys[place] == wanted), self.by_key[place].astype(np.int64), -1)
 
     def values(self, numbers: Ints) -> Ints:
         """Return the values, shape (n, variables), of states, shape (n,)."""

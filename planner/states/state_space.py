@@ -2,11 +2,11 @@
 
 A `StateSpace` is the result of a sweep: the number of states, the number of each state, and, computed when first used,
 the transitions of all states. A `StateIndex` defines the numbering. `RegistryIndex` stores the packed states.
-`RankedIndex` is more compact.
+`RankedIndex` is more compact. `SortedIndex` is that of small tasks, and stores their transitions as well.
 
 **The numbers of states** follow one rule, so that every search gives the same ones:
 
-- If a ranking by single variables (`StateRanking.of`) has at most `SweepOptions.small_bitmap` ranks, states are
+- If a ranking by single variables (`Digits.of`) has at most `SweepOptions.small_bitmap` ranks, states are
   numbered by ascending rank. The rank is the sum of some variables' values, each times a stride.
 - Otherwise, a task with few transitions (`SweepOptions` says how many), or without a ranking, is numbered by layer, the
   least number of actions from the initial state. Within a layer, states ascend by their packed words, the first word
