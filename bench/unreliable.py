@@ -19,12 +19,13 @@ import click
 import numpy as np
 from tables import Columns, cell, record_option, write_record
 
-from assist.live import Assistant, InapplicableError
+from assist.live import Assistant
 from assist.people.choices import Choices
 from assist.people.decision import Floats
 from assist.person import ObservationModel
 from assist.simulation import Pool, simulate
 from assist.team import Setting
+from assist.texts import InapplicableError
 from planner import instance as find
 from planner import load, sweep
 

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from assist.large_tasks import person_problem, truncated_policy
 from assist.live.assistant import Assistant
-from assist.live.live_task import InapplicableError, UnknownError
 from assist.people.choice_model import boltzmann
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
@@ -27,6 +26,7 @@ from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.team.settings import Setting
 from assist.team.state import by_model
+from assist.texts import AbsentError, InapplicableError
 from planner import CostToGo, OnDemand, Table, cost_to_go, load
 
 WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"
@@ -311,7 +311,7 @@ def test_people_come_and_go(tiny: Table, fixed: Table) -> None:
     desk.observe("bob", desk.person("bob").applicable[0])
     desk.leave("bob")
     assert desk.people == ("ann",)
-    with pytest.raises(UnknownError, match="'bob' is not in the team; present: ann"):
+    with pytest.raises(AbsentError, match="'bob' is not in the team; present: ann"):
         desk.observe("bob", "(return box-a)")
     for action in tiny.optimal_plan() or []:
         assert not desk.finished
@@ -433,7 +433,7 @@ def test_a_robot_on_its_way_to_a_person_who_leaves_helps_others(tiny: Table, rep
     assert again.recommend() == desk.recommend()
     desk.arrived("bob")
     assert desk.recommend().arrived
-    with pytest.raises(UnknownError):
+    with pytest.raises(AbsentError):
         desk.arrived("carl")
 
 

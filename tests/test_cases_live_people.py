@@ -19,10 +19,11 @@ from test_mqtt import SETTINGS, Broker, Here, broker, settings_file
 from assist.bridges.mqtt_settings import MqttSettings
 from assist.bridges.ordering import FAR, InOrder
 from assist.live import Assistant, Session
-from assist.live.events import Event, InvalidError, is_name, name_of
+from assist.live.events import Event, is_name, name_of
 from assist.live.store import JournalError
 from assist.people.action_names import in_pddl
 from assist.team.settings import Setting
+from assist.texts import InvalidError
 from assist.web.server import ServedTeam
 from planner import Table
 from planner.system.errors import InputFileError, ResultsExistError

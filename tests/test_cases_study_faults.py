@@ -19,10 +19,10 @@ from test_event_store import content, forked
 from test_userstudy_pages import Web
 from userstudies import PLAN, Part, written
 
-from assist.live.live_task import InapplicableError
 from assist.live.session import Session
 from assist.live.store import JournalError
 from assist.reports.userstudy_report import write_report
+from assist.texts import InapplicableError
 from assist.userstudy import cohort
 from assist.userstudy.export import archive
 from assist.userstudy.plan_file import read

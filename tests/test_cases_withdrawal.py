@@ -16,11 +16,11 @@ from test_event_store import content, forked
 from userstudies import PLAN, SCORES, Part, written
 
 from assist.cli.user_study import _report
-from assist.live.events import ERASED, AbsentError
-from assist.live.live_task import InapplicableError
+from assist.live.events import ERASED
 from assist.live.store import JournalError, stored
 from assist.reports.userstudy_report import write_report
 from assist.reports.userstudy_summary import summarise
+from assist.texts import AbsentError, InapplicableError
 from assist.userstudy.cohort import Cohort
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import JOURNAL, StudySession

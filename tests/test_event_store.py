@@ -21,11 +21,12 @@ from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, former, happen
 from store_faults import Failing, schedule
 from userstudies import PLAN, Part, written
 
-from assist.live.events import AbsentError, Event
+from assist.live.events import Event
 from assist.live.live_task import LiveTask
 from assist.live.session import Session
 from assist.live.store import EventStore, JournalError, stored
 from assist.team.settings import Setting
+from assist.texts import AbsentError
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
 from assist.userstudy.tables import tables

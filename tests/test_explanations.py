@@ -25,7 +25,7 @@ from assist.explain import (
 )
 from assist.explain.contrast import Consequence
 from assist.explain.explanation import Cause
-from assist.live import Advice, Assistant, InapplicableError, TraceReasons, UnknownError
+from assist.live import Advice, Assistant, TraceReasons
 from assist.live.live_task import LiveTask
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
@@ -34,7 +34,7 @@ from assist.person.qmdp import QMDP, look_ahead
 from assist.simulation import Pool, simulate
 from assist.simulation.trace import Trace
 from assist.team.settings import Setting
-from assist.texts import Catalogue, catalogue, languages
+from assist.texts import AbsentError, Catalogue, InapplicableError, InvalidError, catalogue, languages
 from planner import CostToGo, Instance, OnDemand, Table, optimal_choices
 
 DOMAINS_SEEN = (
@@ -432,9 +432,9 @@ def test_asking_about_another_action() -> None:
     )
     with pytest.raises(InapplicableError, match="not applicable here"):
         assistant.explain("ann", against="(fetch box-a)")
-    with pytest.raises(UnknownError, match="no action of the task"):
+    with pytest.raises(InvalidError, match="no action of the task"):
         assistant.explain("ann", against="(fly box-a)")
-    with pytest.raises(UnknownError, match="not in the team"):
+    with pytest.raises(AbsentError, match="not in the team"):
         assistant.explain("carl")
 
 

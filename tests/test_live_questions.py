@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 from test_uncertain_actions import NOISY
 from test_unknown_goals import LAPSE, SMALL, TASKS, Steps, by_enumeration
 
-from assist.live import Assistant, Event, InapplicableError, Question, Session
-from assist.live.events import InvalidError
+from assist.live import Assistant, Event, Question, Session
 from assist.people import Goals
 from assist.person import ObservationModel
 from assist.team import Setting
 from assist.team.questions import likelihood_of
 from assist.team.state import NOBODY, TeamAction, TeamState
+from assist.texts import InapplicableError, InvalidError
 
 TINY = TASKS["tiny"]
 ASKS = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01)

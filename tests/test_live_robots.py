@@ -15,7 +15,6 @@ from starlette.testclient import TestClient
 
 from assist.live.assistant import Assistant
 from assist.live.events import Event
-from assist.live.live_task import UnknownError
 from assist.live.session import Session
 from assist.people.human import Population
 from assist.simulation.pool import Pool
@@ -24,6 +23,7 @@ from assist.simulation.trace import Trace
 from assist.team.plain_setting import plain_setting
 from assist.team.robots import Robot
 from assist.team.settings import Setting
+from assist.texts import InvalidError
 from assist.web.app import make_app
 from assist.web.service import Service
 from assist.web.tokens import AccessTokens
@@ -143,7 +143,7 @@ def test_each_robot_has_its_own_way(tiny: Table) -> None:
         team.arrived("ann", robot=2)  # somebody else has moved it: both are with ann
         team.arrived("ann")
         assert [one.person for one in team.recommend_all()].count("ann") <= 1
-    with pytest.raises(UnknownError, match="robot 3: expected a number from 1 to 2"):
+    with pytest.raises(InvalidError, match="robot 3: expected a number from 1 to 2"):
         desk.arrived("ann", robot=3)
 
 
@@ -156,7 +156,7 @@ def test_more_robots_than_people_leave_the_others_where_they_are(tiny: Table) ->
     assert desk.robots == ("ann", "bob", None, None, None)
     for number in (0, -1, 6, 1.5, "1", True):
         for ask in (desk.recommend, lambda robot: desk.arrived("ann", robot=robot)):
-            with pytest.raises(UnknownError, match=r"robot .*: expected a number from 1 to 5"):
+            with pytest.raises(InvalidError, match=r"robot .*: expected a number from 1 to 5"):
                 ask(number)  # type: ignore[arg-type]
 
 

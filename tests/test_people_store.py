@@ -13,10 +13,11 @@ from conftest import kit
 from serving import TINY, served
 
 from assist.cli import main
-from assist.live import AbsentError, Assistant, Event, PeopleStore, Session
+from assist.live import Assistant, Event, PeopleStore, Session
 from assist.people.goals import Goals
 from assist.people.human import Population
 from assist.team.settings import Setting
+from assist.texts import AbsentError
 from planner import Table, sweep_goals
 from planner.system.errors import DamagedFileError
 

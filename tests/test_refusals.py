@@ -29,7 +29,7 @@ from assist.learning.log import Log
 from assist.learning.maximum_likelihood import Method
 from assist.live.advice import Advice
 from assist.live.assistant import Assistant
-from assist.live.course import Course, InapplicableError
+from assist.live.course import Course
 from assist.live.events import Event
 from assist.people import user_code
 from assist.people.action_names import Matcher, UnmatchedError
@@ -51,6 +51,7 @@ from assist.team.action_check import check
 from assist.team.settings import Setting
 from assist.team.state import PolicyError, TeamAction
 from assist.team.travel import Travel
+from assist.texts import InapplicableError
 from assist.userstudy.questionnaires import Item, Questionnaire
 from assist.web import request_limits
 from assist.web.client import Client

@@ -19,11 +19,11 @@ from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, former, happen
 
 from assist.live.assistant import Assistant
-from assist.live.events import AbsentError, Event
-from assist.live.live_task import InapplicableError, UnknownError
+from assist.live.events import Event
 from assist.live.session import Session
 from assist.live.store import JournalError, database, stored
 from assist.team.settings import Setting
+from assist.texts import AbsentError, InapplicableError, InvalidError
 from planner import Table
 from planner.system.errors import DamagedFileError, ResultsExistError
 
@@ -308,7 +308,7 @@ def test_people_come_go_and_have_tasks_of_their_own(opened: Callable[..., Sessio
             session.join(*wrong)
     with pytest.raises(InapplicableError, match="bob is there already"):
         session.join("bob")
-    with pytest.raises(UnknownError, match="no action of the task"):
+    with pytest.raises(InvalidError, match="no action of the task"):
         session.observe("bob", "(fly)")
 
 

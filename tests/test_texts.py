@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import pickle
 import re
+import string
+from collections.abc import Iterator
+from datetime import date
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -11,7 +16,7 @@ from conftest import ROOT
 from test_userstudy_pages import Web
 from userstudies import PLAN, written
 
-from assist.texts import catalogue, languages
+from assist.texts import FullError, InapplicableError, InvalidError, Refusal, catalogue, languages
 from assist.userstudy.plan_file import read
 from assist.web.tokens import VISITOR
 from planner import Table
@@ -109,39 +114,52 @@ def test_participants_are_refused_in_the_studys_language(tiny: Table, tmp_path: 
         web.onward(ann, "practice")
 
 
-MET = [
-    "the study is full at the moment; places may become free later", "not possible within a user study",
-    "P-2B4C6D is not taking part", "data could be withdrawn until 2027-03-31",
-    "too many participants of this network have not begun a task yet; try again later",
-    "too many pages are open; close some of them", "this task is over",
-    "P-2B4C6D is at task tiny, not at 'practice'", "the study is complete", "the task is not finished",
-    "the task begins when the group is complete", "answers: expected none at consent", "acted: not at consent",
-    "P-2B4C6D is at consent; no action is possible there", "explanations are not shown here",
-    "'P-2B4C6D' is not in the study", "'P-2B4C6D' is not in the team", "this link belongs to another person",
-    "only the operator may do this", "requests of other sites' pages are refused", "there is no such page",
-    "this link is for visitors; participants have joined already",
-    "this link is for visitors; participants withdraw on their own page",
-    "there is no such code; expected one like P-2B4C6D-23456789, from the last page",
-    "this participant has joined on another device; continue there",
-    "another participant has begun in this browser and has not finished",
-    "this study admits participants by links of their own; use the complete link",
-    "the link has another participant's signature; use the complete link",
-    "expected a signed link, or the key of a browser", "participant: expected an ID of letters, digits or signs",
-    "too many withdrawal codes were tried; try again in 30 seconds", "too many requests; try again later",
-    "too many participants join at once; try again in 3 seconds", "the body is larger than 65536 bytes",
-    "the body did not arrive within 30 seconds", "No space left on device; nothing was recorded",
-    "answers.rely: expected a whole number from 1 to 7", "12 reports are waiting to be saved; try again later",
-    "the service failed at this request (ZeroDivisionError); see its log",
-    "(fetch box-a) is not applicable; it needs a free platform",
-]  # fmt: skip
-"""What participants can be told."""
+ASSIST = ROOT / "assist"
+KINDS = {kind.__name__ for kind in (Refusal, *Refusal.__subclasses__(), FullError)}
+TEXTS = {key.removeprefix("refusals."): text for key, text in catalogue().texts.items() if key.startswith("refusals.")}
 
 
-@pytest.mark.parametrize("language", [one for one in languages() if one != "en"])
-def test_every_refusal_that_participants_meet_has_a_text_of_its_own(language: str) -> None:
-    found = catalogue(language)
-    assert [said for said in MET if found.refusal(said) == found("refusals.other")] == []
-    assert len({found.refusal(said) for said in MET}) >= len(MET) - 1
+def raised() -> Iterator[tuple[str, str, set[str]]]:
+    """Yield the place, key and values of each refusal with a constant key in the source."""
+    for file in ASSIST.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in KINDS:
+                key = node.args[0]
+                if isinstance(key, ast.Constant):
+                    yield f"{file.name}:{node.lineno}", key.value, {str(one.arg) for one in node.keywords}
+
+
+def placeholders(text: str) -> set[str]:
+    return {name for _, name, _, _ in string.Formatter().parse(text) if name}
+
+
+def test_every_refusal_has_a_text_and_the_values_of_its_placeholders_in_each_language() -> None:
+    found = list(raised())
+    assert len(found) > 60
+    for place, key, values in found:
+        assert key in TEXTS, place
+        for language in languages():
+            needed = placeholders(catalogue(language).texts[f"refusals.{key}"])
+            assert needed <= values, (place, language, needed)
+
+
+def test_every_text_of_a_refusal_is_used_and_is_translated() -> None:
+    source = "".join(file.read_text(encoding="utf-8") for file in ASSIST.rglob("*.py"))
+    assert [key for key in TEXTS if f'"{key}"' not in source] == []
+    for language in set(languages()) - {"en"}:
+        texts = catalogue(language).texts
+        assert [key for key, text in TEXTS.items() if texts[f"refusals.{key}"] == text] == []
+
+
+def test_a_refusal_is_one_sentence_in_the_language_of_the_reader_and_can_be_pickled() -> None:
+    error = pickle.loads(pickle.dumps(InapplicableError("too_late", day=date(2027, 3, 31))))
+    assert isinstance(error, InapplicableError)
+    assert str(error) == "data could be withdrawn until 2027-03-31"
+    german = catalogue("de")
+    assert german.refusal(error.key, **error.values) == "Daten konnten bis zum 31.03.2027 zurückgezogen werden."
+    other = InvalidError("other", why="task 'x': expected one of a, b")
+    assert str(other) == "task 'x': expected one of a, b"
+    assert german.refusal(other.key, **other.values) == "Das ist im Moment nicht möglich."
 
 
 def test_a_language_of_the_studys_own_is_a_file_beside_it(tmp_path: Path) -> None:
@@ -156,9 +174,3 @@ def test_a_language_of_the_studys_own_is_a_file_beside_it(tmp_path: Path) -> Non
         with pytest.raises(InputFileError, match=re.escape(said)) as error:
             read(written(tmp_path / "study.toml", GERMAN.replace('"de"', f'"{wrong}"')))
         assert "language" in str(error.value)
-
-
-def test_a_day_is_written_as_in_the_language() -> None:
-    english = "data could be withdrawn until 2027-03-31"
-    assert catalogue().refusal(english) == english
-    assert catalogue("de").refusal(english) == "Daten konnten bis zum 31.03.2027 zurückgezogen werden."

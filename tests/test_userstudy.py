@@ -23,15 +23,15 @@ from scipy import stats
 from sessions import former
 from userstudies import PLAN, SCORES, Part, written
 
-from assist.live.live_task import InapplicableError
 from assist.live.store import stored
 from assist.reports.userstudy_summary import summarise
+from assist.texts import FullError, InapplicableError
 from assist.userstudy import cohort
 from assist.userstudy.assignment import balanced_orders
 from assist.userstudy.cohort import Cohort
 from assist.userstudy.plan_file import FileTable, read
 from assist.userstudy.session import JOURNAL, StudySession
-from assist.userstudy.study_events import FullError, StudyEvent
+from assist.userstudy.study_events import StudyEvent
 from assist.userstudy.tables import tables
 from planner import Instance, Table
 from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError

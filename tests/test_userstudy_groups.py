@@ -13,10 +13,9 @@ from serving import served
 from test_live_pages import CHROMIUM, chromium, violations
 from userstudies import PLAN, Part, written
 
-from assist.live.live_task import InapplicableError
 from assist.reports.userstudy_report import report_text
 from assist.reports.userstudy_summary import measures, summarise
-from assist.texts import Catalogue, catalogue, languages
+from assist.texts import Catalogue, InapplicableError, catalogue, languages
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import JOURNAL, StudySession
 from assist.userstudy.tables import tables

@@ -421,7 +421,7 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         withdraws.goto(re.search(r"http\S+\?withdraw", page.inner_text("#withdrawal"))[0])  # type: ignore[index]
         withdraws.fill("#code", "P-222222-22222222")
         withdraws.click("#withdraw button")
-        withdraws.wait_for_selector(f"text={said.refusal(catalogue().texts['refusals.code'])}")
+        withdraws.wait_for_selector(f"text={said.refusal('code')}")
         is_well(withdraws)
         withdraws.fill("#code", re.search(r"P-\w{6}-\w{8}", page.inner_text("#withdrawal"))[0])  # type: ignore[index]
         withdraws.click("#withdraw button")

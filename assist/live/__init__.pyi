@@ -4,10 +4,7 @@ from .advice import Question as Question
 from .advice import Reason as Reason
 from .assistant import Assistant as Assistant
 from .event_sourced import Outlook as Outlook
-from .events import AbsentError as AbsentError
 from .events import Event as Event
-from .live_task import InapplicableError as InapplicableError
-from .live_task import UnknownError as UnknownError
 from .people_store import PeopleStore as PeopleStore
 from .session import Session as Session
 from .store import JournalError as JournalError

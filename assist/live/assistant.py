@@ -42,6 +42,7 @@ from ..team.robots import Robot, best_robots
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy
 from ..team.travel import Travel
+from ..texts.refusals import InapplicableError, InvalidError
 from .advice import Advice, PersonState, Question
 from .beliefs import (
     begin_task,
@@ -55,8 +56,7 @@ from .beliefs import (
     worth_of_asking,
 )  # fmt: skip
 from .decisions import Decisions
-from .events import InvalidError
-from .live_task import InapplicableError, LiveTask, digest, population_of
+from .live_task import LiveTask, digest, population_of
 from .robot_places import RobotPlaces
 from .roster import Roster, Step, Told
 from .saved_team import people_as_dicts, restore_people, restore_robots, robots_as_dict
@@ -283,7 +283,7 @@ class Assistant:
         ------
         ValueError
             Not one of these is given, or the numbers are no likelihoods.
-        UnknownError
+        InvalidError
             There is no such person, or no such action in their task.
         InapplicableError
             It is not applicable now, or in no probable state; the message says which actions are.
@@ -294,7 +294,7 @@ class Assistant:
         k, problem = record.place, record.problem
         part, row = self._team.part(record)
         if self._team.stopped(record):
-            raise InapplicableError(f"{person} has reached the goal; expected `begin` before another action")
+            raise InapplicableError("reached", person=person)
         robot = int(self._team.robot[k]) if heard else 0
         suggestion, still = part.policy.pomdp.suggestion(row, robot), 0
         seen = seen_of(problem, self.setting, action, likelihoods, missed)
@@ -350,22 +350,22 @@ class Assistant:
 
         Raises
         ------
-        UnknownError, InapplicableError
+        InvalidError, InapplicableError
             As in `observe`; the person has not acted, there is no such question, or the answer is impossible. Nothing
             has changed then.
         """
         record = self._team.known(person)
         if not isinstance(answer, str | bool | None):
-            raise InvalidError(f"answer {answer!r}: expected an action, True, False or None")
+            raise InvalidError("other", why=f"answer {answer!r}: expected an action, True, False or None")
         if isinstance(answer, str):
             if not record.steps:
-                raise InapplicableError(f"{person} has done nothing yet that could be asked about")
+                raise InapplicableError("nothing_to_ask", person=person)
             record.problem.policy.require_enumerated("an uncertain action")
             correct(self._team, record, record.problem.named(answer), self.setting)
         else:
             question = record.question
             if question is None or (answer is not None and question.goal is None):
-                raise InapplicableError(f"{person} has no open question" + (" about the goal" if question else ""))
+                raise InapplicableError("no_question_about_goal" if question else "no_question", person=person)
             if answer is not None:
                 hear(self._team, record, [Told(len(record.steps), str(question.goal), answer)], self.setting)
         record.question = None
@@ -384,7 +384,7 @@ class Assistant:
         """
         record = self._team.known(person)
         if not record.told:
-            raise InapplicableError(f"{person} has given no answer about the goal that could be taken back")
+            raise InapplicableError("no_answer", person=person)
         taken = record.told.pop()
         erred = believe_again(self._team, record, self.setting)
         record.close_questions()
@@ -410,7 +410,7 @@ class Assistant:
         """
         record = self._team.known(person)
         if not record.steps:
-            raise InapplicableError(f"{person} has done nothing yet that could be taken back")
+            raise InapplicableError("nothing_done", person=person)
         last = record.steps.pop()
         record.told[:] = [told._replace(steps=min(told.steps, len(record.steps))) for told in record.told]
         erred = believe_again(self._team, record, self.setting)
@@ -519,7 +519,7 @@ class Assistant:
 
         Raises
         ------
-        UnknownError
+        InvalidError
             There is no such person, or no such action in their task.
         InapplicableError
             The action is not applicable now, or nothing is suggested to the person.

@@ -24,8 +24,9 @@ from ..team.hidden_states import expected_answers
 from ..team.questions import answered, likelihood_of
 from ..team.settings import Setting
 from ..team.state import worth_of_actions
+from ..texts.refusals import InapplicableError
 from .advice import Reason
-from .live_task import InapplicableError, TaskPart
+from .live_task import TaskPart
 from .roster import Roster, RosterEntry, Step, Told
 from .uncertain_actions import after_answers, joint_after
 
@@ -83,10 +84,8 @@ def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Se
                 joint = joint.told(likelihood_of(*asked))
                 belief = joint.belief
     except (ImpossibleObservationError, ValueError):
-        raise InapplicableError(
-            f"the answer {'yes' if told.yes else 'no'} of {record.name} is impossible: the goal {told.goal} "
-            f"{'has probability 0' if told.yes else 'is certain'}; expected an error rate of answers above 0"
-        ) from None
+        key = "impossible_yes" if told.yes else "impossible_no"
+        raise InapplicableError(key, person=record.name, goal=told.goal) from None
     record.joint, team.belief[record.place] = joint, belief
 
 

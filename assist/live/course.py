@@ -31,11 +31,12 @@ from ..people.human import Population
 from ..people.mixture import Mixture
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
+from ..texts.refusals import AbsentError, InapplicableError, InvalidError
 from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
 from .erasing import without
-from .events import KINDS, AbsentError, Event, InvalidError, advised, is_name, require_record
-from .live_task import InapplicableError, UnknownError, require_usable
+from .events import KINDS, Event, advised, is_name, require_record
+from .live_task import require_usable
 from .recent_events import entries
 from .store import Change
 
@@ -121,13 +122,13 @@ class Course:
 
         Raises
         ------
-        UnknownError, InapplicableError, InvalidError
+        InvalidError, InapplicableError, InvalidError
             The event is not possible. Nothing has changed.
         """
         if event.kind not in KINDS:
-            raise InvalidError(f"event {event.kind[:40]!r}: expected one of {', '.join(sorted(KINDS))}")
+            raise InvalidError("other", why=f"event {event.kind[:40]!r}: expected one of {', '.join(sorted(KINDS))}")
         if event.stage is not None:
-            raise InvalidError(f"stage {event.stage[:80]!r}: expected none outside of a user study")
+            raise InvalidError("other", why=f"stage {event.stage[:80]!r}: expected none outside of a user study")
         record = {"n": self.count + 1, "time": round(time, 3), "event": event.kind, **self._facts(event)}
         step = self.desk.step
         self._take(record)
@@ -205,7 +206,7 @@ class Course:
             try:
                 self.desk.other_travel(event.distance or ())
             except (TypeError, ValueError) as error:
-                raise InvalidError(str(error)) from None
+                raise InvalidError("other", why=str(error)) from None
             facts["distance"] = list(map(list, event.distance or ()))
         if event.kind == "arrived":
             self.require_robot(event.robot)
@@ -215,41 +216,39 @@ class Course:
     def _joins(self, event: Event) -> str | None:
         name = event.person or ""
         if not is_name(name):
-            raise InvalidError(
-                f"person {name[:80]!r}: expected a name of up to 64 letters, digits, blanks and signs of . _ - '"
-            )
+            raise InvalidError("no_name", person=repr(name[:80]))
         if name in self.present:
-            raise InapplicableError(f"{name} is there already")
+            raise InapplicableError("there_already", person=name)
         if name in self._notes:
             if event.task is not None:
-                raise InapplicableError(f"{name} returns to the task that they left")
+                raise InapplicableError("other", why=f"{name} returns to the task that they left")
             return None
         most = 10_000  # people over a whole session, which bounds its memory
         if len(self._notes) >= most:
-            raise InapplicableError(f"{most} people have been here; there is no place for {name}")
+            raise InapplicableError("other", why=f"{most} people have been here; there is no place for {name}")
         task = event.task or next(iter(self.tasks))
         self._task(task)
         return task
 
     def _task(self, name: str) -> CostToGo | Goals:
         if name not in self.tasks:
-            raise UnknownError(f"task {name[:80]!r}: expected one of {', '.join(self.tasks)}")
+            raise InvalidError("other", why=f"task {name[:80]!r}: expected one of {', '.join(self.tasks)}")
         return self.tasks[name]
 
     def _require_asked(self, event: Event) -> None:
         """Check that an answer is to the question that is open, unless it is an action."""
         late = event.seen is not None and event.seen < self._notes[event.person or ""].asked
         if late and not isinstance(event.answer, str):
-            raise InapplicableError("there is a later question; expected an answer to that")
+            raise InapplicableError("later_question")
 
     def _unheard(self, event: Event) -> bool:
         """Return whether there is an open suggestion that the person cannot have seen."""
         if event.action is None and event.followed is not None:
-            raise InvalidError("followed: expected an action that was seen")
+            raise InvalidError("other", why="followed: expected an action that was seen")
         note, stands = self._notes[event.person or ""], self._state(event.person or "").suggestion
         if event.followed and (stands is None or stands.lower() != in_pddl(event.action or "")):
             said = "nothing is suggested" if stands is None else f"{stands} is suggested"
-            raise InapplicableError(f"followed is true and the action {event.action}, but {said}")
+            raise InapplicableError("other", why=f"followed is true and the action {event.action}, but {said}")
         late = event.seen is not None and event.seen < note.suggested
         return stands is not None and late and event.followed is None
 
@@ -337,7 +336,7 @@ class Course:
             Nothing is recorded of this person.
         """
         if person not in self._notes or not is_name(person):
-            raise AbsentError(f"nothing is recorded about {person[:80]!r}")
+            raise AbsentError("no_records", person=repr(person[:80]))
         return Event("left", person) if person in self.present else None
 
     def without(self, person: str, label: str) -> Change:
@@ -366,7 +365,7 @@ class Course:
             The person is not present.
         """
         if person not in self.present:
-            raise AbsentError(f"{person[:80]!r} is not in the team")
+            raise AbsentError("unknown", person=repr(person[:80]))
 
     @property
     def people(self) -> tuple[str, ...]:
@@ -460,7 +459,7 @@ class Course:
             There is no robot of this number.
         """
         if not 1 <= number <= self.robots:
-            raise AbsentError(f"robot {number}: expected a number from 1 to {self.robots}")
+            raise AbsentError("other", why=f"robot {number}: expected a number from 1 to {self.robots}")
 
     def robot(self, number: int = 1) -> dict[str, Any]:
         """Return where a robot should be and what it suggests there, as JSON; robots are numbered from 1.
@@ -496,7 +495,7 @@ class Course:
 
         Raises
         ------
-        UnknownError
+        InvalidError
             There is no such task.
         """
         if task is not None:

@@ -25,8 +25,9 @@ from ..person.joint_belief import JointBelief, is_certain
 from ..person.policy import Policy
 from ..team.hidden_states import expected_answers
 from ..team.state import by_model, worth_of_actions
+from ..texts.refusals import InapplicableError
 from .advice import Question
-from .live_task import InapplicableError, LiveTask, TaskPart
+from .live_task import LiveTask, TaskPart
 from .roster import Roster
 
 T = TypeVar("T", bound=np.generic)
@@ -118,7 +119,7 @@ class DecisionPoint:
 
         Raises
         ------
-        UnknownError, InapplicableError
+        InvalidError, InapplicableError
             As in `suggested`.
         """
         if place is None:
@@ -145,7 +146,7 @@ class DecisionPoint:
 
         Raises
         ------
-        UnknownError
+        InvalidError
             The task has no such action.
         InapplicableError
             The action is not applicable now, or there is no suggestion with which it could be compared.
@@ -226,9 +227,7 @@ class DecisionPoint:
     def _require_none(self, place: int, against: str | None) -> None:
         """Check that no comparison is asked for, since nothing is suggested."""
         if against is not None:
-            raise InapplicableError(
-                f"nothing is suggested to {self.names[place]} now, so that no step can be compared with {against[:80]}"
-            )
+            raise InapplicableError("nothing_suggested", person=self.names[place], action=against[:80])
 
     def _at(self, place: int) -> tuple[LiveTask, TaskPart, int]:
         return self.problems[place], self.parts[self.model[place]], int(self.x[place])

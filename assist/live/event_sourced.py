@@ -27,7 +27,7 @@ class EventSourced(Protocol):
     def happen(self, event: Event, time: float) -> dict[str, Any] | None:
         """Apply an event, and return its record.
 
-        After an UnknownError, InapplicableError or InvalidError nothing has changed.
+        After an InvalidError, InapplicableError or InvalidError nothing has changed.
         """
 
     def again(self, record: Mapping[str, Any]) -> None:

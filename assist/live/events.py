@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from .live_task import UnknownError
-
 FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
     "followed": bool, "unheard": bool, "advice": dict, "advices": list, "robot": int, "belief": list,
@@ -55,14 +53,6 @@ def is_name(text: str) -> bool:
         elif unicodedata.category(sign)[0] not in "LMN" and sign not in BETWEEN_LETTERS:
             return False
     return any(unicodedata.category(sign)[0] in "LN" for sign in text)
-
-
-class AbsentError(UnknownError):
-    """The person is not present, or there is no such robot."""
-
-
-class InvalidError(ValueError):
-    """The report of an event is malformed."""
 
 
 @dataclass(frozen=True)

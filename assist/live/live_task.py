@@ -34,14 +34,7 @@ from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..person.qmdp import qmdp
 from ..team.settings import Setting
-
-
-class UnknownError(ValueError):
-    """There is no such person, task or action."""
-
-
-class InapplicableError(ValueError):
-    """An action is not possible now; the message says which are."""
+from ..texts.refusals import InapplicableError, InvalidError
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +137,7 @@ class LiveTask:
 
         Raises
         ------
-        UnknownError
+        InvalidError
             The task has no such action.
         InapplicableError
             It is not applicable there; the message says which actions are.
@@ -152,31 +145,31 @@ class LiveTask:
         try:
             words = words_of(action)
         except UnmatchedError as error:
-            raise UnknownError(str(error)) from None
+            raise InvalidError("other", why=str(error)) from None
         try:
             return self.matcher.slot(words, part.options(row))
         except UnmatchedError as error:
-            kind = InapplicableError if self.matcher.unknown(words) is None else UnknownError
-            raise kind(str(error)) from None
+            if self.matcher.unknown(words) is None:
+                raise InapplicableError("not_applicable", why=str(error)) from None
+            raise InvalidError("other", why=str(error)) from None
 
     def ground(self, action: str) -> int:
         """Return the number of a ground action of the task, applicable now or not; `WAIT` for waiting.
 
         Raises
         ------
-        UnknownError
+        InvalidError
             The task has no such action.
         """
         try:
             words = words_of(action)
         except UnmatchedError as error:
-            raise UnknownError(str(error)) from None
+            raise InvalidError("other", why=str(error)) from None
         if words == (STAND_STILL[1:-1],):
             return WAIT
         if words not in self.matcher.number:
-            raise UnknownError(
-                self.matcher.unknown(words) or f"{action}: expected all arguments of an uncertain action"
-            )
+            why = self.matcher.unknown(words) or f"{action}: expected all arguments of an uncertain action"
+            raise InvalidError("other", why=why)
         return self.matcher.number[words]
 
     def named(self, action: str) -> str:
@@ -190,7 +183,7 @@ class LiveTask:
         slot = self.slot(part, row, suggestion)
         found = np.flatnonzero(part.policy.pomdp.suggested[row] == slot)
         if not len(found):
-            raise InapplicableError(f"{suggestion}: the robot cannot suggest this action here")
+            raise InapplicableError("other", why=f"{suggestion}: the robot cannot suggest this action here")
         return int(found[0])
 
     def say(self, action: str) -> str:

@@ -10,7 +10,7 @@ from ..team.assignment import placed
 from ..team.settings import Setting
 from ..team.state import BASE
 from ..team.travel import Travel
-from .live_task import UnknownError
+from ..texts.refusals import InvalidError
 
 
 class RobotPlaces:
@@ -45,11 +45,11 @@ class RobotPlaces:
 
         Raises
         ------
-        UnknownError
+        InvalidError
             There is no such robot.
         """
         if isinstance(robot, bool) or not isinstance(robot, int) or not 1 <= robot <= len(self.at):
-            raise UnknownError(f"robot {robot!r}: expected a number from 1 to {len(self.at)}")
+            raise InvalidError("other", why=f"robot {robot!r}: expected a number from 1 to {len(self.at)}")
         return robot - 1
 
     def grow(self, people: int) -> None:

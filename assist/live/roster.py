@@ -14,8 +14,9 @@ from ..people.decision import Floats
 from ..person.joint_belief import JointBelief, is_certain
 from ..team.hidden_states import expected_answers
 from ..team.state import Ask, by_model
+from ..texts.refusals import AbsentError
 from .advice import Question
-from .live_task import LiveTask, TaskPart, UnknownError
+from .live_task import LiveTask, TaskPart
 
 V = TypeVar("V")
 
@@ -231,14 +232,14 @@ class Roster:
 
         Raises
         ------
-        UnknownError
+        AbsentError
             The person is not present; the message lists who is.
         """
         record = self.by_name.get(name)
         if record is None or not self.present[record.place]:
             names, more = self.names[:10], len(self.names) - 10
             there = ", ".join(names) + f" and {more} more" * (more > 0)
-            raise UnknownError(f"{name!r} is not in the team; present: {there or 'nobody'}")
+            raise AbsentError("other", why=f"{name!r} is not in the team; present: {there or 'nobody'}")
         return record
 
     def add(self, name: str, problem: LiveTask, belief: ArrayLike | None = None) -> None:

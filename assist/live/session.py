@@ -34,18 +34,17 @@ from ..people.human import Population
 from ..people.mixture import Mixture
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
+from ..texts.refusals import AbsentError, InapplicableError, InvalidError, Refusal
 from .advice import Advice
 from .course import Course
 from .event_sourced import EventSourced, Outlook
-from .events import LONGEST_REASON, VACANT, AbsentError, Event, InvalidError, name_of
+from .events import LONGEST_REASON, VACANT, Event, name_of
 from .header import header_of, require_same
-from .live_task import InapplicableError, UnknownError
 from .people_store import PeopleStore, model_of
 from .store import EventStore, JournalError, Tombstone, utc
 
 T = TypeVar("T")
 
-Refused = (UnknownError, InapplicableError, InvalidError)
 """Errors of an event that is not possible, which leave the session as it was. After any other it is restored."""
 
 Outcome = dict[str, Any] | Exception
@@ -214,7 +213,7 @@ class Session:
         -------
         list
             For each event the view of its person after it (`person`; `robot` for an event without a person), or the
-            exception because of which it has no effect: an `UnknownError`, `AbsentError`, `InapplicableError`, another
+            exception because of which it has no effect: an `InvalidError`, `AbsentError`, `InapplicableError`, another
             ValueError, a `LimitError`, a `JournalError` if the disk is full, or any other exception of the program.
         """
         failed: dict[int, Exception] = {}
@@ -260,7 +259,7 @@ class Session:
             if known is None and event.kind == "joined":
                 event = self._carried(course, event)
             record = None if known is not None else course.happen(event, self.now())
-        except Refused as error:
+        except Refusal as error:
             return error
         if known is not None:
             return known
@@ -279,13 +278,13 @@ class Session:
         try:
             found = self._store.answer(event.person, event.id) if event.id else None
         except UnicodeEncodeError:
-            return InvalidError(f"the id {event.id!r} is no text; expected letters, digits and signs")
+            return InvalidError("other", why=f"the id {event.id!r} is no text; expected letters, digits and signs")
         if found is None:
             return None
         record, answer = found
         # Robots that count their reports on their own use the same ids.
         if (record["event"], record.get("robot", 1)) != (event.kind, event.robot):
-            return InapplicableError(f"the id {event.id!r} belongs to another event; expected a new id")
+            return InapplicableError("other", why=f"the id {event.id!r} belongs to another event; expected a new id")
         return answer
 
     def erase(self, person: str, reason: str) -> Tombstone:
@@ -314,9 +313,8 @@ class Session:
         person, reason = name_of(person), " ".join(reason.split())
         named = re.search(rf"(?<![\w-]){re.escape(person.casefold())}(?![\w-])", reason.casefold())
         if named or not 0 < len(reason) <= LONGEST_REASON:
-            raise InvalidError(
-                f"reason: expected 1 to {LONGEST_REASON} characters, without the person's name; found {len(reason)}"
-            )
+            why = f"reason: expected 1 to {LONGEST_REASON} characters, without the person's name; found {len(reason)}"
+            raise InvalidError("other", why=why)
         with self.lock:
             try:
                 leaves = self._course.farewell(person)
@@ -494,7 +492,7 @@ class Session:
 
         Raises
         ------
-        UnknownError
+        InvalidError
             There is no such task.
         """
         with self.lock:

@@ -14,8 +14,8 @@ from ..people.decision import NOTHING, Floats
 from ..person.joint_belief import JointBelief
 from ..person.observation_model import Evidence, ObservationModel
 from ..team.settings import Setting
-from .events import InvalidError
-from .live_task import InapplicableError, LiveTask, UnknownError
+from ..texts.refusals import InapplicableError, InvalidError, Refusal
+from .live_task import LiveTask
 from .roster import RosterEntry, Step
 
 
@@ -40,15 +40,17 @@ def seen_of(
     InvalidError
         Not one of the three is given, the numbers are no likelihoods, or the setting or the task has no uncertain
         actions.
-    UnknownError
+    InvalidError
         The task has no such action.
     """
     if sum(given is not None for given in (action, likelihoods, missed)) != 1:
-        raise InvalidError("observe: expected an action, its likelihoods, or the probability that one was missed")
+        why = "observe: expected an action, its likelihoods, or the probability that one was missed"
+        raise InvalidError("other", why=why)
     if action is not None:
         return None
     if setting.observation is None and setting.suggestions != "all":
-        raise InvalidError("an uncertain action: expected a setting with an observation model, or suggestions 'all'")
+        why = "an uncertain action: expected a setting with an observation model, or suggestions 'all'"
+        raise InvalidError("other", why=why)
     each: dict[str, float] = {}
     try:
         problem.policy.require_enumerated("an uncertain action")
@@ -57,16 +59,16 @@ def seen_of(
         for one, p in (likelihoods or {}).items():
             name = problem.named(one)
             each[name] = each.get(name, 0.0) + number(f"likelihood of {one}", p)
-    except UnknownError:
+    except Refusal:
         raise
     except ValueError as error:
-        raise InvalidError(str(error)) from None
+        raise InvalidError("other", why=str(error)) from None
     if missed is not None:
         if not 0 <= missed <= 1:
-            raise InvalidError(f"missed {missed:g}: expected a probability")
+            raise InvalidError("other", why=f"missed {missed:g}: expected a probability")
         return {"missed": missed}
     if not all(0 <= p < np.inf for p in each.values()) or not any(each.values()):
-        raise InvalidError("likelihoods: expected finite numbers of 0 or more, one of them positive")
+        raise InvalidError("other", why="likelihoods: expected finite numbers of 0 or more, one of them positive")
     most = max(each.values())  # so that sums and products of large numbers stay finite, and small ones positive
     return {"likelihoods": {name: p / most for name, p in each.items()}}
 
@@ -102,8 +104,7 @@ def joint_after(record: RosterEntry, belief: Floats, step: Step, model: Observat
     except ImpossibleObservationError:
         names = [choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))]
         raise InapplicableError(
-            f"{step.action} is applicable in no probable state of {record.name}; in the most probable one there are: "
-            f"{', '.join(names)}"
+            "improbable", action=step.action, person=record.name, actions=", ".join(names)
         ) from None
 
 

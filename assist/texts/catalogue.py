@@ -11,13 +11,13 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from datetime import date
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).parent
 FIRST = "en"
-REFUSALS = "refusals."
 TAG = re.compile(r"[A-Za-z]{2,3}(-[A-Za-z0-9]{2,8})*")
 """Tags of languages, as in the attribute `lang` of a page."""
 
@@ -63,21 +63,15 @@ class Catalogue:
         """Return the texts of a section, by their keys within it."""
         return {key.removeprefix(f"{name}."): text for key, text in self.texts.items() if key.startswith(f"{name}.")}
 
-    def refusal(self, message: str) -> str:
-        """Return the text of a refusal, which the program gives in English, in this language."""
-        first = catalogue(FIRST)
-        if self.file == first.file:
-            return message
-        for key, text in first.texts.items():
-            if key.startswith(REFUSALS) and (found := _pattern(text).fullmatch(message)):
-                given = found.groupdict()
-                return self(key, **given | ({"day": self.day(given["day"])} if "day" in given else {}))
-        return self(f"{REFUSALS}other")
+    def refusal(self, key: str, **values: Any) -> str:
+        """Return the text of a refusal, given the key of its text; days are dates."""
+        given = {name: self.day(value) if isinstance(value, date) else value for name, value in values.items()}
+        return self.texts[f"refusals.{key}"].format(**given)
 
-    def day(self, iso: str) -> str:
-        """Return a day, given as in 2026-11-30, as it is written in this language."""
-        year, month, day = iso.split("-")
-        return self.texts["date"].format(year=year, month=month, day=day)
+    def day(self, day: date) -> str:
+        """Return a day as it is written in this language."""
+        year, month, number = day.isoformat().split("-")
+        return self.texts["date"].format(year=year, month=month, day=number)
 
     def action(self, pddl: str, words: str | None) -> str:
         """Return an action as a part of a sentence; `words` is the domain's wording, if there is one."""
@@ -158,12 +152,6 @@ def _check(file: Path, texts: Mapping[str, str], first: Mapping[str, str]) -> No
         allowed = _placeholders(first[key]) | ({"words", "inner"} if key == "actions.worded" else set())
         if wrong := _placeholders(texts[key]) - allowed:
             raise ValueError(f"{file}: {key}: {{{min(wrong)}}}; expected {', '.join(sorted(allowed)) or 'no name'}")
-
-
-@lru_cache(maxsize=256)
-def _pattern(text: str) -> re.Pattern[str]:
-    """Return the pattern of the texts that result from a text by replacing its placeholders."""
-    return re.compile(re.sub(r"\\\{(\w+)\\\}", r"(?P<\1>.*)", re.escape(text)), re.DOTALL)
 
 
 def _placeholders(text: str) -> set[str]:

@@ -22,10 +22,10 @@ from planner import CostToGo
 from ..explain.explanation import Explanation
 from ..live.advice import Advice
 from ..live.course import NOTHING, Course
-from ..live.events import ERASED, LONGEST_REASON, VACANT, AbsentError, Event, InvalidError
-from ..live.live_task import InapplicableError, UnknownError
+from ..live.events import ERASED, LONGEST_REASON, VACANT, Event
 from ..live.simulated_person import SimulatedPerson
 from ..live.store import Change
+from ..texts.refusals import AbsentError, FullError, InapplicableError, InvalidError
 from .assignment import assign
 from .codes import drawn
 from .erasing import without
@@ -35,7 +35,7 @@ from .participants import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW,
 from .places import Places
 from .plan import WAITING, Stage, UserStudy
 from .questionnaires import Item
-from .study_events import KINDS, FullError, StudyEvent
+from .study_events import KINDS, StudyEvent
 
 
 class Cohort:
@@ -85,7 +85,7 @@ class Cohort:
         if event.kind == "visited":
             record |= self._visits(event)
         elif event.kind not in KINDS:
-            raise InapplicableError("not possible within a user study")
+            raise InapplicableError("not_in_study")
         else:
             person = self.known(event.person)
             facts = self._facts(person, event, n, time)
@@ -128,9 +128,9 @@ class Cohort:
 
     def _visits(self, event: Event) -> dict[str, Any]:
         if event.person is None or event.person in self.participants:
-            raise InapplicableError("this code is taken; try again")
+            raise InapplicableError("other", why="this code is taken; try again")
         if not self.places.is_free_for():
-            raise FullError("the study is full at the moment; places may become free later")
+            raise FullError("full")
         simulated = isinstance(event, StudyEvent) and event.simulated
         return {"at": _now(), **({"simulated": True} if simulated else {})}
 
@@ -150,7 +150,7 @@ class Cohort:
             return {"team": team} if team else None
         if kind == "left":
             if person.status != HERE:
-                raise InapplicableError(f"{person.code} is not taking part")
+                raise InapplicableError("absent", person=person.code)
             return {"status": GONE} | self._parts(person, n, time)
         if kind == "excluded":
             return self._excludes(person, event)
@@ -162,10 +162,10 @@ class Cohort:
         facts: dict[str, Any] = {}
         if person.status == GONE and kind in ("acted", "onward"):
             if not self.places.is_free_for(person):
-                raise FullError("the study is full at the moment; places may become free later")
+                raise FullError("full")
             facts["returned"] = True
         elif person.status != HERE:
-            raise InapplicableError(f"{person.code} is not taking part")
+            raise InapplicableError("absent", person=person.code)
         if kind == "withdrew":
             return facts | {"status": DECLINED if stage.kind == "consent" else WITHDREW} | self._parts(person, n, time)
         if kind == "expired" and stage.kind == "task" and not self.is_over(person):
@@ -175,47 +175,47 @@ class Cohort:
             return facts | ({"status": UNMATCHED, "completion": self._completion()} if ends else {})
         if kind == "acted":
             if event.stage is not None and event.stage != stage.name:
-                raise InapplicableError(f"{person.code} is at {stage.name}, not at {event.stage[:80]!r}")
+                raise InapplicableError("stage", person=person.code, here=stage.name, there=repr(event.stage[:80]))
             if self.is_over(person):
-                raise InapplicableError("this task is over")
+                raise InapplicableError("task_over")
             own = Event("acted", person.code, event.action, event.followed, event.seen)
             return facts | {"stage": stage.name, **self._at_task(person).act(own, n, time)}
         if kind == "onward" and isinstance(event, StudyEvent):
             return facts | self._onward(person, event, n, time)
-        raise InapplicableError(f"{kind}: not at {stage.name}")
+        raise InapplicableError("not_here", what=kind, here=stage.name)
 
     def _excludes(self, person: Participant, event: Event) -> dict[str, Any]:
         reason = event.reason if isinstance(event, StudyEvent) else None
         if person.status in (DECLINED, WITHDREW):
-            raise InapplicableError(f"the data of {person.code} are not part of the analysis")
+            raise InapplicableError("other", why=f"the data of {person.code} are not part of the analysis")
         if reason is not None and not 0 < len(reason) <= LONGEST_REASON:
-            raise InvalidError(f"reason: expected 1 to {LONGEST_REASON} characters; found {len(reason)}")
+            raise InvalidError("other", why=f"reason: expected 1 to {LONGEST_REASON} characters; found {len(reason)}")
         return {"reason": reason}
 
     def _in_time(self, person: Participant, event: Event) -> None:
         """Refuse a withdrawal after the study's last day for it, in the time zone of this machine."""
         last, late = self.study.withdraw_until, isinstance(event, StudyEvent) and event.late
         if person.status == DONE and last is not None and datetime.now(UTC).astimezone().date() > last and not late:
-            raise InapplicableError(f"data could be withdrawn until {last.isoformat()}")
+            raise InapplicableError("too_late", day=last)
 
     def _onward(self, person: Participant, event: StudyEvent, n: int, time: float) -> dict[str, Any]:
         stage = self.stages[person.at]
         if event.stage != stage.name:
-            raise InapplicableError(f"{person.code} is at {stage.name}, not at {(event.stage or '')[:80]!r}")
+            raise InapplicableError("stage", person=person.code, here=stage.name, there=repr((event.stage or "")[:80]))
         if stage.kind == "thanks":
-            raise InapplicableError("the study is complete")
+            raise InapplicableError("complete")
         if stage.kind == WAITING:
-            raise InapplicableError("the task begins when the group is complete")
+            raise InapplicableError("group_open")
         if stage.kind in ("practice", "task") and not self.is_over(person):
-            raise InapplicableError("the task is not finished")
+            raise InapplicableError("task_open")
         facts: dict[str, Any] = {"stage": stage.name}
         if stage.kind == "questionnaire":
             try:
                 facts["answers"] = self.study.questionnaire(stage.what).check(event.answers or {}, self._items(person))
             except ValueError as error:
-                raise InvalidError(str(error)) from None
+                raise InvalidError("answer", why=str(error)) from None
         elif event.answers:
-            raise InvalidError(f"answers: expected none at {stage.name}")
+            raise InvalidError("no_answers", here=stage.name)
         if stage.kind == "consent":
             facts["at"] = _now()
         to = self.stages[self.study.next_stage(person.at, person.condition)]
@@ -408,13 +408,13 @@ class Cohort:
         AbsentError
         """
         if person not in self.participants or self.participants[person].erased:
-            raise AbsentError(f"{(person or '')[:80]!r} is not in the study")
+            raise AbsentError("unknown_participant", person=repr((person or "")[:80]))
         return self.participants[person]
 
     def _at_task(self, person: Participant) -> ParticipantTeam:
         stage = self.stages[person.at]
         if stage.kind not in ("practice", "task") or person.removed:
-            raise InapplicableError(f"{person.code} is at {stage.name}; no action is possible there")
+            raise InapplicableError("action", person=person.code, here=stage.name)
         return person.groups[stage.kind, stage.period]
 
     def is_over(self, person: Participant) -> bool:
@@ -484,7 +484,7 @@ class Cohort:
             The participant sees no reasons in this study, or is not at a task.
         """
         if not self.person(person)["explained"]:
-            raise InapplicableError("explanations are not shown here")
+            raise InapplicableError("no_reasons")
         return self._at_task(self.known(person)).course.explain_later(person, against)
 
     def entry(self, person: str) -> dict[str, Any]:
@@ -510,7 +510,7 @@ class Cohort:
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Return all actions in tasks, in the format of `fit`; with `task`, only those in this task."""
         if task is not None and task not in dict(self.study.tasks):
-            raise UnknownError(f"task {task[:80]!r}: expected one of {', '.join(dict(self.study.tasks))}")
+            raise InvalidError("other", why=f"task {task[:80]!r}: expected one of {', '.join(dict(self.study.tasks))}")
         rows = []
         for who in self.participants.values():
             before = 0

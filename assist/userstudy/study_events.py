@@ -7,14 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..live.events import Event
-from ..live.live_task import InapplicableError
 
 KINDS = {"visited", "onward", "acted", "elapsed", "expired", "withdrew", "left", "returned", "excluded"}
 """Kinds of events."""
-
-
-class FullError(InapplicableError):
-    """The study is full."""
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from starlette.exceptions import HTTPException as StarletteHTTPException
 
 from planner import LimitError
 
-from ..live.events import AbsentError
-from ..live.live_task import InapplicableError
 from ..live.store import JournalError
+from ..texts.catalogue import catalogue
+from ..texts.refusals import Refusal
 from . import metrics, page_routes, routes, streams
 from .request_limits import Allowance, Guard, Networks
-from .service import BusyError, Service
+from .service import Service
 from .task_drawings import Pictures
 
 END_STREAMS = "end_streams"
@@ -73,36 +73,44 @@ def make_app(
 
 
 def _says_what_is_wrong(app: FastAPI) -> None:
-    def says(request: Request, status: int, detail: str, headers: Any = None) -> JSONResponse:
+    def says(request: Request, status: int, headers: Any = None, /, key: str = "other", **values: Any) -> JSONResponse:
         """Return a refusal, in the language of the pages if a person asked, and in English to everybody else."""
         caller = getattr(request.state, "caller", None)
-        if caller is not None and caller.person is not None:
-            detail = app.state.service.texts.refusal(detail)
-        return JSONResponse({"detail": detail}, status, headers)
+        texts = catalogue() if caller is None or caller.person is None else app.state.service.texts
+        return JSONResponse({"detail": texts.refusal(key, **values)}, status, headers)
 
     @app.exception_handler(StarletteHTTPException)
     async def refused(request: Request, error: StarletteHTTPException) -> Response:
         if error.status_code == 404 and "text/html" in request.headers.get("accept", ""):  # somebody follows a link
             return await page_routes.nowhere(request)
-        return says(request, error.status_code, str(error.detail), error.headers)
+        key = "page" if error.status_code == 404 else "other"
+        return says(request, error.status_code, error.headers, key, why=error.detail)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"] if part != "body")
-        return says(request, 422, f"{where}: {first['msg']}" if where else f"request body: {first['msg']}")
+        return says(request, 422, why=f"{where or 'request body'}: {first['msg']}")
 
-    statuses = {
-        AbsentError: 404, InapplicableError: 409, ValueError: 422, LimitError: 503, BusyError: 503, JournalError: 507,
-    }  # fmt: skip
+    @app.exception_handler(Refusal)
+    async def refuses(request: Request, error: Refusal) -> Response:
+        if error.status == 404 and "text/html" in request.headers.get("accept", ""):
+            return await page_routes.nowhere(request)
+        headers = {"retry-after": str(error.values["n"])} if error.status == 429 and "n" in error.values else None
+        return says(request, error.status, headers, error.key, **error.values)
+
+    @app.exception_handler(JournalError)
+    async def unsaved(request: Request, error: JournalError) -> Response:
+        return says(request, 507, None, "disk", why=error.strerror)
 
     @app.exception_handler(Exception)
     async def failed(request: Request, error: Exception) -> Response:
-        return says(request, 500, f"the service failed at this request ({type(error).__name__}); see its log")
+        return says(request, 500, None, "failed", error=type(error).__name__)
 
-    for kind, status in statuses.items():
+    @app.exception_handler(ValueError)
+    async def wrong(request: Request, error: ValueError) -> Response:
+        return says(request, 422, why=str(error))
 
-        async def cannot(request: Request, error: Exception, status: int = status) -> Response:
-            return says(request, status, str(error) if status != 507 else str(getattr(error, "strerror", error)))
-
-        app.add_exception_handler(kind, cannot)
+    @app.exception_handler(LimitError)
+    async def late(request: Request, error: LimitError) -> Response:
+        return says(request, 503, why=str(error))

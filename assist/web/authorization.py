@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import Depends, HTTPException, Request
+from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
 
 from ..live.events import name_of
+from ..texts.refusals import AbsentError, ForbiddenError
 from .schemas import Problem
 from .service import Service
 from .tokens import Caller
@@ -37,7 +38,7 @@ bearer = HTTPBearer(auto_error=False, description="The part of a join link or of
 async def operator(request: Request, _: Annotated[Any, Depends(bearer)] = None) -> None:
     """Refuse every caller except the operator."""
     if request.state.caller.person is not None:
-        raise HTTPException(403, "only the operator may do this")
+        raise ForbiddenError("operator_only")
     request.app.state.service.heard(None)
 
 
@@ -46,9 +47,9 @@ async def own(request: Request, name: str, _: Annotated[Any, Depends(bearer)] = 
     caller: Caller = request.state.caller
     name = name_of(name)
     if caller.person not in (None, name):
-        raise HTTPException(403, "this link belongs to another person")
+        raise ForbiddenError("another")
     if name not in request.app.state.service.views:
-        raise HTTPException(404, f"{name[:80]!r} is not in the team")
+        raise AbsentError("unknown", person=repr(name[:80]))
     request.app.state.service.heard(caller.person)
     return name
 

@@ -8,11 +8,12 @@ import re
 from functools import cache
 from pathlib import Path
 
-from fastapi import APIRouter, HTTPException, Request, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse, HTMLResponse
 
 from ..drawing import svg
 from ..texts.catalogue import Catalogue, catalogue
+from ..texts.refusals import AbsentError
 from . import openapi_page
 
 PAGES = Path(__file__).parent / "pages"
@@ -53,7 +54,7 @@ def _read(file: Path) -> str:
 def piece(folder: Path, name: str) -> Response:
     """Return a script or a style sheet."""
     if name not in {file.name for kind in ("*.js", "*.css") for file in folder.glob(kind)}:
-        raise HTTPException(404, "there is no such page")
+        raise AbsentError("page")
     return FileResponse(folder / name)
 
 

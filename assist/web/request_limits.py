@@ -151,9 +151,10 @@ class Guard:
             return (kept, False) if cookies.is_own_page(scope, self._access.base) else ("", True)
         return token, False
 
-    def _worded(self, detail: str, caller: Caller | None) -> str:
-        """Return a refusal, in the language of the pages for people."""
-        return detail if caller is None or caller.person is None else self._texts.refusal(detail)
+    def _worded(self, caller: Caller | None, key: str, **values: object) -> str:
+        """Return the text of a refusal, in the language of the pages for people."""
+        texts = catalogue() if caller is None or caller.person is None else self._texts
+        return texts.refusal(key, **values)
 
     def _wait(self, scope: Scope, caller: Caller | None) -> float:
         """Count a request; return the seconds after which it is allowed.
@@ -177,11 +178,11 @@ class Guard:
         scope.setdefault("state", {}).update(caller=caller, address=address_of(scope, self._trusted))
         wait = self._wait(scope, caller)
         if wait:
-            said = self._worded("too many requests; try again later", caller)
+            said = self._worded(caller, "many")
             await refuse(send, 429, said, retry_after=math.ceil(wait))
             return
         if foreign:
-            await refuse(send, 403, "requests of other sites' pages are refused")
+            await refuse(send, 403, catalogue().refusal("foreign"))
             return
         path = scope["path"]
         if path.startswith(("/api/", "/metrics")) and path != "/api/health" and caller is None:
@@ -197,10 +198,10 @@ class Guard:
             async with asyncio.timeout(SLOWEST):
                 body = None if length.isdigit() and int(length) > LARGEST else await _body(receive)
         except TimeoutError:
-            await refuse(send, 408, self._worded(f"the body did not arrive within {SLOWEST:g} seconds", caller))
+            await refuse(send, 408, self._worded(caller, "slow", n=f"{SLOWEST:g}"))
             return
         if body is None:
-            await refuse(send, 413, self._worded(f"the body is larger than {LARGEST} bytes", caller))
+            await refuse(send, 413, self._worded(caller, "large", n=LARGEST))
             return
         unread = [body]
 

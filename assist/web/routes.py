@@ -6,11 +6,12 @@ import asyncio
 import json
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse
 
 from ..live.events import LONGEST_REASON, Event
 from ..texts.catalogue import languages
+from ..texts.refusals import AbsentError, InvalidError
 from . import cookies
 from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
 from .schemas import (
@@ -106,7 +107,7 @@ async def explanation(
     """
     own = language in (None, service.texts.tag)
     if not own and language not in languages():
-        raise HTTPException(422, f"language: expected one of {', '.join(languages())}")
+        raise InvalidError("other", why=f"language: expected one of {', '.join(languages())}")
     spoken = str(service.texts.file) if own or language is None else language
     pictures: Pictures = request.app.state.pictures
     named = request.state.caller.person is None
@@ -177,7 +178,7 @@ async def robot_of(_: Operator, number: int, service: Desk) -> Response:
     """Return where one of several robots should go and what it should suggest there; numbers begin at 1."""
     robots = service.outlook.robots
     if not 1 <= number <= len(robots):
-        raise HTTPException(404, f"robot {number}: expected a number from 1 to {len(robots)}")
+        raise AbsentError("other", why=f"robot {number}: expected a number from 1 to {len(robots)}")
     return plain(robots[number - 1])
 
 

@@ -22,8 +22,7 @@ from starlette.types import ASGIApp
 from planner import CostToGo
 from planner.system.errors import ResultsExistError
 
-from ..live.events import AbsentError, Event
-from ..live.live_task import InapplicableError
+from ..live.events import Event
 from ..live.people_store import PeopleStore
 from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson
@@ -35,9 +34,10 @@ from ..person.observation_model import ObservationModel
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.catalogue import Catalogue
+from ..texts.refusals import AbsentError, BusyError, InapplicableError
 from .app import END_STREAMS, make_app
 from .request_limits import Networks
-from .service import Bridge, BusyError, Service
+from .service import Bridge, Service
 from .tokens import AccessTokens
 
 SEAT = re.compile(r"(person|simulated)-\d+")

@@ -26,11 +26,11 @@ from typing import Any, Protocol, cast
 
 from ..explain.explanation import Explanation
 from ..live.event_sourced import Explains, Outlook
-from ..live.events import AbsentError, Event
-from ..live.live_task import InapplicableError
+from ..live.events import Event
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
 from ..texts.catalogue import Catalogue, catalogue
+from ..texts.refusals import AbsentError, BusyError, InapplicableError
 from .measures import Measures
 from .tokens import AccessTokens
 
@@ -55,10 +55,6 @@ class Bridge(Protocol):
 
     async def run(self) -> None:
         """Work until cancelled."""
-
-
-class BusyError(RuntimeError):
-    """Too many reports are queued. The client should try again."""
 
 
 @dataclass(frozen=True)
@@ -300,7 +296,7 @@ class Service:
             answer: dict[str, Any] = await future
             outcome = "recorded"
         except queue.Full:
-            raise BusyError(f"{self._reports.maxsize} reports are waiting to be saved; try again later") from None
+            raise BusyError("busy", n=self._reports.maxsize) from None
         except ValueError:
             outcome = "refused"
             raise
@@ -339,7 +335,7 @@ class Service:
             It is faulty, and nothing has changed.
         """
         if self.changed_settings is None:
-            raise InapplicableError("there is nothing to reload; expected a service started with --config")
+            raise InapplicableError("other", why="there is nothing to reload; expected a service started with --config")
         events = await asyncio.to_thread(self.changed_settings)
         for event in events:
             await self.report(event)
@@ -482,7 +478,7 @@ class Service:
 
         Raises
         ------
-        UnknownError, InapplicableError
+        InvalidError, InapplicableError
             As in `Assistant.explain`.
         """
         with self.session.lock:

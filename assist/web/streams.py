@@ -12,10 +12,11 @@ import json
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
-from fastapi import APIRouter, HTTPException
+from fastapi import APIRouter
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
+from ..texts.refusals import ThrottledError
 from .authorization import READ, Desk, Operator, Own, refusals
 from .service import Service, Watcher, event
 
@@ -122,7 +123,7 @@ def view_stream(service: Service, kind: str, view: Callable[[], Any]) -> EventSt
 async def person_events(name: Own, service: Desk) -> Response:
     """Stream a person's view (`view`), and what keeps their actions from being saved (`faults`)."""
     if service.is_crowded(name):
-        raise HTTPException(429, "too many pages are open; close some of them")
+        raise ThrottledError("crowded")
     watcher = service.watch(name)
     return EventStream(_all(watcher), service.ping, lambda: service.leave(name, watcher))
 

@@ -9,11 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, HTTPException, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from pydantic import BaseModel, Field, WithJsonSchema
 
 from ...live.events import LONGEST_REASON
 from ...texts.catalogue import catalogue
+from ...texts.refusals import ForbiddenError, ThrottledError
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
 from ...userstudy.questionnaires import Item
@@ -25,7 +26,7 @@ from ..routes import plain
 from ..schemas import Once, Person
 from ..streams import DESCRIBED, view_stream
 from ..tokens import VISITOR
-from .service import ForgedError, StudyService
+from .service import StudyService
 
 PAGES = Path(__file__).parent / "pages"
 SEAT = "seat"
@@ -185,19 +186,16 @@ def _shown(item: Item) -> dict[str, Any]:
 async def visit(request: Request, coming: Visit, study: Study) -> Any:
     """Join the study by the join link's token; 409 if it is full. A repeated id returns the same participant."""
     if request.state.caller.person not in (None, VISITOR):
-        raise HTTPException(403, "this link is for visitors; participants have joined already")
+        raise ForbiddenError("visitors")
     if coming.simulated and not study.rehearsal:
-        raise HTTPException(403, "simulated participants are admitted in a rehearsal only")
+        raise ForbiddenError("other", why="simulated participants are admitted in a rehearsal only")
     if not coming.simulated and study.code_of(coming.id) not in study.views:
-        _throttled(study.arrivals.wait(request.state.address), "too many participants join at once")
+        _throttled(study.arrivals.wait(request.state.address), "joins")
     kept = cookies.cookie_of(study.access.base, SEAT)
-    try:
-        seen = await study.visit(
-            coming.id, key=coming.key, signature=coming.signature, simulated=coming.simulated,
-            before=study.access.signed_in(SEAT, request.cookies.get(kept, "")), address=request.state.address,
-        )  # fmt: skip
-    except ForgedError as error:
-        raise HTTPException(403, str(error)) from None
+    seen = await study.visit(
+        coming.id, key=coming.key, signature=coming.signature, simulated=coming.simulated,
+        before=study.access.signed_in(SEAT, request.cookies.get(kept, "")), address=request.state.address,
+    )  # fmt: skip
     code = seen["person"]
     part = study.access.join_url(code).removeprefix(study.access.base).replace("/join/", "/part/", 1)
     now = json.loads(study.views[code])  # may be later than the answer
@@ -209,8 +207,7 @@ async def visit(request: Request, coming: Visit, study: Study) -> Any:
 def _throttled(wait: float, what: str) -> None:
     """Refuse a request that is allowed only after some seconds."""
     if wait:
-        seconds = str(math.ceil(wait))
-        raise HTTPException(429, f"{what}; try again in {seconds} seconds", {"retry-after": seconds})
+        raise ThrottledError(what, n=math.ceil(wait))
 
 
 @router.post("/api/study/links", tags=["study"], response_model=Links, responses=refusals(403, 422))
@@ -254,8 +251,8 @@ async def withdrawal(name: Own, study: Study) -> Any:
 async def withdraw_by_code(request: Request, given: Withdrawn, study: Study) -> Any:
     """Withdraw a participant's data by the withdrawal code, with the join link's token, also after the end."""
     if request.state.caller.person not in (None, VISITOR):
-        raise HTTPException(403, "this link is for visitors; participants withdraw on their own page")
-    _throttled(study.guesses.wait(request.state.address), "too many withdrawal codes were tried")
+        raise ForbiddenError("visitors_withdraw")
+    _throttled(study.guesses.wait(request.state.address), "guesses")
     await study.withdraw(given.code)
     return plain({"done": True})
 

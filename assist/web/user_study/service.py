@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-from ...live.events import AbsentError, Event, InvalidError
-from ...live.live_task import InapplicableError
+from ...live.events import Event
+from ...texts.refusals import AbsentError, ForbiddenError, FullError, InapplicableError, InvalidError
 from ...userstudy.codes import identifier, spelled
 from ...userstudy.cohort import Cohort
 from ...userstudy.participants import HERE
 from ...userstudy.plan import WAITING
 from ...userstudy.session import StudySession
-from ...userstudy.study_events import FullError, StudyEvent
+from ...userstudy.study_events import StudyEvent
 from ..request_limits import Allowance
 from ..service import Erasure, Service, Watcher
 from ..tokens import VISITOR, AccessTokens, secret_in
@@ -33,10 +33,6 @@ CODES_KEY = "codes.key"
 
 SIGNED = "signed"
 """Empty file in the folder of a study for which signed links were made; it then admits nobody without one."""
-
-
-class ForgedError(ValueError):
-    """A participant's link is not signed, or not with this signature."""
 
 
 def participant_url(access: AccessTokens, participant: str, folder: Path) -> str:
@@ -143,7 +139,7 @@ class StudyService(Service):
         code = withdrawal.strip().upper().rpartition("-")[0]
         real = self.withdrawal_code(code)
         if not hmac.compare_digest(real.encode(), withdrawal.strip().upper().encode()) or code not in self.views:
-            raise AbsentError("there is no such code; expected one like P-2B4C6D-23456789, from the last page")
+            raise AbsentError("code")
         if json.loads(self.views[code])["study"]["kind"] not in ("withdrew", "declined"):
             await self.report(StudyEvent("withdrew", code))
 
@@ -196,7 +192,7 @@ class StudyService(Service):
 
         Raises
         ------
-        ForgedError
+        ForbiddenError
             The signature is wrong, or there is neither a signature nor a key, or the study has signed links and this
             is none.
         InvalidError
@@ -209,19 +205,19 @@ class StudyService(Service):
         code, once = self.code(visit), visit
         if signature is not None:
             if not self.access.is_signed(visit, signature):
-                raise ForgedError("the link has another participant's signature; use the complete link")
+                raise ForbiddenError("signature")
             if code in self.views:
                 found: dict[str, Any] = json.loads(self.views[code])
                 return found
         elif before not in (None, code) and self.is_under_way(before):
             if visit.startswith(PARTICIPANT):
-                raise InapplicableError("another participant has begun in this browser and has not finished")
+                raise InapplicableError("begun_here")
             return dict(json.loads(self.views[before or ""]))
         elif code not in self.views and not simulated and (self.folder / SIGNED).exists():
-            raise ForgedError("this study admits participants by links of their own; use the complete link")
+            raise ForbiddenError("own_links")
         elif visit.startswith(PARTICIPANT):
             if key is None:
-                raise ForgedError("expected a signed link, or the key of a browser")
+                raise ForbiddenError("unsigned")
             once = f"{visit} {key}"
         self._came_from[code] = "" if simulated or signature is not None else address
         event = StudyEvent("visited", code, id=_digest(self._codes_key, once)[8:].hex(), simulated=simulated)
@@ -230,7 +226,7 @@ class StudyService(Service):
         except FullError:
             raise
         except InapplicableError:
-            raise InapplicableError("this participant has joined on another device; continue there") from None
+            raise InapplicableError("elsewhere") from None
 
     async def report(self, event: Event | Erasure) -> dict[str, Any]:
         """Record an event, as `Service.report` does; refuse arrivals of an address that holds too many places.
@@ -257,7 +253,7 @@ class StudyService(Service):
             for other, one in cohort.participants.items()
         )  # fmt: skip
         if sum(idle) >= (self.study.per_address or 0):
-            raise FullError("too many participants of this network have not begun a task yet; try again later")
+            raise FullError("network")
 
     def heard(self, person: str | None) -> None:
         """Note a request or a connection. A participant counts as present, also where no connection can be kept."""
@@ -362,7 +358,7 @@ def _in_one_form(visit: str) -> str:
         return visit
     named = identifier(visit.removeprefix(PARTICIPANT))
     if not named:
-        raise InvalidError("participant: expected an ID of letters, digits or signs")
+        raise InvalidError("no_id")
     return PARTICIPANT + named
 
 
