@@ -138,7 +138,7 @@ def test_make_commands_exist(page: Path) -> None:
 def test_every_exception_is_in_the_catalogue() -> None:
     values = {name: getattr(import_module(package), name) for package in PACKAGES for name, _ in handed_on(package)}
     exceptions = {name for name, value in values.items() if isinstance(value, type) and issubclass(value, Exception)}
-    rows = re.findall(r"^\| (`\w+Error`.*?) \|", (ROOT / "docs" / "errors.md").read_text(), re.M)
+    rows = re.findall(r"^\| (`(?:\w+Error|Refusal)`.*?) \|", (ROOT / "docs" / "errors.md").read_text(), re.M)
     assert {name for row in rows for name in re.findall(r"\w+", row)} == exceptions
 
 
