@@ -37,7 +37,7 @@ ROOMS = {
         sweep goals orbit_table table_file on_demand portfolio""",
     "planner.batch": "solve_record solve_instance results_folder solve_batch",
     "planner": "engine",
-    "assist.texts": "typed_toml catalogue",
+    "assist.texts": "typed_toml catalogue refusals",
     "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model
         weighted_choice human mixture spread belief influence_kernels trust_rules user_code action_names signals""",
     "assist.person": """leaf_bounds observation_model pomdp known_goals visiting_robot policy lazy_policy archive
