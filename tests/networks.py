@@ -1,4 +1,4 @@
-"""Networks between a browser and a service: nginx, and a wire that a test cuts or holds."""
+"""Services in a thread, and networks before them: nginx, and a wire that a test cuts or holds."""
 
 from __future__ import annotations
 
@@ -14,8 +14,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from starlette.types import ASGIApp
+from userstudies import written
 
-from assist.web.server import server_of
+from assist.userstudy.plan_file import read
+from assist.userstudy.session import StudySession
+from assist.web.app import make_app
+from assist.web.server import listen, server_of
+from assist.web.tokens import AccessTokens
+from assist.web.user_study.routes import router
+from assist.web.user_study.service import StudyService
+from planner import Table
 
 NGINX = shutil.which("nginx", path=f"{os.environ.get('PATH', '')}:/usr/sbin")  # where Debian has it
 CONFIGURATION = """
@@ -96,6 +104,19 @@ def running(app: ASGIApp, listening: socket.socket) -> Iterator[None]:
     finally:
         server.should_exit = True
         thread.join(30)
+
+
+@contextmanager
+def conducted(table: Table, folder: Path, plan: str) -> Iterator[StudyService]:
+    """Serve a user study in a thread."""
+    listening = listen("127.0.0.1", 0)
+    base = f"http://127.0.0.1:{listening.getsockname()[1]}"
+    session = StudySession(
+        read(written(folder / "study.toml", plan)), {"tiny": table, "practice": table}, folder / "data"
+    )
+    service = StudyService(session, AccessTokens.kept(folder / "data" / "secret", base), ping=0.3)
+    with running(make_app(service, more=[router]), listening):
+        yield service
 
 
 class Wire:

@@ -141,11 +141,11 @@ def conduct(
         note(f"the study is saved in {folder}; Ctrl-C ends the service, --data {folder} resumes it")
 
     try:
-        listening = listen(host, port, public_url)
-        serving.serve(
-            study, tasks, folder, listening, ready, participants=rehearse, public_url=public_url,
-            trusted_proxies=trusted_proxies,
-        )  # fmt: skip
+        with listen(host, port, public_url) as listening:
+            serving.serve(
+                study, tasks, folder, listening, ready, participants=rehearse, public_url=public_url,
+                trusted_proxies=trusted_proxies,
+            )  # fmt: skip
     except PolicyError as error:
         fail(str(error), ExitCode.USAGE)
     if rehearse:

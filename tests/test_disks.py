@@ -1,0 +1,219 @@
+"""Disks that are really full, and folders that cannot be written: what people see, and that nothing is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from conftest import KITTING
+from disks import full, sealed, small
+from networks import conducted, running
+from test_cases_networks import Line, has_done, says
+from test_cases_withdrawal import answers
+from test_event_store import content
+from test_live_pages import CHROMIUM, chromium
+from test_userstudy_pages import PATIENCE, Web
+from userstudies import PLAN, Part, written
+
+from assist.cli import main
+from assist.live import Event, Session
+from assist.live.store import JournalError, stored
+from assist.team.settings import Setting
+from assist.userstudy.plan_file import read
+from assist.userstudy.session import JOURNAL, StudySession
+from assist.web.server import listen
+from planner import Table
+
+__all__ = ["chromium"]
+in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+UNSAVED = "No space left on device at the last attempt"
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    with small(tmp_path / "disk") as folder:
+        yield folder
+
+
+def test_events_of_a_team_are_refused_while_the_disk_is_full_and_none_is_lost(tiny: Table, disk: Path) -> None:
+    """Whatever was acknowledged is there after a restart; what was refused had no effect, and can be sent again."""
+    session = Session({"tiny": tiny}, disk / "data" / "journal.sqlite")
+    session.report([Event("joined", name) for name in ("ann", "bob")])
+    done, refused = 0, 0
+    with full(disk):
+        for number in range(60):
+            event = Event("acted", "ann", action=("(fetch box-a)", "(return box-a)")[done % 2], id=f"{number}")
+            try:
+                (outcome,) = session.report([event])
+            except JournalError as error:
+                outcome = error
+            done, refused = done + isinstance(outcome, dict), refused + isinstance(outcome, JournalError)
+            assert session.person("ann")["steps"] == done
+        assert refused
+        assert session.fault() == UNSAVED
+    assert session.observe("ann", ("(fetch box-a)", "(return box-a)")[done % 2], id="again")["steps"] == done + 1
+    assert session.fault() is None
+    before = [session.person(name) for name in ("ann", "bob")]
+    session.close()
+    with closing(Session({"tiny": tiny}, disk / "data" / "journal.sqlite")) as again:
+        assert [again.person(name) for name in ("ann", "bob")] == before
+
+
+@pytest.mark.parametrize("how", ["withdraw", "erase"])
+def test_who_withdraws_or_is_erased_on_a_full_disk_is_removed_when_there_is_room(
+    tiny: Table, disk: Path, tmp_path: Path, how: str
+) -> None:
+    study = read(written(tmp_path / "study.toml"))
+    session = StudySession(study, {"tiny": tiny, "practice": tiny}, disk / "data")
+    eve, ann = (Part(session, name) for name in ("eve", "ann"))
+    for part in (eve, ann):
+        part.come()
+        answers(part)
+
+    def remove() -> None:
+        eve.report("withdrew", id="asked") if how == "withdraw" else session.erase("eve", "wrote a letter")
+
+    with full(disk):
+        for _ in range(2):
+            with pytest.raises(JournalError, match="No space left on device"):
+                remove()
+        assert session.fault() is not None
+        assert ann.kind == "thanks"
+    remove()
+    assert session.fault() is None
+    assert b"words of eve" not in content(disk / "data")
+    assert b"words of ann" in content(disk / "data")
+    session.close()
+    with closing(StudySession(study, {"tiny": tiny, "practice": tiny}, disk / "data")) as again:
+        assert again.person("ann")["study"]["kind"] == "thanks"
+        assert ("eve" in again.people) == (how == "withdraw")
+
+
+def test_a_study_on_a_full_disk_can_be_read_and_exported(tiny: Table, disk: Path) -> None:
+    """The export is made in memory; the researcher is told of the fault beside the data that are there."""
+    web = Web(tiny, disk)
+    with web.client:
+        ann = web.come("ann").json()["person"]
+        web.onward(ann, "consent")
+        with full(disk):
+            answer = web.onward(ann, "instructions", id="once")
+            for number in range(60):  # what is left of the last pages
+                if answer.status_code != 200:
+                    break
+                answer = web.come(f"{number}")
+            assert (answer.status_code, answer.json()["detail"]) == (
+                507, "No space left on device; nothing was recorded",
+            )  # fmt: skip
+            assert web.ask("GET", "/api/study").json()["problems"] == [f"events cannot be saved: {UNSAVED}"]
+            assert web.ask("GET", "/api/study/export").status_code == 200
+            assert web.client.get("/api/health", params={"ready": True}).status_code == 503
+        assert web.onward(ann, "instructions", id="once").status_code == 200
+        assert web.ask("GET", "/api/study").json()["problems"] == []
+
+
+@pytest.mark.parametrize("study", [False, True], ids=["team", "study"])
+def test_a_folder_that_cannot_be_written_is_said_in_one_line(tmp_path: Path, study: bool) -> None:
+    folder = tmp_path / "data"
+    folder.mkdir()
+    file = written(tmp_path / "study.toml")
+    words = ["--study", file] if study else [KITTING / "tiny.pddl", "--humans", 2]
+    with sealed(folder):
+        for data in (folder, folder / "below"):
+            refused = CliRunner().invoke(main, ["serve", *map(str, words), "--data", str(data), "--port", "0"])
+            assert refused.exit_code == 1, refused.output
+            assert refused.stderr.count("\n") == 1, refused.stderr
+            assert "Read-only file system" in refused.stderr
+            assert str(data) in refused.stderr
+
+
+def test_a_study_whose_folder_cannot_be_written_any_more_can_be_reported(tiny: Table, tmp_path: Path) -> None:
+    session = StudySession(read(written(tmp_path / "study.toml")), {"tiny": tiny, "practice": tiny}, tmp_path / "data")
+    ann = Part(session, "ann")
+    ann.come()
+    answers(ann)
+    session.close()
+    with sealed(tmp_path / "data"):
+        refused = CliRunner().invoke(main, ["study-report", str(tmp_path / "data")])
+        assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)
+        assert "Read-only file system" in refused.stderr
+        made = CliRunner().invoke(main, ["study-report", str(tmp_path / "data"), "--out", str(tmp_path / "out")])
+        assert made.exit_code == 0, made.output
+        assert len(stored(tmp_path / "data" / JOURNAL)[1]) > 5
+
+
+@in_a_browser
+@pytest.mark.long
+def test_people_and_the_operator_of_a_team_see_that_the_disk_is_full_and_nothing_is_lost(
+    chromium: Any, tiny: Table, disk: Path
+) -> None:
+    listening = listen("127.0.0.1", 0)
+    here = Line(tiny, disk, chromium, f"http://127.0.0.1:{listening.getsockname()[1]}")
+    with running(here.app, listening):
+        page, operator = here.page(), here.page(None)
+        says(page, "Connected")
+        with full(disk):
+            for steps, action in enumerate(["(fetch box-a)", "(return box-a)"] * 30):
+                page.click(f'#actions button[data-action="{action}"]')
+                page.wait_for_function(
+                    "n => document.getElementById('steps').textContent === String(n + 1)"
+                    " || !document.getElementById('problem').hidden", arg=steps,
+                )  # fmt: skip
+                if page.locator("#problem").is_visible():
+                    break
+            assert "No space left on device; nothing was recorded" in page.inner_text("#problem")
+            for one in (page, operator):
+                says(one, "Connected, but with a fault")
+            assert f"Actions cannot be saved at the moment ({UNSAVED})." in page.inner_text("#fault")
+            assert f"Events cannot be saved: {UNSAVED}." in operator.inner_text("#fault")
+            assert here.session.person("ann")["steps"] == steps
+        has_done(page, steps + 1)  # the page sends it again by itself
+        for one in (page, operator):
+            says(one, "Connected")
+            assert one.locator("#fault").is_hidden()
+        assert page.locator("#problem").is_hidden()
+        here.context.close()
+    here.session.close()
+    with closing(
+        Session({"tiny": tiny}, disk / "journal.sqlite", setting=Setting(suggestions="all", c_suggest=0.02))
+    ) as again:
+        assert again.person("ann")["steps"] == steps + 1
+    assert here.faults == []
+
+
+@in_a_browser
+@pytest.mark.long
+def test_a_participant_and_the_researcher_see_that_the_disk_is_full_and_nothing_is_lost(
+    chromium: Any, tiny: Table, disk: Path
+) -> None:
+    german = PLAN.replace("seed = 3", 'seed = 3\nlanguage = "de"')
+    with conducted(tiny, disk, german) as service:
+        context = chromium.new_context()
+        page, researcher = context.new_page(), context.new_page()
+        page.set_default_timeout(PATIENCE)
+        researcher.set_default_timeout(PATIENCE)
+        page.goto(service.join_url())
+        page.wait_for_selector("#form button")
+        researcher.goto(service.operator_url())
+        researcher.wait_for_selector("#people td")
+        (person,) = service.session.people
+        with full(disk):
+            page.click("#form button")  # agrees
+            page.wait_for_function(
+                "() => !document.getElementById('problem').hidden"
+                " || document.getElementById('stage-title').textContent === 'Was Sie tun werden'"
+            )
+            if page.locator("#problem").is_hidden():  # there was room on the last page
+                page.click("#form button")
+                page.wait_for_selector("#problem:not([hidden])")
+            assert "Der Server kann im Moment nichts speichern." in page.inner_text("#problem")
+            researcher.wait_for_selector(f"text=vents cannot be saved: {UNSAVED}")
+            before = service.session.person(person)["study"]["stage"]
+        page.wait_for_selector("#problem", state="hidden")
+        page.wait_for_function("stage => !document.body.textContent.includes(stage)", arg="nichts speichern")
+        assert service.session.person(person)["study"]["stage"] != before
+        researcher.wait_for_selector(f"text=vents cannot be saved: {UNSAVED}", state="hidden")
+        context.close()
