@@ -5,7 +5,7 @@
 `tower` reads recordings of people at the Tower of London from the folder in the environment variable TOWER_RECORDINGS
 (`data/tower_of_london/subject_data` of https://github.com/WeiJiMaLab/rush_hour, see `recordings`). It fits choice
 models to some people and problems, and predicts other people at other problems. `recover` simulates people with known
-weights and measures the coverage of intervals. `huge` times `kitassist fit --compare` on a log of a task with millions
+weights and measures the coverage of intervals. `huge` times `kitassist compare models` on a log of a task with millions
 of states.
 """
 
@@ -29,9 +29,10 @@ from simulated_people import observed, record_with_terms
 from tables import cell, record_option, write_record
 
 from assist.learning import Log, Method, observe, replay
-from assist.learning.comparison import Fold, held_out, summed_up
+from assist.learning.comparison import ratio
 from assist.learning.hierarchy import fit_hierarchy, fit_terms
 from assist.learning.logit_likelihood import Likelihood
+from assist.learning.model_comparison import pooled
 from assist.learning.observations import EvaluatedStates, Observations
 from assist.learning.replay import Recording, situation
 from assist.people import TERMS, Situation, Term, features
@@ -168,6 +169,27 @@ def read_data(every: list[Solved]) -> Data:
     person = np.concatenate([np.full(len(o), number[o.person]) for o in found])
     problem = np.concatenate([np.full(len(o), int(o.episodes[0])) for o in found])
     return Data(likelihood, problem[np.argsort(person, kind="stable")], likelihood.steps.begins)
+
+
+Fold = tuple[np.ndarray, np.ndarray]
+"""Steps, shape (N,), that are learned from, and those that are predicted; always whole episodes."""
+
+
+def held_out(likelihood: Likelihood, folds: Iterable[Fold], *, costs: bool = True) -> np.ndarray:
+    """Return the log-probability of each choice, shape (N,), under the estimates from the other folds."""
+    result, at = np.full(len(likelihood.steps), np.nan), None
+    for learned, predicted in folds:
+        found = pooled(likelihood, learned, at, costs=costs)
+        result[predicted], at = found.log_probabilities(predicted), found.at
+    return result
+
+
+def summed_up(likelihood: Likelihood, logs: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Return nats per choice, their standard error over people, and those of each person, shape (K,)."""
+    people = len(likelihood.steps.people)
+    count = np.bincount(likelihood.steps.person, minlength=people)
+    total = np.bincount(likelihood.steps.person, -logs, people)
+    return *ratio(total, count), total / np.maximum(count, 1)
 
 
 def crossed(data: Data, people: int, problems: int) -> Iterable[Fold]:
@@ -320,7 +342,7 @@ def _in(interval: tuple[float, float], value: float) -> bool:
 @click.option("--people", type=int, default=32, show_default=True)
 @click.option("--actions", type=int, default=30, show_default=True)
 def huge(instance: str, people: int, actions: int) -> None:
-    """Time `kitassist fit --compare` on a log of people who choose by terms."""
+    """Time `kitassist compare models` on a log of people who choose by terms."""
     file = ROOT / "domains" / f"{instance}.pddl"
     rng = np.random.default_rng(0)
     beta = np.exp(rng.uniform(np.log(0.5), np.log(3.0), people))
@@ -330,7 +352,7 @@ def huge(instance: str, people: int, actions: int) -> None:
         log = Path(folder) / "log.jsonl"
         with log.open("w") as lines:
             lines.writelines(json.dumps(e) + "\n" for e in record_with_terms(table, beta, weights, actions, rng))
-        command = [Path(sys.executable).parent / "kitassist", "fit", file, log, "--compare", "--cache", folder]
+        command = [Path(sys.executable).parent / "kitassist", "compare", "models", file, log, "--cache", folder]
         start = time.perf_counter()
         done = subprocess.run([str(word) for word in command], check=True, capture_output=True, text=True)
         click.echo(done.stdout)

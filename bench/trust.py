@@ -3,7 +3,7 @@
     KITASSIST_ADVICE=FOLDER python bench/trust.py [--fixed | --fitted [--keep FILE]] [--record FILE]
 
 The folder holds `cards.csv` and `dates.csv` (docs/results/trust.md names their sources). Each rule is fitted to the
-people of seven folds and predicts the answers of the eighth, as `kitassist fit --advice --compare-trust` does.
+people of seven folds and predicts the answers of the eighth, as `kitassist compare rules --advice` does.
 With `--fixed` nothing is fitted: the parameters are those of `reference/fixed_parameters.csv` in the folder, and the
 command says by how much its figures differ. With `--fitted` all rows of `reference/cv_dev.csv` are fitted;
 `--keep` continues an earlier run.
@@ -23,24 +23,22 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 from advice_rules import RULES, model_of
 from tables import cell, record_option, write_record
 
 from assist.learning.advice_fit import (
     COMPARED,
     base_of,
-    base_rates,
-    compare_advice,
     fit_model,
+    fit_to,
     fold_of,
-    held_out,
     local_maximum,
 )
 from assist.learning.advice_log import AdviceLog, read_advice
 from assist.learning.advice_model import BASES
 from assist.learning.advice_rules import Rule
-from assist.learning.trust_scores import ratio
+from assist.learning.comparison import compared, ratio
+from assist.learning.rule_comparison import compare_rules
 from planner.system.files import atomic
 
 VARIABLE = "KITASSIST_ADVICE"
@@ -103,7 +101,7 @@ def near_reference(folder: Path, log: AdviceLog, data: str, base: str, rule: str
         math.exp(number) if name in positive else 1 / (1 + math.exp(-number)) if name in unit else number
         for name, number in ((name, read.get(name, -math.inf)) for name in own.parameters)
     ]
-    fold, total, behind = fold_of(log.person), 0.0, 0.0
+    fold, total, behind = fold_of(log.people), 0.0, 0.0
     for each in range(8):
         training, left_out = log.of(fold != each), log.of(fold == each)
         near, own = local_maximum(model_of(base, own.rule, tuple(values)), training), fit_model(own, training)
@@ -125,14 +123,17 @@ def fitted(folder: Path, known: dict[str, AdviceLog], allowed: float, keep: Path
                 continue
             log, cell_of = known[row["data"]], "|".join(row[name] for name in ("data", "base", "rule"))
             if cell_of not in done:
-                if row["rule"] == "base rate (agree, disagree)":
-                    found = base_rates(log)
-                elif row["rule"] in RULES:
-                    found = held_out(log, model_of(row["base"], RULES[row["rule"]]))
+                rule = row["rule"]
+                if rule == "base rate (agree, disagree)":
+                    start = None
+                elif rule in RULES:
+                    start = model_of(row["base"], RULES[rule])
                 else:
                     click.echo(f"{row['data']:10} {row['base']:2} {row['rule']:60} not here")
                     continue
-                done[cell_of] = -float(found.mean())
+                fits = {rule: partial(fit_to, log, start)}
+                found = compared(fits, log.people, log.counts, rule, fold=fold_of(log.people), level=0.95)
+                done[cell_of] = found.scores[0].nats_per_choice
                 if keep is not None:
                     with atomic(keep) as unfinished:
                         unfinished.write_text(json.dumps(done, indent=1), encoding="utf-8")
@@ -148,14 +149,14 @@ def fitted(folder: Path, known: dict[str, AdviceLog], allowed: float, keep: Path
     return largest
 
 
-def compared(known: dict[str, AdviceLog]) -> Iterator[dict[str, Any]]:
+def rows_of(known: dict[str, AdviceLog]) -> Iterator[dict[str, Any]]:
     """Yield a row for each data set and rule."""
     for name, log in known.items():
-        found = compare_advice(log)
+        found = compare_rules(log)
         for score in found.scores:
             low, high = score.interval or (0.0, 0.0)
             yield {
-                "data": name, "people": found.people, "rule": score.rule, "nats": score.nats_per_choice,
+                "data": name, "people": len(found.people), "rule": score.model, "nats": score.nats_per_choice,
                 "se": score.stderr, "difference": score.difference or 0.0,
                 "interval": "-" if score.interval is None else f"{low:+.4f} to {high:+.4f}",
                 "p": "-" if score.p is None else f"{score.p:.2g}",
@@ -166,8 +167,7 @@ def compared(known: dict[str, AdviceLog]) -> Iterator[dict[str, Any]]:
 def elsewhere(known: dict[str, AdviceLog], others: dict[str, AdviceLog], rules: tuple[Rule, ...]) -> None:
     """Print how well rules fitted to the known people predict others."""
     for name, log in others.items():
-        base, begins = base_of(log), np.flatnonzero(log.first)
-        counts = np.diff(np.append(begins, len(log))).astype(float)
+        base, counts = base_of(log), log.counts
         constant = -fit_model(model_of(base, RULES["none"]), known[name]).log_likelihoods(log)
         for rule in rules:
             found = -fit_model(model_of(base, rule), known[name]).log_likelihoods(log)
@@ -213,7 +213,7 @@ def main(
         elsewhere(known, logs(others), tuple(rule for rule in COMPARED.values() if rule))
         return
     rows = []
-    for row in compared(known):
+    for row in rows_of(known):
         rows.append(row)
         click.echo("  ".join(show(row) for show in SHOWN.values()))
     write_record(record, SHOWN, rows)

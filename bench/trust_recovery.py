@@ -6,7 +6,7 @@
 logit(theta_0) has mean 0.7 and standard deviation 1.4 over people; log(beta) has mean 0 and standard deviation 0.5.
 Half of the actions have a suggestion, and half of the suggestions are optimal choices, the others random ones. People
 know the cost-to-go, and theta is carried from episode to episode. `coverage` counts how many 95 % intervals hold the
-true value. `choice` counts how often `fit --compare-trust` names the true rule.
+true value. `choice` counts how often `compare rules` names the true rule.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from simulated_people import People, observed, record_with_trust
 from tables import cell, record_option, write_record
 
 from assist.learning import Observations
-from assist.learning.trust_comparison import compare_trust
+from assist.learning.rule_comparison import compare_rules
 from assist.learning.trust_fit import fit_influence
 from assist.people.trust_rules import (
     LEAST,
@@ -156,9 +156,9 @@ def choice(
         rng = np.random.default_rng(sum(name.encode()))
         chosen, differences = [], []
         for _ in range(populations):
-            compared = compare_trust(drawn(answers, rule, people, suggestions, rng)[2], folds=folds)
-            chosen.append(compared.best.rule)
-            differences += [row.difference or 0.0 for row in compared.scores if row.rule == kind]
+            compared = compare_rules(drawn(answers, rule, people, suggestions, rng)[2], folds=folds)
+            chosen.append(compared.best.model)
+            differences += [row.difference or 0.0 for row in compared.scores if row.model == kind]
         counts = {one: chosen.count(one) for one in sorted(set(chosen))}
         rows.append({
             "rule": name, "populations": populations, "difference": float(np.mean(differences)),

@@ -24,20 +24,19 @@ from simulated_people import People, observed, record, record_with_terms, record
 from assist.learning import (  # noqa: E402
     Log,
     Method,
-    compare,
+    compare_models,
+    compare_rules,
     fit,
     fit_influence,
     fit_population,
-    fit_with_goals,
     infer_goals,
     maximum_likelihood,
     read_advice,
 )
-from assist.learning.advice_fit import COMPARED, base_of, compare_advice, fit_advice, held_out  # noqa: E402
+from assist.learning.advice_fit import COMPARED, base_of, fit_advice, fit_model, fold_of  # noqa: E402
 from assist.learning.advice_model import AdviceModel  # noqa: E402
 from assist.learning.advice_rules import RULES  # noqa: E402
 from assist.learning.hierarchy import fit_terms  # noqa: E402
-from assist.learning.trust_comparison import compare_trust  # noqa: E402
 from assist.people.choices import Choices  # noqa: E402
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement  # noqa: E402
 from planner import Table, cost_to_go, load  # noqa: E402
@@ -63,15 +62,31 @@ def population(found: Any) -> list[Any]:
 
 def comparison(found: Any) -> list[Any]:
     return [
-        [s.rule, s.nats_per_choice, s.stderr, s.difference, s.interval, s.p, s.p_corrected, list(s.parameters.values())]
+        [
+            s.model,
+            s.nats_per_choice,
+            s.stderr,
+            s.difference,
+            s.interval,
+            s.p,
+            s.p_corrected,
+            list(s.parameters.values()),
+        ]
         for s in found.scores
     ]
 
 
 def models(found: Any) -> list[Any]:
     return [
-        [m.model, m.nats_per_choice, m.stderr, m.beta, list(m.weights.values()), m.of_people.tolist()]
-        for m in found.models
+        [
+            m.model,
+            m.nats_per_choice,
+            m.stderr,
+            m.parameters["beta"],
+            [value for name, value in m.parameters.items() if name not in ("beta", "theta", "eta")],
+            m.of_people.tolist(),
+        ]
+        for m in found.scores
     ]
 
 
@@ -114,13 +129,13 @@ def of_acting(table: Table, count: int) -> Iterator[tuple[str, Callable[[], Any]
         ]
 
     yield "checked", full
-    yield "own model", lambda: estimates(r.fit for r in fit(table, Log.of(rows), chooses=short_sighted).values())
+    yield "own model", lambda: estimates(r.fit for r in fit(table, Log.of(rows), model=short_sighted).values())
 
     mistaken_people = People(np.array([2.0, 1.0]), np.array([0.5, 0.5]), noise=rng.standard_normal((2, len(table))))
     noisy = record(table, mistaken_people, episodes=8, rng=rng, most=300)
 
     def mistaken() -> Any:
-        found = fit(table, Log.of(noisy), misconceptions=True)
+        found = fit(table, Log.of(noisy), model="misconceptions")
         return [[m.sigma, *m.interval, m.beta, m.log_likelihood, m.without, m.perceived.tolist()]
                 for m in (r.misconception for r in found.values()) if m is not None]  # fmt: skip
 
@@ -130,7 +145,7 @@ def of_acting(table: Table, count: int) -> Iterator[tuple[str, Callable[[], Any]
     from assist.people import TERMS
 
     yield "terms", lambda: estimates(fit_terms(observed(table, told, TERMS), Method())[0])
-    yield "models", lambda: models(compare(table, Log.of(told), folds=3))
+    yield "models", lambda: models(compare_models(observed(table, told, TERMS), folds=3))
 
 
 def of_goals(count: int) -> Iterator[tuple[str, Callable[[], Any]]]:
@@ -145,7 +160,7 @@ def of_goals(count: int) -> Iterator[tuple[str, Callable[[], Any]]]:
     log = Log.of(rows)
 
     def fitted() -> Any:
-        found = fit_with_goals(goals.tables, log, prior=PRIOR, method=Method(eta=0.2))
+        found = fit(goals.tables, log, Method(eta=0.2), prior=PRIOR)
         return [
             estimates(r.fit for r in found.values()),
             [list(r.fit.goal_posteriors().values()) for r in found.values()],
@@ -171,15 +186,21 @@ def of_rules(table: Table, count: int, suggestions: int, kinds: tuple[str, ...])
     own = outcome_at_disagreement(0.1, 0.3, 0.4)
     yield "influence, own rule, by episode", lambda: influences(fit_influence(seen, own, carry=False))
     yield "influence, constant, by episode", lambda: influences(fit_influence(seen, constant(), carry=False))
-    yield "rules", lambda: comparison(compare_trust(seen, folds=2))
+    yield "rules", lambda: comparison(compare_rules(seen, folds=2))
 
 
 def of_advice(log: Any, folds: int, rules: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield figures of judgements with advice."""
     for name in ("constant", "paper", "outcome", "outcome-at-disagreement", "reliability"):
         yield name, lambda name=name: fit_advice(log, name)
-    yield "compared", lambda: comparison(compare_advice(log, rules=rules, folds=folds))
-    yield "answers", lambda: held_out(log, AdviceModel.of(base_of(log), RULES["constant"]), folds).tolist()[:50]
+    yield "compared", lambda: comparison(compare_rules(log, rules=rules, folds=folds))
+
+    def answers() -> Any:
+        first = fold_of(log.people, folds) == 0
+        model = fit_model(AdviceModel.of(base_of(log), RULES["constant"]), log.of(~first))
+        return model.predictions(log.of(first)).tolist()[:50]
+
+    yield "answers", answers
 
 
 def figures(large: bool) -> Iterator[tuple[str, Callable[[], Any]]]:

@@ -16,19 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import simulated
 
-from assist.learning.advice_fit import (
-    base_rates,
-    compare_advice,
-    fit_advice,
-    fit_model,
-    fold_of,
-    held_out,
-    local_maximum,
-)
+from assist.learning.advice_fit import fit_advice, fit_model, fold_of, local_maximum
 from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
 from assist.learning.advice_rules import DEFAULT_STEPS, RULES, Rule
-from assist.learning.trust_scores import ratio
+from assist.learning.likelihood import Method
+from assist.learning.rule_comparison import compare_rules
 from assist.people.trust_rules import LEAST, Event, LogitSteps
 from planner.system.errors import InputFileError
 
@@ -137,28 +130,25 @@ def on_a_fine_grid(model: AdviceModel, log: AdviceLog) -> float:
     return total
 
 
-def test_base_rates_are_those_of_the_people_of_other_folds() -> None:
-    log = simulated(8, 10, 0)
-    found, fold = base_rates(log, folds=2), fold_of(log.person, 2)
-    for agrees in (False, True):
-        inside, others = ((fold == each) & (log.agrees == agrees) for each in (0, 1))
-        rate = (log.follows[others].sum() + 0.5) / (others.sum() + 1)
-        assert np.exp(found[inside]) == pytest.approx(np.where(log.follows[inside], rate, 1 - rate))
-    never = AdviceLog(**vars(log) | {"follows": np.zeros(len(log), dtype=bool)})
-    assert np.isfinite(base_rates(never)).all()
-
-
 def test_rules_are_compared_with_base_rates_and_fixed_steps() -> None:
+    """Base rates are those of the people of other folds."""
     log = simulated(24, 12, 0)
     rules = {"constant": RULES["constant"], "rates": None, "fixed": DEFAULT_STEPS}
-    found = {score.rule: score for score in compare_advice(log, rules=rules, folds=2).scores}
-    logs = held_out(log, CONSTANT, 2).sum(), base_rates(log, 2).sum()
-    assert [found[name].nats_per_choice * len(log) for name in ("constant", "rates")] == pytest.approx(
-        [-one for one in logs]
-    )
-    assert found["rates"].difference == pytest.approx((logs[0] - logs[1]) / len(log))
+    found = compare_rules(log, rules=rules, folds=2)
+    fold, total, constant = fold_of(log.people, 2), 0.0, 0.0
+    for each in (0, 1):
+        others, inside = log.of(fold != each), log.of(fold == each)
+        for agrees in (False, True):
+            rate = (others.follows[others.agrees == agrees].sum() + 0.5) / ((others.agrees == agrees).sum() + 1)
+            total -= np.log(np.where(inside.follows, rate, 1 - rate))[inside.agrees == agrees].sum()
+        constant -= fit_model(CONSTANT, others).predictions(inside).sum()
+    assert found["rates"].nats_per_choice * len(log) == pytest.approx(total)
+    assert found["constant"].nats_per_choice * len(log) == pytest.approx(constant, abs=0.01)
+    assert found["rates"].difference == pytest.approx((total - constant) / len(log), abs=1e-4)
     assert set(found["rates"].parameters) == {"agreement", "disagreement"}
     assert found["fixed"].parameters.keys() == found["constant"].parameters.keys()
+    never = AdviceLog(**vars(log) | {"follows": np.zeros(len(log), dtype=bool)})
+    assert np.isfinite(compare_rules(never, rules=rules).scores[1].nats_per_choice)
 
 
 def test_a_fit_without_a_finite_likelihood_is_an_error() -> None:
@@ -218,18 +208,15 @@ def test_a_fit_of_clipped_steps_is_the_best_of_local_maxima() -> None:
 
 def test_the_right_rule_predicts_people_better_whom_it_has_not_seen() -> None:
     log = simulated(40, 25, 2, steps=0.8)
-    rules = RULES["constant"], COMPARED_BEFORE["L outcome at disagreement gain/loss"]
-    constant, moving = (held_out(log, AdviceModel.of("E", rule), folds=2) for rule in rules)
-    begins = np.flatnonzero(log.first)
-    difference, error = ratio(np.add.reduceat(moving - constant, begins), np.diff(np.append(begins, len(log))) * 1.0)
-    assert difference > 3 * error > 0
+    rules = {"constant": RULES["constant"], "moving": COMPARED_BEFORE["L outcome at disagreement gain/loss"]}
+    found = compare_rules(log, Method(level=0.997), rules=rules, folds=2)["moving"]
+    assert found.interval is not None
+    assert found.interval[1] < 0
 
 
-def test_folds_are_of_people() -> None:
-    log = simulated(20, 3, 0)
-    fold = fold_of(log.person)
-    assert all(len(set(fold[log.person == name].tolist())) == 1 for name in np.unique(log.person))
-    assert set(fold.tolist()) == set(range(8))
+def test_folds_go_by_the_numbers_in_names() -> None:
+    assert fold_of([f"p{k:03}" for k in range(20)]).tolist() == [k % 8 for k in range(20)]
+    assert fold_of(["ann", "bob", "cyd"], 2).tolist() == [0, 1, 0]
 
 
 def write(file: Path, *rows: dict[str, object], columns: tuple[str, ...] = COLUMNS) -> Path:

@@ -16,7 +16,7 @@ from assist import Assistant, Pool, fit, simulate
 from assist.certify import certify, upper_bound
 from assist.drawing import draw
 from assist.large_tasks.person_problem import PersonProblem
-from assist.learning import Log, compare, fit_with_goals, infer_goals, read_log
+from assist.learning import Log, compare_models, infer_goals, observed, read_log
 from planner import OnDemand, astar, cost_to_go, load, sweep, sweep_goals
 
 pytestmark = pytest.mark.cases
@@ -42,12 +42,13 @@ OF_A_TASK: dict[str, Callable[[Any], Any]] = {
     "Assistant": lambda task: Assistant(task, ["ann"]).recommend(),
     "Assistant by name": lambda task: Assistant(people={"ann": task}).recommend(),
     "fit": lambda task: round(fit(task, LOG)["ann"].beta or 0.0, 9),
-    "compare": lambda task: compare(task, LOG).models[0].nats_per_choice,
+    "compare_models": lambda task: compare_models(observed(task, LOG)).scores[0].nats_per_choice,
     "infer_goals": lambda task: len(infer_goals({"kit": task}, LOG).episodes),
-    "fit_with_goals": lambda task: round(fit_with_goals({"kit": task}, LOG)["ann"].beta or 0.0, 9),
+    "fit with goals": lambda task: round(fit({"kit": task}, LOG)["ann"].beta or 0.0, 9),
     "PersonProblem.of": lambda task: len(PersonProblem.of(task).states),
     "draw": lambda task: draw(task).svg,
 }
+GOALS = ("fit", "compare_models")  # which take a task for each goal's name, too
 SEARCHED = ("Assistant", "Assistant by name", "Pool.sample", "PersonProblem.of")  # a truncated task is another problem
 
 
@@ -58,9 +59,8 @@ def test_a_task_may_be_given_in_any_form(function: str) -> None:
     found = {name: call(make()) for name, make in TASKS.items() if name != "on demand" or function not in SEARCHED}
     assert {name: value == found["table"] for name, value in found.items()} == dict.fromkeys(found, True)
     for wrong in (5, {"kitting": 1}, ["kitting/tiny"], load):
-        with pytest.raises(
-            TypeError, match=rf"^a {type(wrong).__name__} where a task was expected: its name, "
-        ) as error:
+        kind = "int" if function in GOALS and isinstance(wrong, dict) else type(wrong).__name__
+        with pytest.raises(TypeError, match=rf"^a {kind} where a task was expected: its name, ") as error:
             call(wrong)
         assert "\n" not in str(error.value)
 
@@ -83,7 +83,7 @@ def test_a_log_may_be_given_in_any_form(tmp_path: Path, form: str) -> None:
     assert fit("kitting/tiny", LOGS[form](file))["bob"].actions == len(ACTIONS)
 
 
-@pytest.mark.parametrize("function", [fit, compare, lambda task, log: infer_goals({"kit": task}, log)])
+@pytest.mark.parametrize("function", [fit, observed, lambda task, log: infer_goals({"kit": task}, log)])
 def test_what_is_no_log_gets_one_sentence(function: Callable[..., Any]) -> None:
     for wrong in (5, None, {"person": ["ann"]}, b"log.csv"):
         with pytest.raises(
@@ -116,8 +116,8 @@ def test_one_action_to_drop_needs_no_list() -> None:
     assert fit("kitting/tiny", lines("wait", *ACTIONS), drop="wait")["ann"].actions == len(ACTIONS)
 
 
-@pytest.mark.parametrize("options", [{}, {"misconceptions": True}, {"terms": True}])
-def test_results_of_fit_are_kept_and_say_what_they_are(options: dict[str, bool]) -> None:
+@pytest.mark.parametrize("options", [{}, {"model": "misconceptions"}, {"model": "terms"}])
+def test_results_of_fit_are_kept_and_say_what_they_are(options: dict[str, Any]) -> None:
     with pytest.warns(UserWarning, match="is not applicable here"):
         people = fit("kitting/tiny", [*ROWS, *lines("(fetch box-b)", "(fetch box-b)", person="cy")], **options)
     again = pickle.loads(pickle.dumps(people))
@@ -132,10 +132,10 @@ def test_results_of_fit_are_kept_and_say_what_they_are(options: dict[str, bool])
 def test_other_results_are_kept_and_fit_on_a_line() -> None:
     pool = Pool.sample("kitting/tiny", 2, seed=1)
     episodes = simulate(pool, "reactive", humans=2, episodes=3, seed=1)
-    goals = fit_with_goals({"kit": "kitting/tiny"}, LOG)
+    goals = fit({"kit": "kitting/tiny"}, LOG)
     results = [
         pool, episodes, episodes[0], episodes.summary(), certify(pool, "none", episodes=2, window=0, gap=0.5)[0],
-        goals, goals.distribution(), goals.population(), compare("kitting/tiny", LOG),
+        goals, goals.distribution(), goals.population(), compare_models(observed("kitting/tiny", LOG)),
         infer_goals({"kit": "kitting/tiny"}, LOG), PersonProblem.of("kitting/tiny"), OnDemand(load("kitting/tiny")),
         cost_to_go("kitting/tiny"), load("kitting/tiny"), LOG,
     ]  # fmt: skip

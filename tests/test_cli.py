@@ -293,11 +293,24 @@ def test_every_shipped_instance_is_described() -> None:
             )
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+WITHIN = {"compare": ("models", "rules")}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        " ".join((name, *inner))
+        for name in COMMANDS
+        for inner in ([(one,) for one in WITHIN[name]] if name in WITHIN else [()])
+    ],
+)
 def test_the_help_shows_an_example_and_every_option_in_a_group(name: str) -> None:
-    text = invoke(name, "--help").output
+    text = invoke(*name.split(), "--help").output
     assert f"Example: kitassist {name}" in text
-    command = main.get_command(click.Context(main), name)
+    command: click.Command | None = main
+    for part in name.split():
+        assert isinstance(command, click.Group)
+        command = command.get_command(click.Context(command), part)
     assert command is not None
     options = [option for option in command.params if isinstance(option, click.Option)]
     grouped = {option for group in GROUPS.values() for option in group}

@@ -55,7 +55,7 @@ def plain() -> FittedPeople:
 
 def test_the_papers_model_as_ones_own_gives_the_papers_estimates(plain: FittedPeople) -> None:
     """Chances are interpolated between values of beta, which changes the third digit at most."""
-    own = fit(PAPER, Log.of(ROWS), chooses=same)
+    own = fit(PAPER, Log.of(ROWS), model=same)
     assert list(own) == list(plain)
     for person, record in own.items():
         expected = plain[person]
@@ -71,7 +71,7 @@ def test_the_papers_model_as_ones_own_gives_the_papers_estimates(plain: FittedPe
 def test_the_likelihood_is_the_models_own() -> None:
     """At the estimate, it is the sum of the model's log-probabilities, lapses included."""
     rows = walked(short_sighted, 1.5, 25)
-    found = fit(PAPER, Log.of(rows), chooses=short_sighted)["ann"]
+    found = fit(PAPER, Log.of(rows), model=short_sighted)["ann"]
     low, high = found.beta_interval
     assert low <= 1.5 <= high
     other = fit(PAPER, Log.of(rows))["ann"]
@@ -93,14 +93,14 @@ def test_trust_looks_at_the_models_own_value() -> None:
         def value(self, choices: Choices, q: np.ndarray) -> np.ndarray:
             return 2 * perceived_value(choices, q)
 
-    gains = [fit(PAPER, Log.of(ROWS), chooses=model)["p1"].fit.observations.gain for model in (same, Doubled())]
+    gains = [fit(PAPER, Log.of(ROWS), model=model)["p1"].fit.observations.gain for model in (same, Doubled())]
     np.testing.assert_allclose(gains[1], 2 * gains[0])
     assert np.any(gains[0] != 0)
 
 
 @pytest.mark.slow
 def test_people_like_them_choose_so_too(plain: FittedPeople) -> None:
-    found = fit(PAPER, Log.of(ROWS), chooses=short_sighted)
+    found = fit(PAPER, Log.of(ROWS), model=short_sighted)
     assert found.population().chooses is short_sighted
     assert plain.population().chooses is None
 
@@ -108,12 +108,9 @@ def test_people_like_them_choose_so_too(plain: FittedPeople) -> None:
 def test_what_cannot_be_fitted_is_refused() -> None:
     log = Log.of(ROWS)
     with pytest.raises(ValueError, match="expected a table of the whole task"):
-        fit(OnDemand(PAPER.task), Log.of(lines("(fetch box-a)")), chooses=same)
-    for more in ({"terms": True}, {"misconceptions": True}):
-        with pytest.raises(ValueError, match="a choice model, and misconceptions or terms: expected one of them"):
-            fit(PAPER, log, chooses=same, **more)
+        fit(OnDemand(PAPER.task), Log.of(lines("(fetch box-a)")), model=same)
     with pytest.raises(ChoiceModelError, match=r"gives an array of shape \(836, \d+\); expected \(8, 836, "):
-        fit(PAPER, log, chooses=lambda choices, q, beta: q)  # noqa: ARG005
+        fit(PAPER, log, model=lambda choices, q, beta: q)  # noqa: ARG005
 
 
 MINE = """
@@ -136,7 +133,7 @@ def test_fit_takes_a_function_of_the_users_own(tmp_path: Path) -> None:
     log, mine = write_log(tmp_path / "log.jsonl", ROWS), tmp_path / "mine.py"
     mine.write_text(MINE)
     found = invoke("fit", "kitting/paper", log, "--people", f"{mine}:mine", "--json", "--jobs", 1)
-    people = fit(PAPER, Log.of(ROWS), chooses=short_sighted)
+    people = fit(PAPER, Log.of(ROWS), model=short_sighted)
     assert found.exit_code == 0
     assert [one["beta"] for one in json.loads(found.stdout)] == [people[name].beta for name in people]
     for people_option, more, code, message in (

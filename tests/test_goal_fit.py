@@ -13,7 +13,7 @@ from conftest import ROOT, invoke
 from simulated_people import People, record
 from test_unknown_goals import PRIOR, three_goals
 
-from assist.learning import FittedPeople, Log, Method, fit, fit_with_goals, infer_goals, log_likelihood, mixture
+from assist.learning import FittedPeople, Log, Method, fit, infer_goals, log_likelihood, mixture
 from assist.people import Goals
 from assist.people.decision import choice, influence, lapse
 from planner import Table
@@ -36,7 +36,7 @@ def recorded() -> tuple[Goals, Log]:
 @cache
 def fitted() -> FittedPeople:
     goals, log = recorded()
-    return fit_with_goals(goals.tables, log, prior=PRIOR, method=METHOD)
+    return fit(goals.tables, log, METHOD, prior=PRIOR)
 
 
 def by_definition(goals: dict[str, Table], rows: list[dict[str, Any]], beta: float, theta: float, eta: float) -> float:
@@ -97,7 +97,7 @@ def test_the_posterior_over_goals_is_that_of_infer_goals() -> None:
     plain = Log.of(
         [vars(entry) | {"suggestion": None} for entry in log.entries if entry.person in {"person-3", "person-4"}]
     )
-    found = fit_with_goals(goals.tables, plain, prior=PRIOR)["person-3"]
+    found = fit(goals.tables, plain, prior=PRIOR)["person-3"]
     beta = [found.fit.beta.value]
     inferred = infer_goals(goals.tables, plain, prior=PRIOR, beta=beta)
     known = {one.episode: one.posterior[-1] for one in inferred.episodes if one.person == "person-3"}
@@ -106,7 +106,7 @@ def test_the_posterior_over_goals_is_that_of_infer_goals() -> None:
     for episode, shares in shown.items():
         np.testing.assert_allclose(list(shares.values()), known[episode], atol=1e-12)
     only = Log.of([vars(entry) for entry in log.entries if entry.episode.startswith("a-")])
-    certain = fit_with_goals({"a": goals.tables["a"]}, only, method=METHOD)["person-2"]
+    certain = fit({"a": goals.tables["a"]}, only, METHOD)["person-2"]
     one = fit(goals.tables["a"], only, method=METHOD)["person-2"]
     assert certain.fit.log_likelihood == pytest.approx(one.fit.log_likelihood)
     assert certain.beta == pytest.approx(one.beta, rel=1e-3)

@@ -495,7 +495,7 @@ def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
     assert "made no mistake: beta is at least" in bob["notes"][0]
     strict = CliRunner().invoke(main, [*command, "--strict"])
     assert (strict.exit_code, strict.stdout) == (1, "")
-    assert strict.stderr.splitlines()[-1] == f"{file}: nothing is fitted, because of --strict"
+    assert strict.stderr.splitlines()[-1] == f"{file}: nothing is estimated, because of --strict"
 
 
 @pytest.mark.parametrize(

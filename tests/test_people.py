@@ -12,9 +12,9 @@ from conftest import KITTING, kit
 from recorded import FETCH, WRONG, lines, people_at_work, write_log
 
 from assist.cli import main
-from assist.learning.fit import FittedPeople, LogError, fit
+from assist.learning.fit import FittedPeople, fit
 from assist.learning.likelihood import Method
-from assist.learning.log import Log, read_log
+from assist.learning.log import Log, LogError, read_log
 from assist.people.choices import Choices
 from planner import OnDemand, Table
 
@@ -75,7 +75,7 @@ def test_what_cannot_be_used_is_not_passed_over(tiny: Table) -> None:
 
 def test_misconceptions_of_several_people(tiny: Table, rows: list[dict]) -> None:
     told: list[tuple[str, int, int | None]] = []
-    people: FittedPeople = fit(tiny, Log.of(rows), misconceptions=True, progress=lambda *what: told.append(what))
+    people: FittedPeople = fit(tiny, Log.of(rows), model="misconceptions", progress=lambda *what: told.append(what))
     assert told == [("evaluating states", 0, None), *(("fitting people", done, 3) for done in range(4))]
     found = [record.misconception for record in people.values()]
     low, high = people.sigma

@@ -22,7 +22,7 @@ from recorded import people_at_work
 from assist import Pool, fit, simulate
 from assist.certify import certify, upper_bound
 from assist.cli.output.solve_progress import solving
-from assist.learning import Log, compare
+from assist.learning import Log
 from assist.people.choices import Choices
 from assist.person import qmdp, solve
 from assist.study.runner import run_study
@@ -183,7 +183,6 @@ LONG: dict[str, tuple[str, Callable[..., object]]] = {
         "fitting the population",
         lambda told, people, **_: people.distribution(family="histogram", **told),
     ),
-    "compare": ("comparing models", lambda told, table, log, **_: compare(table, log, folds=2, **told)),
     "run_study": ("episodes", lambda told, study, results, **_: run_study(study, results, resume=True, **told)),
 }
 """Functions that may take minutes: a stage that each shows, and how it is called."""
@@ -202,7 +201,7 @@ def things(tiny: Table) -> dict[str, Any]:
     }  # fmt: skip
 
 
-LONGEST = {"compare", "run_study"}
+LONGEST = {"run_study"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONGEST)) for name in LONG])

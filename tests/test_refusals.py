@@ -23,9 +23,9 @@ from assist.drawing.picture import Artist
 from assist.interop.gymnasium import TeamEnv, TeamVectorEnv
 from assist.interop.pettingzoo import parallel_env
 from assist.interop.teams import Teams
-from assist.learning import comparison, logit_likelihood, population
-from assist.learning.fit import LogError, fit
-from assist.learning.log import Log
+from assist.learning import comparison, logit_likelihood, population, replayed
+from assist.learning.fit import fit
+from assist.learning.log import Log, LogError
 from assist.learning.maximum_likelihood import Method
 from assist.live.advice import Advice
 from assist.live.assistant import Assistant
@@ -110,7 +110,7 @@ ACTIONS: list[dict[str, Any]] = [
 ]
 
 
-def learned(table: Table, rows: list[dict[str, Any]], **options: Any) -> Any:
+def learned(table: Any, rows: list[dict[str, Any]], **options: Any) -> Any:
     return fit(table, log_of(rows), **options)
 
 
@@ -226,7 +226,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda _: population.fit_population([]),
         ValueError, "a population needs people; there are",
     ),
-    "one fold": (lambda _: comparison.compare_observed([], folds=1), ValueError, "folds 1: expected 2 or more"),
+    "one fold": (lambda _: comparison.folds_of(3, 1), ValueError, "folds 1: expected 2 or more"),
     "nothing done": (
         lambda _: Matcher(["(go)"]).slot((), np.array([0])),
         UnmatchedError, "an empty action; nearest of",
@@ -235,19 +235,23 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda _: Matcher(["(go)"]).slot(("go",), np.array([], dtype=np.int32)),
         UnmatchedError, "(go) is not applicable; a person can only wait here, (wait)",
     ),
-    "misconceptions and terms": (
-        lambda g: learned(g.table, ACTIONS, misconceptions=True, terms=True),
-        ValueError, "misconceptions and terms: expected one of them",
+    "terms and goals": (
+        lambda g: learned({"kit": g.table}, ACTIONS, model="terms"),
+        ValueError, "several goals, and misconceptions, terms or a choice model: expected one of them",
+    ),
+    "a replayed log and a log": (
+        lambda g: fit(replayed(g.table, log_of(ACTIONS)), log_of(ACTIONS)),
+        TypeError, "a replayed log, and a log or options of reading one: expected one of them",
     ),
     "another family": (
-        lambda g: learned(g.table, ACTIONS, terms=True).distribution(family="uniform"),
+        lambda g: learned(g.table, ACTIONS, model="terms").distribution(family="uniform"),
         ValueError, "family 'uniform': expected log-normal, which beta is taken to be where terms are",
     ),
     "no episode": (
         lambda g: fit(g.table, Log((), people=frozenset({"ann"}))), LogError, "no episode can be used",
     ),
     "no model of that name": (
-        lambda _: comparison.Comparison((), np.zeros(0, dtype=np.int64), ())["goals"], KeyError, "goals",
+        lambda _: comparison.Comparison((), np.zeros(0, dtype=np.int64), 0.95, ())["goals"], KeyError, "goals",
     ),
     "vectors in disorder": (
         lambda g: VectorPolicy(

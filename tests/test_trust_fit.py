@@ -16,16 +16,16 @@ from recorded import write_log
 
 from assist.learning import Method, Observations
 from assist.learning.advice_log import COLUMNS
-from assist.learning.fit import LogError
+from assist.learning.comparison import Comparison, holm, ratio
 from assist.learning.influence_population import InfluencePopulation
+from assist.learning.log import LogError
 from assist.learning.population import trust_of
 from assist.learning.posterior_sample import PosteriorSample, posterior_covariance
+from assist.learning.rule_comparison import compare_rules
 from assist.learning.rule_families import RuleFamily, families
 from assist.learning.rule_search import RuleSearch
-from assist.learning.trust_comparison import compare_trust
 from assist.learning.trust_fit import _interval, fit_influence
 from assist.learning.trust_log import TrustLog
-from assist.learning.trust_scores import TrustComparison, holm, ratio
 from assist.people.choices import Choices
 from assist.people.trust_rules import (
     LEAST,
@@ -210,31 +210,31 @@ def test_one_episode_is_the_same_carried_or_not() -> None:
 def test_the_right_rule_is_chosen() -> None:
     rules = {name: families(Method())[name] for name in ("constant", "paper", "outcome")}
     for name, rule, seed in (("outcome", outcome(0.6, 0.9), 7), ("constant", constant(), 8)):
-        compared = compare_trust(seen(recorded(rule, 24, 30, seed)), Method(), rules=rules, folds=2)
-        assert compared.best.rule == name
+        compared = compare_rules(seen(recorded(rule, 24, 30, seed)), Method(), rules=rules, folds=2)
+        assert compared.best.model == name
 
 
 def test_held_out_people_are_predicted_from_the_others() -> None:
     observations = seen(recorded(constant(), 6, 10, 9))
     rules = {"constant": RuleFamily.of(constant()), "own": RuleFamily.of(Doubling())}
-    compared = compare_trust(observations, Method(), rules=rules, folds=3)
+    compared = compare_rules(observations, Method(), rules=rules, folds=3)
     log, total = TrustLog.of(observations, Method()), 0.0
     logs = log.log_likelihood(constant())
     for fold in range(3):
         inside = np.arange(6) % 3 == fold
         population, _ = InfluencePopulation.fit(log, logs[~inside])
         total -= population.marginal(log, logs[inside]).sum()
-    assert compared.scores[0].nats_per_choice * compared.choices == pytest.approx(total, rel=1e-5)
+    assert compared.scores[0].nats_per_choice * compared.choices.sum() == pytest.approx(total, rel=1e-5)
 
 
 def test_what_cannot_be_compared_is_refused() -> None:
     observations = seen(recorded(constant(), 2, 5, 0))
     with pytest.raises(LogError, match="one person"):
-        compare_trust(observations[:1])
+        compare_rules(observations[:1])
     with pytest.raises(ValueError, match="folds 1: expected 2 or more"):
-        compare_trust(observations, folds=1)
+        compare_rules(observations, folds=1)
     with pytest.raises(ValueError, match="expected 'constant' among them"):
-        compare_trust(observations, rules={"own": RuleFamily.of(Doubling())})
+        compare_rules(observations, rules={"own": RuleFamily.of(Doubling())})
     with pytest.raises(ValueError, match="trust 'vanity': expected one of constant, paper"):
         fit_influence(observations, "vanity")
 
@@ -294,16 +294,17 @@ def test_scores_are_paired_and_corrected() -> None:
     mean, error = ratio(np.array([2.0, 4.0, 9.0]), np.array([1.0, 2.0, 3.0]))
     assert (mean, error) == (2.5, pytest.approx(np.sqrt((0.25 + 1 + 2.25) * 3 / 2) / 6))
     rng = np.random.default_rng(0)
-    counts, reference = np.full(50, 20.0), rng.normal(-12, 2, 50)
+    counts, reference, people = np.full(50, 20), rng.normal(-12, 2, 50), [f"p{k}" for k in range(50)]
     logs = {"better": reference + rng.normal(0.5, 0.5, 50), "constant": reference, "alike": reference + 1e-9}
-    compared = TrustComparison.of(logs, counts, {name: {} for name in logs})
-    better = next(row for row in compared.scores if row.rule == "better")
-    assert (compared.scores[0].rule, compared.best) == ("constant", better)
+    compared = Comparison.of(people, counts, logs, {name: {} for name in logs}, "constant")
+    better = compared["better"]
+    assert (compared.scores[0].model, compared.best) == ("constant", better)
+    assert better.better_for == (logs["better"] > reference).sum()
     assert better.difference == pytest.approx(-0.025, abs=0.01)
     assert better.interval is not None
     assert better.interval[0] < better.difference < better.interval[1] < 0
-    alike = TrustComparison.of(
-        {name: logs[name] for name in ("constant", "alike")}, counts, {name: {} for name in logs}
+    alike = Comparison.of(
+        people, counts, {name: logs[name] for name in ("constant", "alike")}, {name: {} for name in logs}, "constant"
     )
     assert alike.as_dict()["best"] == "constant"
 
@@ -333,13 +334,14 @@ def test_influence_is_fitted_by_command(log_file: Path, tmp_path: Path) -> None:
 
 def test_rules_are_compared_by_command(tmp_path: Path) -> None:
     few = write_log(tmp_path / "few.jsonl", recorded(outcome(0.5, 0.8), 4, 6, 0))
-    arguments = ("fit", KITTING / "tiny.pddl", few, "--compare-trust", "--folds", 2)
-    done = invoke(*arguments, "--out", tmp_path / "rules.jsonl")
+    arguments = ("compare", "rules", KITTING / "tiny.pddl", few, "--folds", 2)
+    done = invoke(*arguments, "--out", tmp_path / "people.jsonl")
     assert done.exit_code == 0, done.output
     assert "4 people" in done.stdout
-    rows = [json.loads(line) for line in (tmp_path / "rules.jsonl").read_text().splitlines()]
-    assert [row["rule"] for row in rows] == list(families(Method()))
-    assert json.loads(invoke(*arguments, "--json").stdout)["rules"] == rows
+    rows = [json.loads(line) for line in (tmp_path / "people.jsonl").read_text().splitlines()]
+    assert list(rows[0]["nats_per_choice"]) == list(families(Method()))
+    document = json.loads(invoke(*arguments, "--json").stdout)
+    assert (document["people"], [row["model"] for row in document["models"]]) == (rows, list(families(Method())))
 
 
 @pytest.mark.parametrize("rule", ["outcome", "paper", "constant"])
@@ -431,9 +433,9 @@ def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert "12 people, 120 choices" in done.stdout
     assert json.loads((tmp_path / "one.jsonl").read_text())["rule"] == "constant"
-    compared = json.loads(invoke("fit", "--advice", judgements, "--compare-trust", "--folds", 2, "--json").stdout)
-    assert (compared["people"], compared["choices"]) == (12, 120)
-    parameters = {row["rule"]: set(row["parameters"]) for row in compared["rules"]}
+    compared = json.loads(invoke("compare", "rules", "--advice", judgements, "--folds", 2, "--json").stdout)
+    assert (len(compared["people"]), compared["choices"]) == (12, 120)
+    parameters = {row["model"]: set(row["parameters"]) for row in compared["models"]}
     assert parameters["outcome"] - parameters["constant"] == {"g", "l"}
     assert parameters["base rates"] == {"agreement", "disagreement"}
     assert parameters["paper, eta 0.2"] == parameters["constant"]
@@ -461,15 +463,15 @@ def test_a_line_of_advice_that_is_wrong_is_named(judgements: Path) -> None:
     assert done.exit_code == 1
     assert f"{judgements}:4: trial 'two'; expected a number" in done.stderr
     judgements.write_text("\n".join(rows[:5]))
-    one = invoke("fit", "--advice", judgements, "--compare-trust")
+    one = invoke("compare", "rules", "--advice", judgements)
     assert (one.exit_code, "one person; a comparison needs two or more" in one.stderr) == (1, True)
 
 
 def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
     rows = [row | {"suggestion": None} for row in recorded(constant(), 2, 4, 0)]
     file = write_log(tmp_path / "log.jsonl", rows)
-    for option in (("--trust", "constant"), ("--compare-trust",)):
-        done = invoke("fit", KITTING / "tiny.pddl", file, *option)
+    for command in (("fit", "--trust", "constant"), ("compare", "rules")):
+        done = invoke(*command, KITTING / "tiny.pddl", file)
         assert done.exit_code == 1
         assert f"{file}: no suggestion in the log" in done.stderr
         assert len(done.stderr.strip().splitlines()) == 1
@@ -478,10 +480,9 @@ def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--trust", "constant", "--compare-trust"), "--trust and --compare-trust: expected one of them"),
         (("--trust", "constant", "--terms"), "--terms and --trust: expected one of them"),
         (("--trust", "constant", "--family", "uniform"), "--family and --trust: expected one of them"),
-        (("--theta-per-episode",), "--theta-per-episode: expected --trust or --compare-trust as well"),
+        (("--theta-per-episode",), "--theta-per-episode: expected --trust as well"),
         (("--confidence", "one"), "--confidence: expected --advice as well"),
         (("--rows", "a=b"), "--rows: expected --advice as well"),
         (("--advice", "LOG", "--trust", "paper", "--rows", "a"), "--rows a: expected COLUMN=VALUE, such as"),
@@ -489,21 +490,17 @@ def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
             ("--advice", "LOG", "--trust", "paper", "--rows", "a=1", "--rows", "a=2"),
             "--rows: column a is there twice; expected one value for it",
         ),
-        (("--advice", "LOG"), "--advice: expected --trust or --compare-trust as well"),
+        (("--advice", "LOG"), "--advice: expected --trust as well"),
         (("--advice", "LOG", "--trust", "paper"), "INSTANCE has no effect with --advice"),
-        (("--folds", "3"), "--folds has no effect without --compare or --compare-trust"),
-        (("--trust", "paper", "--folds", "3"), "--folds has no effect without --compare or --compare-trust"),
-        (("--compare", "--level", "0.9"), "--level has no effect with --compare"),
-        (("--compare", "--seed", "1"), "--seed has no effect with --compare"),
+        (("--folds", "3"), "No such option '--folds'; compare has it"),
         (("--trust", "constant", "--seed", "1"), "--seed has no effect with --trust"),
-        (("--compare-trust", "--seed", "1"), "--seed has no effect with --compare-trust"),
         (("--trust", "constant", "--eta", "0.1"), "--eta has no effect with --trust constant"),
         (("--trust", "outcome", "--utility-scale", "2"), "--utility-scale has no effect with --trust outcome"),
         (("--goals", str(KITTING / "tiny.pddl"), "--seed", "1"), "--seed has no effect with --goals"),
         (("--people", "people.py:mine", "--seed", "1"), "--seed has no effect with --people"),
         (
             ("--advice", "LOG", "--trust", "constant", "--level", "0.9"),
-            "--level has no effect with --advice and --trust",
+            "INSTANCE has no effect with --advice",
         ),
     ],
     ids=lambda given: " ".join(given) if isinstance(given, tuple) else "",

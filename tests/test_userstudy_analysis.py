@@ -19,11 +19,11 @@ from scipy import special, stats
 from userstudies import PLAN, SCORES, written
 
 from assist.cli import main
+from assist.learning.comparison import holm
 from assist.reports.effects import between_groups, cronbach_alpha, within_participants
 from assist.reports.hypothesis_tests import (
     EXACT,
     fisher_p,
-    holm,
     mann_whitney,
     newcombe,
     sign_test,

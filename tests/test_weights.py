@@ -15,10 +15,11 @@ from recordings import board_of, make_up, moves_of, problem_text, read_all
 from scipy.optimize import minimize, minimize_scalar
 from simulated_people import People, observed, record, record_with_terms
 
-from assist.learning import Log, Method, compare, fit, hierarchy, mixture
-from assist.learning.comparison import by_person, held_out, pooled
+from assist.learning import Log, Method, compare_models, fit, hierarchy, mixture
+from assist.learning.comparison import folds_of
 from assist.learning.hierarchy import fit_hierarchy, intervals, with_rate
 from assist.learning.logit_likelihood import BETA, THETA, Likelihood, maximise
+from assist.learning.model_comparison import pooled
 from assist.learning.observations import Observations
 from assist.people import NOTHING, TERMS, Choices, Weighted, choice, influence, lapse, remembered
 from planner import Instance, Table, sweep
@@ -42,6 +43,10 @@ def rows() -> tuple[dict, ...]:
 @cache
 def alone() -> Likelihood:
     return Likelihood.of(observed(paper(), list(rows()), TERMS), Method())
+
+
+def every_step() -> np.ndarray:
+    return np.ones(len(alone().steps), dtype=bool)
 
 
 @cache
@@ -136,13 +141,13 @@ def test_intervals_end_where_the_profile_likelihood_has_fallen() -> None:
 
 def test_people_are_recovered_and_lean_on_each_other() -> None:
     found = fit_hierarchy(alone())
-    whole, at = pooled(alone())
+    whole, at = replace(alone(), steps=alone().steps.together()), pooled(alone(), every_step()).at
     deviation = np.sqrt(np.diag(np.linalg.inv(np.delete(np.delete(whole.derivatives(at)[2][0], 1, 0), 1, 1))))[1:]
     assert (np.abs(found.mean[2:] - WEIGHTS) < 3 * deviation).all()
     own, _, _ = maximise(alone(), found.at, np.tile([False, True, False, False, False, False], (COUNT, 1)))
     error, without = (np.abs(at[:, 2:] - WEIGHTS).mean() for at in (found.at, own))
     assert error < without / 2  # these people are all alike
-    people = fit(paper(), Log.of(rows()), terms=True)
+    people = fit(paper(), Log.of(rows()), model="terms")
     assert all(ends[0] <= person.weights[name] <= ends[1] for person in people.values()
                for name, ends in person.weights_interval.items())  # fmt: skip
     first = people["person-01"]
@@ -158,7 +163,7 @@ def test_people_are_recovered_and_lean_on_each_other() -> None:
 
 def test_one_person_alone_is_fitted_by_their_own_actions() -> None:
     some = Log.of(row for row in rows() if row["person"] == "person-03")
-    (person,) = fit(paper(), some, terms=True).values()
+    (person,) = fit(paper(), some, model="terms").values()
     (observations,) = observed(paper(), [row for row in rows() if row["person"] == "person-03"], TERMS)
     own = Likelihood.of([observations], Method())
     _, best, _ = maximise(own, np.array([[4.0, 0.0, *WEIGHTS]]), np.array([[False, True] + [False] * 4]))
@@ -181,55 +186,52 @@ def test_the_rate_of_trust_is_the_one_that_fits_best(monkeypatch: pytest.MonkeyP
     assert value >= found.log_probability(near).sum()
 
 
-def test_folds_are_apart_and_whoever_is_predicted_was_not_seen() -> None:
-    folds = by_person(alone(), 5)
-    for learned, predicted in folds:
-        assert not set(alone().steps.person[learned]) & set(alone().steps.person[predicted])
-    assert (sum(predicted.astype(int) for _, predicted in folds) == 1).all()
-    boltzmann = alone().with_terms([])
-    logs = held_out(boltzmann, folds)
-    learned, predicted = folds[0]
+def test_whoever_is_predicted_was_not_seen() -> None:
+    found = compare_models(observed(paper(), list(rows()), TERMS), folds=5)["boltzmann"]
+    boltzmann, first = alone().with_terms([]), folds_of(COUNT, 5) == 0
+    predicted = first[boltzmann.steps.person]
+    learned, counts = ~predicted, np.bincount(boltzmann.steps.person)
 
     def minus(coordinate: float, which: np.ndarray) -> float:
         some = replace(boltzmann, steps=boltzmann.steps.only(which).together())
         return -float(some.derivatives(np.array([[coordinate, 0.0]]))[0][0])
 
     best = minimize_scalar(lambda x: minus(x, learned), bounds=(0.0, boltzmann.ranges.high[BETA]), method="bounded")
-    assert -logs[predicted].sum() == pytest.approx(minus(best.x, predicted), abs=1e-3)
+    assert (found.of_people * counts)[first].sum() == pytest.approx(minus(best.x, predicted), abs=1e-3)
 
 
 def test_terms_predict_people_better_whose_choices_follow_them() -> None:
-    found = compare(paper(), Log.of(rows()), folds=4)
+    found = compare_models(observed(paper(), list(rows()), TERMS), folds=4)
     document = found.as_dict()
-    assert [row["model"] for row in document["comparison"]] == ["boltzmann", *TERMS, "terms"]
-    for row in document["comparison"]:
-        assert {"model", "parameters", "nats_per_choice", "stderr", "better_for", "people", "weights"} <= set(row)
-        assert row["people"] == COUNT
-    assert [row["parameters"] for row in document["comparison"]] == [1, 2, 2, 2, 2, 5]
+    assert [row["model"] for row in document["models"]] == ["boltzmann", *TERMS, "terms"]
+    for row in document["models"]:
+        assert {"model", "parameters", "nats_per_choice", "stderr", "better_for"} <= set(row)
+    assert [len(row["parameters"]) for row in document["models"]] == [1, 2, 2, 2, 2, 5]
     assert found["terms"].nats_per_choice < found["boltzmann"].nats_per_choice - 2 * found["terms"].stderr / COUNT
     assert found["terms"].better_for > COUNT / 2
-    total = sum(person["actions"] * person["nats_per_choice"]["terms"] for person in document["people"])
-    assert total / sum(person["actions"] for person in document["people"]) == pytest.approx(
+    total = sum(person["choices"] * person["nats_per_choice"]["terms"] for person in document["people"])
+    assert total / sum(person["choices"] for person in document["people"]) == pytest.approx(
         found["terms"].nats_per_choice
     )
-    _, at = pooled(alone())
-    assert list(found["terms"].weights.values()) == pytest.approx(at[0, 2:], abs=1e-3)
+    assert found["terms"].difference < 0
+    at = pooled(alone(), every_step()).at
+    assert list(found["terms"].parameters.values())[1:] == pytest.approx(at[0, 2:], abs=1e-3)
 
 
 def test_a_term_of_ones_own_is_compared_like_the_others() -> None:
     own = {"first": lambda s: (np.arange(s.applicable.shape[1]) == 0) & (s.last >= 0)[:, None]}
-    found = compare(paper(), Log.of(rows()), terms=own, folds=2)
-    assert [row.model for row in found.models] == ["boltzmann", "first"]
+    found = compare_models(observed(paper(), list(rows()), own), folds=2)
+    assert [row.model for row in found.scores] == ["boltzmann", "first"]
 
 
 @pytest.mark.slow
 def test_the_command_line_fits_and_compares(tmp_path: Path) -> None:
     log, people = tmp_path / "log.jsonl", tmp_path / "people.json"
     log.write_text("".join(json.dumps(row) + "\n" for row in rows() if row["person"] < "person-07"))
-    done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--compare", "--folds", 3, "--json")
+    done = invoke("compare", "models", KITTING / "paper-fixed.pddl", log, "--folds", 3, "--json")
     assert done.exit_code == 0
     assert len(json.loads(done.stdout)["people"]) == 6
-    shown = invoke("fit", KITTING / "paper-fixed.pddl", log, "--compare", "--figures", tmp_path)
+    shown = invoke("compare", "models", KITTING / "paper-fixed.pddl", log, "--figures", tmp_path)
     assert "boltzmann" in shown.stdout
     assert (tmp_path / "comparison.png").stat().st_size > 5000
     done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--terms", "--population", people, "--json")
@@ -238,10 +240,8 @@ def test_the_command_line_fits_and_compares(tmp_path: Path) -> None:
     done = invoke("simulate", KITTING / "tiny.pddl", "--humans", 1, "--policy", "none", "--episodes", 2,
                      "--population", people)  # fmt: skip
     assert done.exit_code == 0
-    done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--compare", "--terms")
-    assert (done.exit_code, "--terms and --compare: expected one of them" in done.stderr) == (2, True)
     log.write_text("".join(json.dumps(row) + "\n" for row in rows() if row["person"] == "person-01"))
-    done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--compare")
+    done = invoke("compare", "models", KITTING / "paper-fixed.pddl", log)
     assert (done.exit_code, "one person; a comparison needs two or more" in done.stderr) == (1, True)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from conftest import kit
-from recorded import people_at_work
+from recorded import people_at_work, simulated
 
 from assist.people.choices import Choices
 from planner import Limits, cost_to_go, load, sweep
@@ -41,7 +41,6 @@ def planner() -> None:
 
 
 def people() -> None:
-    import test_advice
     import test_alpha_vectors
     import test_bounded
     import test_equations
@@ -56,6 +55,7 @@ def people() -> None:
     from assist import fit
     from assist.learning.advice_fit import fit_model
     from assist.learning.advice_model import AdviceModel
+    from assist.learning.advice_rules import RULES
     from assist.learning.log import Log
     from assist.team.settings import Setting
 
@@ -69,11 +69,11 @@ def people() -> None:
     case(test_equations.test_the_likelihood_of_a_walk_is_that_of_the_equations)(
         [(0, 1, 1), (1, 2, 1), (0, 2, 3)], person, 0.5, float(test_equations.BETA[0]), 0
     )
-    test_refusals.learned(kit("tiny"), test_refusals.ACTIONS, terms=True)
+    test_refusals.learned(kit("tiny"), test_refusals.ACTIONS, model="terms")
     test_bounded.test_nobody_gets_more("sealed", 4, Setting(c_suggest=0.2), test_bounded.somebody())
-    fit_model(AdviceModel.of("E", "L outcome at disagreement gain/loss"), test_advice.simulated(4, 4, 0))
+    fit_model(AdviceModel.of("E", RULES["outcome"]), simulated(4, 4, 0))
     rows = people_at_work(Choices.of(kit("tiny")), [0.5], np.random.default_rng(0), suggest=0.4, episodes=2)
-    fit(kit("tiny"), Log.of(rows), chooses=test_fit_own.same)
+    fit(kit("tiny"), Log.of(rows), model=test_fit_own.same)
     test_trust_fit.test_held_out_people_are_predicted_from_the_others()
     test_unreliable_observations.test_who_may_have_finished_does_nothing_more()
 

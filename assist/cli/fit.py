@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,19 +12,25 @@ from .options.common import (
     INPUT_FILE,
     OUTPUT_FILE,
     OUTPUT_FOLDER,
+    SEED,
     apart,
     domain_option,
     refuse_unused,
     separate_files,
 )
-from .options.goals import goal_list_options
+from .options.goals import goal_list_options, prior_of
 from .options.help import command
-from .options.log import log_options, people_of, people_with_goals, replayed
+from .options.log import ReadingOptions, method_of, method_options, reading_options, with_goals, with_task
+from .options.person import TRUST
+from .options.population import choice_model_of, people_option, refuse_unused_rates
 from .options.task import one_instance
-from .options.trust import Confidence, fit_trust_options, trust_of
-from .output.people_estimates import show_comparison, show_people
-from .output.trust_estimates import show_advice, show_trust
+from .options.trust import Confidence, advice_of, advice_options
+from .output.people_estimates import learned, show_people
+from .output.trust_estimates import show_advice, show_influence
 from .terminal.console import ExitCode, one_line_errors
+
+if TYPE_CHECKING:
+    from ..learning.fit import Model
 
 
 @command("fit kitting/paper log.csv --out people.jsonl")
@@ -39,18 +45,29 @@ from .terminal.console import ExitCode, one_line_errors
     "--family", type=click.Choice(["uniform", "log-uniform", "log-normal", "histogram"]),
     help="Family of the distribution of expertise (beta) over people. The best-fitting parametric one unless given.",
 )  # fmt: skip
-@fit_trust_options
+@click.option(
+    "--misconception", "misconceptions", is_flag=True,
+    help="Also estimate misconceptions: their size (sigma) and the perceived cost-to-go.",
+)  # fmt: skip
+@click.option("--terms", is_flag=True, help="Fit preferences besides cost (hierarchical model).")
+@people_option
+@click.option(
+    "--trust", type=click.Choice(TRUST),
+    help="Estimate influence (theta) under this trust rule, carried from episode to episode (hierarchical model).",
+)  # fmt: skip
+@advice_options
 @click.option("--figures", type=OUTPUT_FOLDER, help="Folder for figures.")
 @domain_option
 @goal_list_options
-@log_options
+@method_options
+@reading_options
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the model check.")
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def fit(
     instance: str | None, domain: str | None, file: Path | None, out: Path | None, population: Path | None,
-    family: str | None, figures: Path | None, misconceptions: bool, terms: bool, compare: bool, people: str | None,
-    folds: int, seed: int, as_json: bool, trust: str | None, compare_trust: bool, theta_per_episode: bool,
-    advice: Path | None, confidence: Confidence, rows: tuple[str, ...], problems: tuple[str, ...],
-    goal_prior: tuple[str, ...], **options: Any,
+    family: str | None, figures: Path | None, misconceptions: bool, terms: bool, people: str | None, seed: int,
+    as_json: bool, trust: str | None, theta_per_episode: bool, advice: Path | None, confidence: Confidence,
+    rows: tuple[str, ...], problems: tuple[str, ...], goal_prior: tuple[str, ...], **options: Any,
 ) -> None:  # fmt: skip
     """Estimate people's expertise, influence and trust from a LOG of their actions.
 
@@ -61,62 +78,54 @@ def fit(
 
     if family and as_json and not population:
         raise click.UsageError("--family: expected --population, since with --json it has no effect otherwise")
-    by_rule = trust_of(trust, compare_trust, theta_per_episode, advice, confidence, rows)
-    if not compare and not compare_trust:
-        refuse_unused(["folds"], "without --compare or --compare-trust")
-    if compare:
-        refuse_unused(["level", "seed"], "with --compare")
-    for name, without in {"--goals": problems, "--people": people}.items():
-        if without:
-            refuse_unused(["seed"], f"with {name}")
     kinds = {
-        "--goals": problems,
-        "--misconception": misconceptions,
-        "--terms": terms,
-        "--compare": compare,
-        "--people": people,
-    }
-    apart(kinds | by_rule.named)
+        "--goals": problems, "--misconception": misconceptions, "--terms": terms, "--people": people, "--trust": trust,
+    }  # fmt: skip
+    apart(kinds)
+    for name in ("--goals", "--people", "--trust"):
+        if kinds[name]:
+            refuse_unused(["seed"], f"with {name}")
     for name, given in {"--family": family, "--figures": figures}.items():
-        apart({name: given} | by_rule.named)
-    apart({"--population": population, "--compare-trust": compare_trust})
-    if advice:
-        separate_files({"--out": out}, {"--advice": advice})
-        with one_line_errors("interrupted; nothing was estimated"):
-            show_advice(by_rule, folds, options["level"], out, as_json=as_json)
-        return
+        apart({name: given, "--trust": trust})
+    refuse_unused_rates(trust)
+    if theta_per_episode and not trust:
+        raise click.UsageError("--theta-per-episode: expected --trust as well")
+    if advice and not trust:
+        raise click.UsageError("--advice: expected --trust as well")
+    with one_line_errors("interrupted; nothing was estimated"):
+        judgements = advice_of(advice, confidence, rows, {"trust"})
+        if judgements is not None and trust is not None:
+            separate_files({"--out": out}, {"--advice": advice})
+            show_advice(judgements, str(advice), trust, out, as_json=as_json)
+            return
     if instance is None or file is None:
         raise click.UsageError("expected INSTANCE and LOG, or --advice")
-    apart({"--population": population, "--compare": compare})
     if population and people:
         raise click.UsageError("--population and --people: a population file has no functions; expected one of them")
-    apart({"--family": family, "--terms": terms, "--compare": compare})
+    apart({"--family": family, "--terms": terms})
     apart({"--goals": problems, "--figures": figures})
     if goal_prior and not problems:
         raise click.UsageError("--goal-prior: expected --goals, too")
+    reading = ReadingOptions.taken(options)
+    method, prior = method_of(**options), prior_of(goal_prior, "--goal-prior")
     with one_line_errors("interrupted; states evaluated on demand are saved"):
         found = one_instance(instance, domain)
         inputs = {"INSTANCE": found.problem, "its domain": found.domain, "LOG": file}
         separate_files({"--out": out, "--population": population}, inputs)
         if figures:
             style.require()
+        chooses = choice_model_of(people)
         if problems:
-            people_found = people_with_goals(
-                instance, problems, goal_prior, file, domain=domain, **options,
-            )  # fmt: skip
-            if not show_people(people_found, out, population, family, figures, as_json=as_json):
-                sys.exit(ExitCode.FAILED)
-            return
-        known = replayed(found, file, **options)
-        if by_rule.wanted:
-            complete = show_trust(known, by_rule, folds, out, population, as_json=as_json)
-        elif compare:
-            complete = show_comparison(known, folds, out, figures, as_json=as_json)
+            seen = with_goals([instance, *problems], file, reading, domain=domain, prior=prior)
         else:
-            learned = people_of(
-                known, misconceptions=misconceptions, terms=terms, people=people, max_states=options["max_states"],
-                seed=seed,
-            )  # fmt: skip
-            complete = show_people(learned, out, population, family, figures, as_json=as_json)
+            seen = with_task(found, file, reading, table=chooses is not None)
+        if trust:
+            complete = show_influence(seen, trust, method, not theta_per_episode, out, population, as_json=as_json)
+        else:
+            model: Model | None = chooses
+            if misconceptions or terms:
+                model = "misconceptions" if misconceptions else "terms"
+            estimates = learned(seen, method, model, seed, reading.jobs)
+            complete = show_people(estimates, out, population, family, figures, as_json=as_json)
     if not complete:
         sys.exit(ExitCode.FAILED)

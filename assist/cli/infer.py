@@ -8,11 +8,13 @@ from typing import Any
 
 import click
 
+from planner import find_instances
+
 from .options.common import INPUT_FILE, OUTPUT_FILE, Range, domain_option, lapse_option, range_option, separate_files
-from .options.goals import goals_of, prior_of
+from .options.goals import prior_of
 from .options.help import command
-from .options.log import log_of, reading_options, renamed
-from .terminal.console import ExitCode, fail, one_line_errors
+from .options.log import ReadingOptions, reading_options, with_goals
+from .terminal.console import ExitCode, one_line_errors
 
 
 @command("infer kits/travel.pddl kits/mend.pddl log.jsonl")
@@ -30,38 +32,31 @@ from .terminal.console import ExitCode, fail, one_line_errors
 @click.option("--json", "as_json", is_flag=True, help="Print the records, with the posterior after each action.")
 def infer(
     problems: tuple[str, ...], file: Path, prior: tuple[str, ...], beta: Range, lapse: float, out: Path | None,
-    domain: str | None, as_json: bool, drop: tuple[str, ...], rename: tuple[str, ...], columns: tuple[str, ...],
-    gaps: bool, strict: bool, **evaluation: Any,
+    domain: str | None, as_json: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Infer which goal people pursue from a LOG of their actions.
 
     Each PROBLEM has one of the goals; the problems differ in nothing else. A folder stands for the problems in it.
     """
-    from ..learning.fit import LogError
-    from ..learning.goals import inferred
-    from ..learning.log import told
+    from ..learning.goals import infer_goals
     from ..people.belief import Grid
     from ..people.human import Population
     from .output.goal_posteriors import show_goals
 
     if file.suffix == ".pddl":
         raise click.UsageError(f"LOG {file}: expected a log of actions after the problems")
-    shares, names = prior_of(prior), renamed(rename)
+    reading = ReadingOptions.taken(options)
     with one_line_errors("interrupted; nothing was inferred"):
-        log = log_of(file, columns, gaps=gaps)
-        goals = goals_of(problems, domain=domain, **evaluation)
-        separate_files({"--out": out}, {"LOG": file, **{name: g.task.instance.problem for name, g in goals.items()}})
+        separate_files(
+            {"--out": out}, {"LOG": file, **{str(one): one.problem for one in find_instances(problems, domain)}}
+        )
+        seen = with_goals(problems, file, reading, domain=domain, prior=prior_of(prior))
         try:
-            grid = Grid.regular(Population(beta=beta)).beta
-            found = inferred(
-                goals, log, prior=shares, beta=grid, lapse=lapse, drop=drop, rename=names, strict=strict,
-            )  # fmt: skip
-        except LogError as error:
-            fail(str(error), ExitCode.FAILED)
+            found = infer_goals(seen, beta=Grid.regular(Population(beta=beta)).beta, lapse=lapse)
         except ValueError as error:
             raise click.UsageError(str(error)) from None
-        for line in [*told(found.faults, file), *found.notes]:
+        for line in found.notes[len(seen.notes) :]:
             click.echo(line, err=True)
         show_goals(found, out, as_json=as_json)
-    if found.faults or found.left_out:
+    if not seen.complete:
         sys.exit(ExitCode.FAILED)

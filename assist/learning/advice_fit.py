@@ -1,13 +1,13 @@
 """Fits of trust rules to logs of advice, and how well they predict people who were left out.
 
-A fit is one of largest marginal likelihood (`advice_model`). `fit_advice` is what `kitassist fit --advice` does, and
-`compare_advice` compares rules on held-out people.
+A fit is one of largest marginal likelihood (`advice_model`). `fit_advice` is what `kitassist fit --advice` does;
+`compare_rules` compares rules on held-out people.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from ..people.decision import Floats
 from .advice_log import AdviceLog
 from .advice_model import BASES, AdviceModel
 from .advice_rules import DEFAULT_STEPS, OF_THE_PAPER, ONE_THETA, RULES, Rule
-from .trust_scores import TrustComparison
+from .comparison import FOLDS
 
 POINTS, LOCAL = 30, 3
 """Random points, and searches from the most likely ones, where a likelihood has many local maxima."""
@@ -180,86 +180,70 @@ def _scoring(people: Callable[[Floats], Floats], point: Floats, enough: float = 
     return point
 
 
-def fold_of(person: NDArray[np.str_], folds: int = 8) -> NDArray[np.int64]:
-    """Return the fold of each row's person, shape (N,): the number in their name, modulo the number of folds.
+def fold_of(people: Sequence[str], folds: int = FOLDS) -> NDArray[np.int64]:
+    """Return the fold of each person, shape (K,): the number in their name, modulo the number of folds.
 
     Where that leaves all people in one fold, as with names without numbers, it is the person's place in the log.
     """
-    found = np.array([int("".join(filter(str.isdecimal, name)) or 0) % folds for name in person.tolist()])
-    return found if (found != found[0]).any() else np.unique(person, return_inverse=True)[1].astype(np.int64) % folds
+    found = np.array([int("".join(filter(str.isdecimal, name)) or 0) % folds for name in people])
+    return found if (found != found[0]).any() else np.arange(len(people)) % folds
 
 
-def held_out(log: AdviceLog, start: AdviceModel, folds: int = 8) -> Floats:
-    """Return the log probability of each answer, shape (N,), with parameters fitted to the people of other folds."""
-    fold, found = fold_of(log.person, folds), np.empty(len(log))
-    for each in range(folds):
-        inside = fold == each
-        if inside.any():
-            start = fit_model(start, log.of(~inside))  # the fit of the fold before is a good start
-            found[inside] = start.predictions(log.of(inside))
-    return found
+@dataclass(frozen=True)
+class AdviceFit:
+    """A model that was fitted to some people of a log."""
+
+    log: AdviceLog
+    model: AdviceModel
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Those of the base and of the rule."""
+        return self.model.parameters
+
+    def log_probability(self, people: NDArray[np.bool_]) -> Floats:
+        """Return the log probability of all answers of each of some people; `people` has shape (K,)."""
+        return self.model.log_likelihoods(self.log.of(people))
 
 
-def base_rates(log: AdviceLog, folds: int = 8) -> Floats:
-    """Return the log probability of each answer, shape (N,), by the share of others who followed.
+@dataclass(frozen=True)
+class BaseRates:
+    """The shares of judgements of some people in which the advice was followed, by whether it was their own choice."""
 
-    Others are the people of other folds, where the advice was their own choice too, or where it was not.
+    log: AdviceLog
+    agreement: float
+    disagreement: float
+
+    @classmethod
+    def of(cls, log: AdviceLog, some: AdviceLog) -> BaseRates:
+        """Return the shares of some people's judgements, with half a judgement for each answer: never 0 or 1."""
+        rates = [float((some.follows[rows].sum() + 0.5) / (rows.sum() + 1)) for rows in (some.agrees, ~some.agrees)]
+        return cls(log, *rates)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The two shares."""
+        return {"agreement": self.agreement, "disagreement": self.disagreement}
+
+    def log_probability(self, people: NDArray[np.bool_]) -> Floats:
+        """Return the log probability of all answers of each of some people; `people` has shape (K,)."""
+        log = self.log.of(people)
+        rate = np.where(log.agrees, self.agreement, self.disagreement)
+        return np.add.reduceat(np.log(np.where(log.follows, rate, 1 - rate)), np.flatnonzero(log.first))
+
+
+def fit_to(
+    log: AdviceLog, start: AdviceModel | None, people: NDArray[np.bool_], fits: Sequence[AdviceFit | BaseRates]
+) -> AdviceFit | BaseRates:
+    """Fit a model to some people, as `comparison.compared` asks for; base rates if there is none to start from.
+
+    The fit of the fold before is a good start.
     """
-    fold, found = fold_of(log.person, folds), np.zeros(len(log))
-    for each in range(folds):
-        for agrees in (False, True):
-            inside, outside = ((log.agrees == agrees) & mine for mine in (fold == each, fold != each))
-            if inside.any():
-                rate = _rate(log, outside)
-                found[inside] = np.log(np.where(log.follows[inside], rate, 1 - rate))
-    return found
-
-
-def _rate(log: AdviceLog, rows: NDArray[np.bool_]) -> float:
-    """Return the share of rows in which the advice was followed, with half a row for each answer: never 0 or 1."""
-    return float((log.follows[rows].sum() + 0.5) / (rows.sum() + 1.0))
-
-
-def compare_advice(
-    log: AdviceLog, *, rules: Mapping[str, Rule | None] = COMPARED, folds: int = 8, level: float = 0.95,
-    progress: Callable[[int], None] | None = None,
-) -> TrustComparison:  # fmt: skip
-    """Compare trust rules on held-out people.
-
-    Parameters
-    ----------
-    log : AdviceLog
-    rules : mapping of str to Rule or None
-        Rules by name, "constant" among them; None stands for base rates.
-    folds : int
-        Groups of people that are left out in turn.
-    level : float
-        Level of the intervals.
-    progress : callable, optional
-        Called with how many rules have been finished since the last call.
-
-    Raises
-    ------
-    ValueError
-        There are fewer than two people, or the likelihood is not finite.
-    """
-    begins = np.flatnonzero(log.first)
-    if len(begins) < 2:
-        raise ValueError("one person; a comparison needs two or more, to learn from some about others")
-    base, scores, estimates = base_of(log), {}, {}
-    for name, rule in rules.items():
-        if rule is None:
-            of_rows = base_rates(log, folds)
-            estimates[name] = {"agreement": _rate(log, log.agrees), "disagreement": _rate(log, ~log.agrees)}
-        else:
-            start = AdviceModel.of(base, rule)
-            of_rows = held_out(log, start, folds)
-            estimates[name] = fit_model(start, log).parameters
-        scores[name] = np.add.reduceat(of_rows, begins)
-        if progress is not None:
-            progress(1)
-    counts = np.diff(np.append(begins, len(log))).astype(float)
-    return TrustComparison.of(scores, counts, estimates, level)
+    some = log.of(people)
+    if start is None:
+        return BaseRates.of(log, some)
+    near = fits[-1] if len(fits) > 1 else None
+    return AdviceFit(log, fit_model(near.model if isinstance(near, AdviceFit) else start, some))
 
 
 def fit_advice(log: AdviceLog, rule: str) -> dict[str, Any]:
@@ -286,7 +270,7 @@ def fit_advice(log: AdviceLog, rule: str) -> dict[str, Any]:
     model = fit_model(AdviceModel.of(base, RULES[rule]), log)
     return {
         "rule": rule, "base": base, "parameters": model.parameters, "log_likelihood": model.log_likelihood(log),
-        "people": int(log.first.sum()), "choices": len(log),
+        "people": len(log.people), "choices": len(log),
     }  # fmt: skip
 
 

@@ -78,8 +78,19 @@ class AdviceLog:
     def __len__(self) -> int:
         return len(self.person)
 
-    def of(self, rows: NDArray[np.bool_]) -> AdviceLog:
-        """Return the log of some rows, shape (N,); those of a person are all kept, or none is."""
+    @property
+    def people(self) -> list[str]:
+        """The names of the K people."""
+        return self.person[self.first].tolist()
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """The number of judgements of each person, shape (K,)."""
+        return np.diff(np.append(np.flatnonzero(self.first), len(self)))
+
+    def of(self, people: NDArray[np.bool_]) -> AdviceLog:
+        """Return the log of some people, shape (K,)."""
+        rows = np.repeat(people, self.counts)
         return AdviceLog(**{name: array[rows] for name, array in vars(self).items()})
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner import CostToGo, Table
+from planner import Table
 
 from ..people.choice_model import ChoiceModel, chances, value
 from ..people.choices import Choices
@@ -21,7 +21,7 @@ from .observations import Chances, Observations
 
 
 def with_model(
-    observations: Sequence[Observations], chooses: ChoiceModel, costs: CostToGo, table: Table, largest: float
+    observations: Sequence[Observations], chooses: ChoiceModel, table: Table, largest: float
 ) -> list[Observations]:
     """Return observations with the probabilities of a choice model, and with gains in its own V.
 
@@ -29,10 +29,8 @@ def with_model(
     ----------
     observations : sequence of Observations
     chooses : ChoiceModel
-    costs : CostToGo
-        Cost-to-go whose state numbers `Observations.state` has.
     table : Table
-        Table of the same task.
+        Table of the task, whose state numbers `Observations.state` has.
     largest : float
         Upper end of the range of beta.
 
@@ -44,7 +42,7 @@ def with_model(
     choices = Choices.of(table)
     q = perceived_cost(choices, choices.h)
     v = value(chooses, choices, q)
-    numbers = [table.numbers(costs.values(o.state)) for o in observations]
+    numbers = [o.state for o in observations]
     states, rows = np.unique(np.concatenate(numbers), return_inverse=True)
     beta = SMALL * largest * np.expm1(np.linspace(0.0, math.log1p(1 / SMALL), 257))
     beta[-1] = largest

@@ -1,73 +1,63 @@
-"""Comparison of choice models by cross-validation over people.
+"""Models compared by how well they predict people to whom they were not fitted.
 
-A model's parameters are those of largest likelihood for the people of the other folds together, so that predicted
-choices were never seen. The models are cost alone (`boltzmann`), cost and one term, and cost and all terms.
+Each model is fitted to the people of all folds but one, and predicts those of that fold. Differences from a reference
+are paired by person, with a correction for the number of models.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from planner import CostToGo, known_costs
 from planner.system.arrays import outline, read_only
-from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.decision import Floats
-from ..people.terms import TERMS, Term
-from .fit import LogError, observed, replayed
-from .hierarchy import RATES, fixed_of, start_of
-from .likelihood import Method
-from .log import Log, log_of
-from .logit_likelihood import BETA, FIRST_TERM, Likelihood, maximise
-from .observations import Observations
-
-if TYPE_CHECKING:
-    from planner import AnyTask
+from .log import LogError
 
 FOLDS = 8
-BOLTZMANN = "boltzmann"
-ALL_TERMS = "terms"
-
-Fold = tuple[NDArray[np.bool_], NDArray[np.bool_]]
-"""Steps, shape (N,), that are learned from, and those that are predicted; always whole episodes."""
 
 
 @dataclass(frozen=True)
-class Predictions:
-    """The accuracy of a choice model for people to whom it was not fitted.
+class Score:
+    """How well a model predicts people to whom it was not fitted.
 
     Attributes
     ----------
     model : str
-    parameters : int
+    parameters : dict of str to float
+        Those that fit all people together best.
     nats_per_choice : float
-        Minus the mean log-probability of the choices.
+        Minus the mean held-out log probability of what was chosen.
     stderr : float
-        Its standard error, over people.
-    better_for : int or None
-        Number of people for whom it is better than `boltzmann`; None for that model itself.
+        Its standard error over people.
     of_people : float array, shape (K,)
         Nats per choice of each person.
-    beta : float
-        Estimate for all people together.
-    weights : dict of str to float
-        Estimates for all people together.
+    difference : float or None
+        Nats per choice minus those of the reference, paired by person; None for the reference itself.
+    interval : tuple of float, or None
+        Interval of the difference over people, by Student's t.
+    p, p_corrected : float or None
+        Two-sided p-value of no difference, and the same corrected for the number of models (Holm's method).
+    better_for : int or None
+        Number of people for whom the model is better than the reference.
     """
 
     model: str
-    parameters: int
+    parameters: dict[str, float]
     nats_per_choice: float
     stderr: float
-    better_for: int | None
     of_people: Floats
-    beta: float
-    weights: dict[str, float]
+    difference: float | None = None
+    interval: tuple[float, float] | None = None
+    p: float | None = None
+    p_corrected: float | None = None
+    better_for: int | None = None
 
     __repr__ = outline
 
@@ -76,206 +66,191 @@ class Predictions:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the row of a table as plain data."""
-        return {
-            "model": self.model, "parameters": self.parameters, "nats_per_choice": self.nats_per_choice,
-            "stderr": self.stderr, "better_for": self.better_for, "people": len(self.of_people), "beta": self.beta,
-            "weights": self.weights,
-        }  # fmt: skip
+        return {name: value for name, value in vars(self).items() if name != "of_people"}
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Several choice models, compared on the same people.
+    """Models compared on the same people.
 
     Attributes
     ----------
     people : tuple of str
-    actions : int array, shape (K,)
+    choices : int array, shape (K,)
         Number of choices of each person.
-    models : tuple of Predictions
+    level : float
+        Level of the intervals.
+    scores : tuple of Score
+        The first is that of the reference.
     """
 
     people: tuple[str, ...]
-    actions: NDArray[np.int64]
-    models: tuple[Predictions, ...]
+    choices: NDArray[np.int64]
+    level: float
+    scores: tuple[Score, ...]
 
     __repr__ = outline
 
     def __post_init__(self) -> None:
         read_only(self)
 
-    def __getitem__(self, model: str) -> Predictions:
-        for row in self.models:
+    def __getitem__(self, model: str) -> Score:
+        for row in self.scores:
             if row.model == model:
                 return row
         raise KeyError(model)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the comparison as plain data."""
-        people = [
+    @classmethod
+    def of(
+        cls, people: Sequence[str], choices: NDArray[np.int64], logs: Mapping[str, Floats],
+        parameters: Mapping[str, dict[str, float]], reference: str, level: float = 0.95,
+    ) -> Comparison:  # fmt: skip
+        """Compare held-out log probabilities.
+
+        Parameters
+        ----------
+        people, choices, level
+            See above.
+        logs : mapping of str to float array, shape (K,)
+            By model, the log probability of all that each person chose.
+        parameters : mapping of str to dict
+            Estimates of each model, for the result.
+        reference : str
+            The model with which the others are compared.
+        """
+        count, of_reference, rows = len(people), logs[reference], []
+        width = float(stats.t.ppf((1 + level) / 2, count - 1))
+        for name in [reference, *(name for name in logs if name != reference)]:
+            nats, stderr = ratio(-logs[name], choices)
+            row = Score(name, parameters[name], nats, stderr, -logs[name] / choices)
+            if name != reference:
+                mean, error = ratio(of_reference - logs[name], choices)
+                p = float(2 * stats.t.sf(abs(mean) / error, count - 1)) if error > 0 else 1.0
+                interval = (mean - width * error, mean + width * error)
+                better = int((logs[name] > of_reference).sum())
+                row = replace(row, difference=mean, interval=interval, p=p, better_for=better)
+            rows.append(row)
+        corrected = iter(holm([row.p for row in rows if row.p is not None]))
+        scores = [row if row.p is None else replace(row, p_corrected=next(corrected)) for row in rows]
+        return cls(tuple(people), choices, level, tuple(scores))
+
+    @property
+    def best(self) -> Score:
+        """The model that predicts best among those that predict better than the reference, by corrected p-values.
+
+        The reference if there is none: a model whose further parameters are estimated as 0 predicts as well.
+        """
+        better = [row for row in self.scores[1:] if row.difference is not None and row.difference < 0]
+        sure = [row for row in better if row.p_corrected is not None and row.p_corrected <= 1 - self.level]
+        return min(sure, key=lambda row: row.nats_per_choice, default=self.scores[0])
+
+    def of_people(self) -> list[dict[str, Any]]:
+        """Return each person's nats per choice under each model as plain data."""
+        return [
             {
                 "person": person,
-                "actions": int(self.actions[k]),
-                "nats_per_choice": {row.model: float(row.of_people[k]) for row in self.models},
+                "choices": int(self.choices[k]),
+                "nats_per_choice": {row.model: float(row.of_people[k]) for row in self.scores},
             }
             for k, person in enumerate(self.people)
         ]
-        return {"comparison": [row.as_dict() for row in self.models], "people": people}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the comparison as plain data."""
+        return {
+            "choices": int(self.choices.sum()), "level": self.level, "best": self.best.model,
+            "models": [row.as_dict() for row in self.scores], "people": self.of_people(),
+        }  # fmt: skip
 
 
-@shows_progress
-def compare(
-    costs: CostToGo | AnyTask,
-    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]],
-    *,
-    terms: Mapping[str, Term] = TERMS,
-    folds: int = FOLDS,
-    drop: Sequence[str] = (),
-    rename: Mapping[str, str] | None = None,
-    method: Method | None = None,
-    strict: bool = False,
-    progress: Wanted = None,
-) -> Comparison:
-    """Return a comparison of choice models by their predictions for people to whom they were not fitted.
+class Fitted(Protocol):
+    """A model that was fitted to some people."""
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The estimates by name."""
+        ...
+
+    def log_probability(self, people: NDArray[np.bool_]) -> Floats:
+        """Return the log probability of all that each of some people chose, shape (n,); `people` has shape (K,)."""
+        ...
+
+
+F = TypeVar("F", bound=Fitted)
+FitTo = Callable[[NDArray[np.bool_], Sequence[F]], F]
+"""Fits a model to some people, shape (K,), given its fits so far: to all people, and to those of other folds."""
+
+
+def compared(
+    models: Mapping[str, FitTo[Any]], people: Sequence[str], choices: NDArray[np.int64], reference: str, *,
+    fold: NDArray[np.int64], level: float, progress: Callable[[int], None] | None = None,
+) -> Comparison:  # fmt: skip
+    """Compare models on held-out people.
 
     Parameters
     ----------
-    costs, log, drop, rename, method, strict
-        As in `fit`.
-    terms : mapping of str to callable
-        The terms; by default `TERMS`.
-    folds : int
-        Number of groups of people, each of which is held out once.
-    progress : callable or bool, optional
-        Receives progress reports, as `planner.system.progress` describes: the number of compared models.
+    models : mapping of str to callable
+        What fits each model.
+    people, choices, reference, level
+        As in `Comparison.of`.
+    fold : int array, shape (K,)
+        The fold of each person.
+    progress : callable, optional
+        Called with the number of models that have been finished since the last call.
+    """
+    logs, parameters = {}, {}
+    for name, fit_to in models.items():
+        fits = [fit_to(np.ones(len(people), dtype=bool), [])]
+        parameters[name], logs[name] = fits[0].parameters, np.empty(len(people))
+        for each in np.unique(fold).tolist():
+            inside = fold == each
+            fits.append(fit_to(~inside, fits))
+            logs[name][inside] = fits[-1].log_probability(inside)
+        if progress is not None:
+            progress(1)
+    return Comparison.of(people, choices, logs, parameters, reference, level)
+
+
+def folds_of(people: int, folds: int) -> NDArray[np.int64]:
+    """Return the fold of each person, shape (K,), in turn.
 
     Raises
     ------
     LogError
-        As in `fit`, or there are fewer than two people.
-    """
-    assert callable(progress)
-    progress("evaluating states", 0, None)
-    costs, log = known_costs(costs), log_of(log)
-    recording, known, _ = replayed(costs, log, drop=drop, rename=rename, strict=strict)
-    observations = observed(log, costs, recording, known, terms)[0]
-    advance = adding(progress, "comparing models", len(terms) + 1 + (len(terms) > 1))
-    return compare_observed(observations, method, folds=folds, name=log.name, progress=advance)
-
-
-def compare_observed(
-    observations: Sequence[Observations],
-    method: Method | None = None,
-    *,
-    folds: int = FOLDS,
-    name: str = "log",
-    progress: Callable[[int], None] | None = None,
-) -> Comparison:
-    """Return a comparison of choice models on observations of one or several tasks; parameters as in `compare`.
-
-    `progress` is called with the number of models that have been finished since the last call.
+        There are fewer than two people.
+    ValueError
+        There are fewer than two folds.
     """
     if folds < 2:
         raise ValueError(f"folds {folds}: expected 2 or more")
-    likelihood = Likelihood.of(observations, method or Method())
-    people = likelihood.steps.people
-    if len(people) < 2:
-        raise LogError(f"{name}: one person; a comparison needs two or more, to learn from some about others")
-    known = method is not None and method.eta is not None
-    terms = likelihood.steps.terms
-    several = {ALL_TERMS: terms} if len(terms) > 1 else {}
-    sets: dict[str, tuple[str, ...]] = {BOLTZMANN: (), **{term: (term,) for term in terms}, **several}
-    models: list[Predictions] = []
-    for model, chosen in sets.items():
-        own = likelihood.with_terms(chosen)
-        logs = held_out(own, by_person(own, folds), known=known)
-        models.append(_predictions(own, model, logs, models[0] if models else None, known=known))
-        if progress is not None:
-            progress(1)
-    return Comparison(people, np.bincount(likelihood.steps.person), tuple(models))
+    if people < 2:
+        raise LogError("one person; a comparison needs two or more, to learn from some about others")
+    return np.arange(people) % min(folds, people)
 
 
-def by_person(likelihood: Likelihood, folds: int) -> list[Fold]:
-    """Return the folds, in each of which every `folds`-th person is held out."""
-    group = likelihood.steps.person % min(folds, len(likelihood.steps.people))
-    return [(group != fold, group == fold) for fold in range(int(group.max()) + 1)]
-
-
-def held_out(likelihood: Likelihood, folds: Iterable[Fold], *, known: bool = True, costs: bool = True) -> Floats:
-    """Return the log-probability of each choice, shape (N,), under the estimates from the other folds.
+def ratio(sums: Floats, counts: Floats | NDArray[np.int64]) -> tuple[float, float]:
+    """Return the mean per choice and its standard error over people (ratio estimator, by the delta method).
 
     Parameters
     ----------
-    likelihood : Likelihood
-    folds : iterable of pairs of bool arrays, shape (N,)
-        Steps that are learned from, and steps that are predicted; NaN for steps that no fold predicts.
-    known : bool
-        Whether the learning rate is the likelihood's; otherwise the best of `RATES` is used.
-    costs : bool
-        Whether choices depend on costs.
+    sums, counts : arrays, shape (K,)
+        Total of each person, and the number of their choices.
     """
-    result, at = np.full(len(likelihood.steps), np.nan), None
-    for learned, predicted in folds:
-        some = replace(likelihood, steps=likelihood.steps.only(learned))
-        fitted, at = pooled(some, at, known=known, costs=costs)
-        steps = likelihood.steps.only(predicted).together()
-        result[predicted] = replace(fitted, steps=steps).log_probability(at)
-    return result
+    mean, people = sums.sum() / counts.sum(), len(counts)
+    spread = ((sums - mean * counts) ** 2).sum() * people / (people - 1)
+    return float(mean), float(math.sqrt(spread) / counts.sum())
 
 
-def pooled(
-    likelihood: Likelihood, near: Floats | None = None, *, known: bool = True, costs: bool = True
-) -> tuple[Likelihood, Floats]:
-    """Return the coordinates of largest likelihood for all people together, shape (1, P), and that likelihood.
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return the p-values adjusted for their number (Holm, 1979), which bounds the family-wise error.
 
     Parameters
     ----------
-    likelihood : Likelihood
-    near : float array, shape (1, P), optional
-        Starting values.
-    known, costs
-        As in `held_out`.
+    p_values : sequence of float
+        Undefined ones (NaN) count as 1: the family is as large as it was planned.
     """
-    together = replace(likelihood, steps=likelihood.steps.together())
-    fixed = fixed_of(likelihood, 1)
-    fixed[:, BETA] = not costs
-    at = np.where(fixed, 0.0, start_of(likelihood, 1) if near is None else near)
-    found: list[tuple[float, Likelihood, Floats]] = []
-    for rate in [likelihood.eta] if known or not likelihood.steps.told else RATES.tolist():
-        tried = replace(together, eta=rate)
-        at, value, _ = maximise(tried, at, fixed)
-        found.append((float(value[0]), tried, at))
-    _, best, at = max(found, key=lambda one: one[0])
-    return best, at
-
-
-def _predictions(
-    likelihood: Likelihood, model: str, logs: Floats, reference: Predictions | None, *, known: bool
-) -> Predictions:
-    """Return the summary of a model's log-probabilities `logs`, and those of a reference model."""
-    steps = likelihood.steps
-    _, at = pooled(likelihood, known=known)
-    mean, error, each = summed_up(likelihood, logs)
-    return Predictions(
-        model, 1 + len(steps.terms) + steps.told * (2 - known), mean, error,
-        None if reference is None else int((each < reference.of_people).sum()), each,
-        float(likelihood.ranges.beta(at[0, BETA])),
-        {term: float(at[0, FIRST_TERM + j]) for j, term in enumerate(steps.terms)},
-    )  # fmt: skip
-
-
-def summed_up(likelihood: Likelihood, logs: Floats) -> tuple[float, float, Floats]:
-    """Return nats per choice, their standard error over people, and those of each person, shape (K,).
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-    logs : float array, shape (N,)
-        Log-probabilities of the choices.
-    """
-    people = len(likelihood.steps.people)
-    count = np.bincount(likelihood.steps.person, minlength=people)
-    total = np.bincount(likelihood.steps.person, -logs, people)
-    mean = total.sum() / count.sum()
-    spread = ((total - mean * count) ** 2).sum() * people / max(people - 1, 1)  # of a ratio, by the delta method
-    return float(mean), float(np.sqrt(spread) / count.sum()), total / np.maximum(count, 1)
+    given = np.asarray(p_values, dtype=float)
+    values = np.where(np.isnan(given), 1.0, given)
+    order, found = np.argsort(values, kind="stable"), np.empty(len(values))
+    found[order] = np.maximum.accumulate(np.minimum(1.0, values[order] * np.arange(len(values), 0, -1)))
+    return np.where(np.isnan(given), np.nan, found).tolist()

@@ -1,45 +1,33 @@
-"""`fit`: estimates of people's parameters from a log and a task.
-
-This is the entry point of the package. It calls the other modules in order: replay, observations, estimation, checks.
-"""
+"""`fit`: estimates of people's parameters from a log and a task."""
 
 from __future__ import annotations
 
-import math
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal, TypeAlias, Unpack
 
 import numpy as np
 
-from planner import CostToGo, LimitError, Table, TransitionSystem, known_costs
+from planner import CostToGo, Table
 from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.choice_model import ChoiceModel
 from ..people.mixture import Mixture
-from ..people.terms import TERMS, Term, features
+from ..people.terms import TERMS, Term
 from .choosing import with_model
 from .diagnostics import UNCHECKED, check
+from .evidence import Evidence, Reading, Records, Tasks, evidence
 from .hierarchy import Hierarchy, fit_terms
 from .likelihood import Method
-from .log import Fault, Log, in_order, log_of
-from .maximum_likelihood import largest_beta, maximum_likelihood
+from .log import Fault, in_order
+from .maximum_likelihood import Fit, largest_beta, maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
-from .observations import EvaluatedStates, Ints, Observations, observe
+from .observations import Ints
 from .person_estimate import PersonEstimate, nothing_known
 from .population import ETAS, PopulationFit, fit_population, population_of
-from .replay import Recording, replay, situation
 
-if TYPE_CHECKING:
-    from planner import AnyTask
-
-Terms = bool | Mapping[str, Term]
-
-
-class LogError(ValueError):
-    """No part of the log can be used, or, with `strict`, not all of it."""
+Model: TypeAlias = Literal["misconceptions", "terms"] | Mapping[str, Term] | ChoiceModel
+"""What people's choices depend on besides cost-to-go: see `fit`."""
 
 
 @dataclass(frozen=True)
@@ -150,41 +138,22 @@ class FittedPeople(Mapping[str, PersonEstimate]):
 
 @shows_progress
 def fit(
-    costs: CostToGo | AnyTask,
-    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]],
-    *,
-    drop: Sequence[str] = (),
-    rename: Mapping[str, str] | None = None,
-    method: Method | None = None,
-    misconceptions: bool = False,
-    terms: Terms = False,
-    chooses: ChoiceModel | None = None,
-    strict: bool = False,
-    seed: int | np.random.Generator = 0,
-    jobs: int = 1,
-    progress: Wanted = None,
-) -> FittedPeople:
+    task: Tasks | Evidence, log: Records | None = None, method: Method | None = None, *, model: Model | None = None,
+    seed: int | np.random.Generator = 0, jobs: int = 1, progress: Wanted = None, **reading: Unpack[Reading],
+) -> FittedPeople:  # fmt: skip
     """Return estimates of people's expertise, influence and trust from a log of their actions.
 
     Parameters
     ----------
-    costs : CostToGo, or whatever `planner.load` takes
-        Cost-to-go of their task, as a table or on demand; only visited states and their successors are queried.
-    log : Log, path, list of dict, or data frame
-        A log, as from `read_log`, or what `read_log` and `Log.of` take.
-    drop, rename
-        As in `replay`.
+    task, log, **reading
+        As for `replayed`; or `task` is a log that was replayed.
     method : Method, optional
         Options of the estimation: level of the intervals, lapses, known parameters.
-    misconceptions : bool
-        Whether to estimate sigma and the perceived cost-to-go, too; this takes a second or more for each person.
-    terms : bool, or mapping of str to callable
-        Whether to estimate the weights of terms, too: those of `TERMS`, or the given ones. The model is then
-        hierarchical (`hierarchy`).
-    chooses : ChoiceModel, optional
-        Choice model in place of cost-to-go; beta is then its parameter. `costs` must be a table.
-    strict : bool
-        Whether a log that cannot be used completely is an error.
+    model : "misconceptions", "terms", mapping of str to callable, or callable, optional
+        What is estimated besides. "misconceptions": sigma and the perceived cost-to-go, too, which takes a second or
+        more for each person. "terms", or terms by name: the weights of `TERMS`, or of these; the model is then
+        hierarchical (`hierarchy`). A function is a choice model in place of cost-to-go; beta is then its parameter, and
+        the task's cost-to-go must be a table.
     seed : int or numpy.random.Generator
         Random seed of the model check.
     jobs : int
@@ -194,12 +163,10 @@ def fit(
 
     Raises
     ------
-    LogError
-        No part of the log can be used or, with `strict`, some part cannot.
-    TypeError
-        `costs` is no task, or `log` is no log.
+    LogError, TypeError
+        As of `replayed`.
     ValueError
-        A name in `drop` or `rename` does not exist.
+        As of `replayed`; or a model is given for one of several goals; or a choice model has no table.
     MemoryError
         A person's misconceptions would take too much memory.
 
@@ -207,157 +174,66 @@ def fit(
     -----
     UserWarning
         Some lines cannot be used (`FittedPeople.faults`), or some states were not evaluated.
+
+    Notes
+    -----
+    Where each episode has one of several goals, these are summed out of the likelihood (`likelihood`).
+    `suboptimal_actions` then counts mistakes with regard to the goal that is the most probable one at the estimates,
+    and `Fit.goal_posteriors` has its probability. The model is checked where the goal is known and people choose by
+    cost-to-go.
     """
     assert callable(progress)
     progress("evaluating states", 0, None)
-    costs, log = known_costs(costs), log_of(log)
-    recording, known, faults = replayed(costs, log, drop=drop, rename=rename, strict=strict)
-    advance = adding(progress, "fitting people", len(recording.people))
-    return learn(
-        log, costs, recording, known, faults=faults, method=method, misconceptions=misconceptions, terms=terms,
-        chooses=chooses, table=costs if isinstance(costs, Table) else None, seed=seed, jobs=jobs, progress=advance,
-    )  # fmt: skip
-
-
-def replayed(
-    costs: CostToGo,
-    log: Log,
-    *,
-    drop: Sequence[str] = (),
-    rename: Mapping[str, str] | None = None,
-    strict: bool = False,
-) -> tuple[Recording, EvaluatedStates, tuple[Fault, ...]]:
-    """Return a log's replay, the cost-to-go of its states, and its faults; parameters as in `fit`."""
-    caller_of_fit = 4  # stack level of warnings
-    recording, found = replay(log, costs, drop=drop, rename=rename)
-    faults = tuple(sorted([*log.faults, *found], key=lambda fault: fault.line))
-    if faults:
-        message = f"{log.name}:{faults[0].line}: {faults[0]}"
-        if strict:
-            raise LogError(message)
-        others = f" (and {len(faults) - 1} more; see `faults`)" if len(faults) > 1 else ""
-        warnings.warn(message + others, stacklevel=caller_of_fit)
-    require_actions(log, recording, costs)
-    wanted = recording.wanted()
-    try:
-        h = costs.lookup(wanted)
-    except LimitError as error:
-        known = getattr(costs, "known", None)
-        if strict or known is None:
-            raise
-        warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=caller_of_fit)
-        h = known(wanted)
-    return recording, EvaluatedStates.of(costs, wanted, h, wanted, len(costs)), faults
-
-
-def require_actions(log: Log, recording: Recording, costs: TransitionSystem) -> None:
-    """Check that some episode of a log can be used."""
-    if len(recording):
-        return
-    if not log.people:
-        raise LogError(f"{log.name}: no recorded actions")
-    if not log.entries:
-        raise LogError(f"{log.name}: no episode can be used")
-    place = costs.task.instance
-    raise LogError(f"{log.name}: no episode can be followed through {place}; is it the log of another instance?")
-
-
-def learn(
-    log: Log,
-    costs: CostToGo,
-    recording: Recording,
-    known: EvaluatedStates,
-    *,
-    faults: tuple[Fault, ...] = (),
-    method: Method | None = None,
-    misconceptions: bool = False,
-    terms: Terms = False,
-    chooses: ChoiceModel | None = None,
-    table: Table | None = None,
-    seed: int | np.random.Generator = 0,
-    jobs: int = 1,
-    progress: Callable[[int], None] | None = None,
-) -> FittedPeople:
-    """Return estimates of people from a replayed log, if the cost-to-go of its states is known already.
-
-    Parameters
-    ----------
-    costs : CostToGo
-        Cost-to-go of the replayed task; it is not queried for costs.
-    known : EvaluatedStates
-        Data of the states that `recording.wanted()` returns.
-    faults, method, misconceptions, terms, chooses, seed, jobs
-        As in `fit`; `faults` are those of the log and of the replay.
-    progress : callable, optional
-        Called with the number of people who have been finished since the last call.
-    table : Table, optional
-        Table of the same task, for a user's choice model.
-    """
-    method = method or Method()
-    if chooses is not None and (misconceptions or terms):
-        raise ValueError("a choice model, and misconceptions or terms: expected one of them")
-    if misconceptions and terms:
-        raise ValueError("misconceptions and terms: expected one of them; they cannot be estimated together")
-    observations, left_out = observed(log, costs, recording, known, terms)
-    if chooses is not None:
-        if table is None:
-            raise ValueError("a choice model: expected a table of the whole task")
+    seen, method = evidence(task, log, reading), method or Method()
+    if seen.goals and model is not None:
+        raise ValueError("several goals, and misconceptions, terms or a choice model: expected one of them")
+    terms = TERMS if model == "terms" else model if isinstance(model, Mapping) else None
+    chooses = model if callable(model) else None
+    misconceptions = model == "misconceptions"
+    observations = seen.observations(terms)
+    if seen.goals or chooses is not None:
         method = replace(method, largest_beta=largest_beta(observations, method))
-        observations = with_model(observations, chooses, costs, table, largest_beta(observations, method))
-    rng = np.random.default_rng(seed)
+    if chooses is not None:
+        if not isinstance(seen.costs, Table):
+            raise ValueError("a choice model: expected a table of the whole task")
+        observations = with_model(observations, chooses, seen.costs, method.largest_beta or 1.0)
     if misconceptions:
         require_memory(observations, method.misconception_memory_mb)
-    population = None
-    if terms:
-        fits, population = fit_terms(observations, method)
+    advance = adding(progress, "fitting people", len(seen.recording.people))
+    hierarchy, slow = None, misconceptions or terms is not None
+    if terms is not None:
+        fits, hierarchy = fit_terms(observations, method)
     else:
-        fits = maximum_likelihood(observations, method, jobs=jobs, progress=None if misconceptions else progress)
-    records = []
-    for fitted in fits:
-        misconception = fit_misconception(fitted) if misconceptions else None
-        person = fitted.observations.person
-        fits_model = UNCHECKED if chooses is not None else check(fitted, rng)  # the check concerns the paper's model
-        records.append(PersonEstimate(fitted, fits_model, misconception, left_out.get(person, 0)))
-        if (misconceptions or terms) and progress is not None:
-            progress(1)
+        fits = maximum_likelihood(observations, method, jobs=jobs, progress=None if slow else advance)
+    rng, records = np.random.default_rng(seed), list[PersonEstimate]()
+    for one in map(_with_likeliest, fits) if seen.goals else fits:
+        misconception = fit_misconception(one) if misconceptions else None
+        checked = UNCHECKED if seen.goals or chooses is not None else check(one, rng)
+        records.append(PersonEstimate(one, checked, misconception, seen.left_out.get(one.observations.person, 0)))
+        if slow:
+            advance(1)
+    facts = FactsOf(seen.costs) if misconceptions else None
+    return FittedPeople(tuple(records), _unknown(seen), seen.faults, method, facts, hierarchy, chooses)
 
-    named = log.people | {fault.person for fault in faults if fault.person is not None}
-    unknown = {
-        person: nothing_known(
-            person,
-            "no action can be used" if left_out.get(person) else "no episode can be used",
-            left_out.get(person, 0),
-        )
-        for person in sorted(named - {o.person for o in observations}, key=in_order)
+
+def _unknown(seen: Evidence) -> dict[str, dict[str, Any]]:
+    """Return a record with the reason for each person in a log of whom no action can be used."""
+    named = seen.log.people | {fault.person for fault in seen.faults if fault.person is not None}
+    missing = {person: seen.left_out.get(person, 0) for person in named - set(seen.recording.people)}
+    return {
+        person: nothing_known(person, f"no {'action' if missing[person] else 'episode'} can be used", missing[person])
+        for person in sorted(missing, key=in_order)
     }
-    return FittedPeople(
-        tuple(records), unknown, faults, method, FactsOf(costs) if misconceptions else None, population, chooses
-    )
 
 
-def observed(
-    log: Log, costs: CostToGo, recording: Recording, known: EvaluatedStates, terms: Terms = False
-) -> tuple[list[Observations], dict[str, int]]:
-    """Return each person's observations, and the number of excluded actions of each.
-
-    Parameters
-    ----------
-    log, costs, recording, known, terms
-        As in `learn`.
-
-    Raises
-    ------
-    LogError
-        No cost-to-go is known, or no person can reach the goal.
-    """
-    recording, left_out = recording.evaluated(known.h)
-    if not len(recording):
-        raise LogError(f"{log.name}: the states after every action took too long")
-    if not math.isfinite(known.h[recording.wanted()].min()):
-        raise LogError(f"{log.name}: no state that was visited has a way to the goal, so that all actions are alike")
-    wanted, goal = recording.wanted(), np.zeros(len(known.h), dtype=bool)
-    goal[wanted] = costs.is_goal(wanted)
-    if not terms:
-        return observe(recording, known, goal), left_out
-    own = TERMS if terms is True else terms
-    return observe(recording, known, goal, tuple(own), features(situation(recording, costs), own)), left_out
+def _with_likeliest(fit: Fit) -> Fit:
+    """Return a fit in which the most probable goal of each episode decides what counts as a mistake."""
+    o, goals = fit.observations, fit.observations.goals
+    assert goals is not None
+    likeliest = np.array([list(shares.values()) for shares in fit.goal_posteriors().values()]).argmax(axis=1)
+    of_step, rows = likeliest[o.begins.cumsum() - 1], np.arange(len(o))
+    chosen: dict[str, Any] = {
+        name: np.stack([getattr(each, name) for each in goals.each])[of_step, rows]
+        for name in ("excess", "optimal", "ahead", "gain", "cost_to_go", "goal")
+    }
+    return replace(fit, observations=replace(o, **chosen))

@@ -9,29 +9,24 @@ actions, without any approximation.
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from os import PathLike
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from planner import CostToGo, known_costs
+from planner import CostToGo
 from planner.system.arrays import outline, read_only
 
 from ..people.belief import Grid
 from ..people.choices import STAND_STILL
 from ..people.decision import NOTHING, Floats, choice
 from ..people.decision import lapse as lapses
-from ..people.goals import prior_over
 from ..people.human import Population
-from .fit import LogError, require_actions
-from .joint_states import JointStates
-from .log import Fault, Log, log_of
+from .evidence import Evidence, Reading, Records, evidence
+from .log import Fault
 from .observations import Ints
-from .replay import Recording, replay
 
 if TYPE_CHECKING:
     from planner import AnyTask
@@ -127,35 +122,20 @@ class InferredGoals:
 
 
 def infer_goals(
-    goals: Mapping[str, CostToGo | AnyTask],
-    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]],
-    *,
-    prior: Mapping[str, float] | None = None,
-    beta: ArrayLike | None = None,
-    lapse: float = 1e-3,
-    drop: Sequence[str] = (),
-    rename: Mapping[str, str] | None = None,
-    strict: bool = False,
-) -> InferredGoals:
+    goals: Mapping[str, CostToGo | AnyTask] | Evidence, log: Records | None = None, *, beta: ArrayLike | None = None,
+    lapse: float = 1e-3, **reading: Unpack[Reading],
+) -> InferredGoals:  # fmt: skip
     """Return the exact posterior over goals after each recorded action.
 
     Parameters
     ----------
-    goals : mapping of str to CostToGo, or to whatever `planner.load` takes
-        Cost-to-go of each goal, by the goal's name, such as the tables of `planner.sweep_goals`. The tasks differ in
-        their goals only.
-    log : Log, path, list of dict, or data frame
-        A log, as in `fit`. Suggestions in it are ignored.
-    prior : mapping of str to float, optional
-        Probability of each goal at the beginning of an episode; by default all are equal.
+    goals, log, **reading
+        As for `replayed`: the task of each goal by its name, and a log; or a log that was replayed. Suggestions in the
+        log are ignored.
     beta : array_like, shape (B,), optional
         Values of beta, which are equally probable at first; by default a grid of six from 0.1 to 3 (`Grid.regular`).
     lapse : float
         Weight of a uniform choice, so that no action has probability zero; between 0 and 1.
-    drop, rename
-        As in `replay`.
-    strict : bool
-        Whether a log that cannot be used completely is an error.
 
     Raises
     ------
@@ -169,7 +149,7 @@ def infer_goals(
     Warns
     -----
     UserWarning
-        Some lines cannot be used (`InferredGoals.faults`), or something else was left out (`InferredGoals.notes`).
+        Some lines cannot be used (`InferredGoals.faults`), or some states were not evaluated.
 
     Notes
     -----
@@ -177,154 +157,43 @@ def infer_goals(
     a goal would stop: an action after that is a lapse, of probability `lapse` divided by the number of choices. Once
     all goals are reached, actions are excluded as in `fit`.
     """
-    log = log_of(log)
-    found = inferred(
-        costs_of_goals(goals), log, prior=prior, beta=beta, lapse=lapse, drop=drop, rename=rename, strict=strict
-    )
-    if found.faults:
-        others = f" (and {len(found.faults) - 1} more; see `faults`)" if len(found.faults) > 1 else ""
-        warnings.warn(f"{log.name}:{found.faults[0].line}: {found.faults[0]}{others}", stacklevel=2)
-    for note in found.notes:
-        warnings.warn(note, stacklevel=2)
-    return found
-
-
-def costs_of_goals(goals: Mapping[str, CostToGo | AnyTask]) -> dict[str, CostToGo]:
-    """Return the cost-to-go of each goal, whose task may be given in any form."""
-    if not isinstance(goals, Mapping):
-        raise TypeError(
-            f"a {type(goals).__name__} where goals were expected: a dictionary, a task for each goal's name"
-        )
-    return {name: known_costs(task) for name, task in goals.items()}
-
-
-def inferred(
-    goals: Mapping[str, CostToGo],
-    log: Log,
-    *,
-    prior: Mapping[str, float] | None = None,
-    beta: ArrayLike | None = None,
-    lapse: float = 1e-3,
-    drop: Sequence[str] = (),
-    rename: Mapping[str, str] | None = None,
-    strict: bool = False,
-) -> InferredGoals:
-    """Return the result of `infer_goals`, without warnings about faults in the log."""
-    first = prior_over(goals, prior)
     grid = Grid.regular(Population()).beta if beta is None else np.asarray(beta, dtype=float)
     if grid.ndim != 1 or not len(grid) or not (np.isfinite(grid).all() and (grid >= 0).all()):
         raise ValueError(f"beta {grid}: expected one or more finite values from 0 upwards")
     if not 0 < lapse < 1:
         raise ValueError(f"lapse {lapse:g}: expected 0 < lapse < 1")
-    r = recorded(goals, log, drop=drop, rename=rename, strict=strict)
+    if not isinstance(goals, Mapping | Evidence):
+        raise TypeError(
+            f"a {type(goals).__name__} where goals were expected: a dictionary, a task for each goal's name"
+        )
+    r = evidence(goals, log, reading)
     notes, left_out = list(r.notes), sum(r.left_out.values())
     if left_out:
         notes.append(f"{left_out} actions are left out, since the cost-to-go after them is unknown")
     if (r.recording.suggested != NOTHING).any():
         notes.append("suggestions are ignored: people are taken to choose by cost-to-go alone")
-    likelihood = np.log(_probabilities(r.recording, r.h, r.reached, grid, lapse))
+    likelihood = np.log(_probabilities(r, grid, lapse))
     with np.errstate(divide="ignore"):
-        episodes = _posteriors(r.recording, likelihood, np.log(first), grid, r.actions)
-    return InferredGoals(tuple(goals), first, episodes, r.faults, tuple(notes), left_out)
+        episodes = _posteriors(r, likelihood, grid)
+    return InferredGoals(r.goals, r.prior, episodes, r.faults, tuple(notes), left_out)
 
 
-class RecordedWithGoals(NamedTuple):
-    """A log that was replayed for G goals.
-
-    Attributes
-    ----------
-    recording : Recording
-        N choices, without those of which the cost-to-go is unknown with some goal.
-    h : float array, shape (G, states)
-        Cost-to-go with each goal.
-    reached : bool array, shape (G, N)
-        Whether each goal holds before each choice.
-    actions : sequence of str
-        The task's actions.
-    faults : tuple of Fault
-    notes : tuple of str
-    left_out : dict of str to int
-        Number of choices of each person that are left out.
-    """
-
-    recording: Recording
-    h: Floats
-    reached: NDArray[np.bool_]
-    actions: Sequence[str]
-    faults: tuple[Fault, ...]
-    notes: tuple[str, ...]
-    left_out: dict[str, int]
-
-
-def recorded(
-    goals: Mapping[str, CostToGo],
-    log: Log,
-    *,
-    drop: Sequence[str] = (),
-    rename: Mapping[str, str] | None = None,
-    strict: bool = False,
-) -> RecordedWithGoals:
-    """Replay a log for several goals; parameters and errors as in `infer_goals`."""
-    states = JointStates(goals)
-    for name, costs in goals.items():
-        if not np.isfinite(costs.lookup([costs.initial])[0]):
-            raise ValueError(f"goal '{name}' cannot be reached from the initial state; expected goals that can")
-    recording, found = replay(log, states, drop=drop, rename=rename)
-    faults = tuple(sorted([*log.faults, *found], key=lambda fault: fault.line))
-    if strict and faults:
-        raise LogError(f"{log.name}:{faults[0].line}: {faults[0]}")
-    require_actions(log, recording, states)
-    h, notes = states.cost_to_go(recording, strict=strict)
-    recording, left_out = recording.evaluated(np.where(np.isnan(h).any(axis=0), np.nan, 0.0))
-    if not len(recording):
-        raise LogError(f"{log.name}: the states after every action took too long")
-    reached = states.reached(recording.state)
-    return RecordedWithGoals(recording, h, reached, states.task.actions, faults, tuple(notes), left_out)
-
-
-def _probabilities(recording: Recording, h: Floats, reached: NDArray[np.bool_], beta: Floats, rate: float) -> Floats:
-    """Return the probability of each recorded choice for each type, shape (N, G, B).
-
-    Parameters
-    ----------
-    recording : Recording
-        N steps.
-    h : float array, shape (G, states)
-        Cost-to-go of each goal.
-    reached : bool array, shape (G, N)
-        Whether each goal holds before each choice.
-    beta : float array, shape (B,)
-    rate : float
-        The lapse rate.
-    """
-    r = recording
+def _probabilities(seen: Evidence, beta: Floats, rate: float) -> Floats:
+    """Return the probability of each recorded choice for each type, shape (N, G, B); `beta` has shape (B,)."""
+    r = seen.recording
     rows, applicable = np.arange(len(r)), r.applicable[:, None]
-    result = np.empty((len(r), len(h), len(beta)))
-    for goal in range(len(h)):
-        q = np.where(r.applicable, r.costs + h[goal, r.targets], np.inf)
+    result = np.empty((len(r), len(seen.goals), len(beta)))
+    for goal, known in enumerate(seen.known):
+        q = np.where(r.applicable, r.costs + known.h[r.targets], np.inf)
         p = choice(q[:, None], applicable, beta)
-        p[reached[goal]] = 0.0  # the person would have stopped
+        p[seen.reached[goal]] = 0.0  # the person would have stopped
         result[:, goal] = lapses(p, applicable, rate)[rows, :, r.chosen]
     return result
 
 
-def _posteriors(
-    recording: Recording, likelihood: Floats, prior: Floats, beta: Floats, actions: Sequence[str]
-) -> tuple[EpisodeGoals, ...]:
-    """Return the posteriors of all episodes.
-
-    Parameters
-    ----------
-    recording : Recording
-    likelihood : float array, shape (N, G, B)
-        Logarithm of the probability of each choice.
-    prior : float array, shape (G,)
-        Logarithm of the prior.
-    beta : float array, shape (B,)
-    actions : sequence of str
-        The task's actions.
-    """
-    r = recording
+def _posteriors(seen: Evidence, likelihood: Floats, beta: Floats) -> tuple[EpisodeGoals, ...]:
+    """Return the posteriors of all episodes; `likelihood` has the log of the probability of each choice, (N, G, B)."""
+    r, actions, prior = seen.recording, seen.costs.task.actions, np.log(seen.prior)
     ends = np.flatnonzero(np.diff(r.episode, append=-1))
     found = []
     for begin, end in zip([0, *(ends[:-1] + 1)], ends + 1, strict=True):

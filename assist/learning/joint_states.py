@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner import CostToGo, LimitError, Transitions
 
 from ..people.decision import Floats
-from .observations import Ints
-from .replay import Recording
+from .observations import EvaluatedStates, Ints
 
 
 class JointStates:
@@ -32,6 +31,8 @@ class JointStates:
                 raise ValueError(
                     f"goal '{name}' has other actions than the first; expected the same domain and objects"
                 )
+            if not np.isfinite(costs.lookup([costs.initial])[0]):
+                raise ValueError(f"goal '{name}' cannot be reached from the initial state; expected goals that can")
             place = places.setdefault(id(_enumeration(costs)), len(heads))
             heads += [costs] * (place == len(heads))
             self._place.append(place)
@@ -71,21 +72,29 @@ class JointStates:
         """Return whether all goals hold in each state, shape (N,)."""
         return np.logical_and.reduce(self.reached(states), axis=0)
 
-    def cost_to_go(self, recording: Recording, *, strict: bool) -> tuple[Floats, list[str]]:
-        """Return h* of each goal in all joint states, shape (G, states), and notes; NaN if not wanted or unknown."""
-        wanted = recording.wanted()
-        own, notes = self._own(wanted), list[str]()
-        h = np.full((len(self._goals), len(self)), np.nan)
-        for goal, (costs, place) in enumerate(zip(self._goals, self._place, strict=True)):
-            try:
-                h[goal, wanted] = costs.lookup(own[place])
-            except LimitError as error:
-                known = getattr(costs, "known", None)
-                if strict or known is None:
-                    raise
-                notes.append(str(error))
-                h[goal, wanted] = known(own[place])
-        return h, notes
+    def evaluated(self, states: Ints, *, strict: bool) -> tuple[list[EvaluatedStates], list[str]]:
+        """Return the data of joint states with each goal, and notes; NaN in other states, and where h* is unknown.
+
+        Plan lengths only concern which of several cheapest plans a person should prefer, so that they are left out.
+        """
+        own, notes, found = self._own(states), list[str](), list[EvaluatedStates]()
+        for costs, place in zip(self._goals, self._place, strict=True):
+            h = np.full(len(self), np.nan)
+            h[states], more = looked_up(costs, own[place], strict=strict)
+            notes += more
+            found.append(EvaluatedStates(h, None))
+        return found, notes
+
+
+def looked_up(costs: CostToGo, states: Ints, *, strict: bool) -> tuple[Floats, list[str]]:
+    """Return h* of states, NaN if it took too long, and a note then; with `strict`, that is an error."""
+    try:
+        return costs.lookup(states), []
+    except LimitError as error:
+        known = getattr(costs, "known", None)
+        if strict or known is None:
+            raise
+        return known(states), [str(error)]
 
 
 def _enumeration(costs: CostToGo) -> object:

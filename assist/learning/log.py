@@ -30,6 +30,10 @@ from .log_steps import moment
 EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
 
 
+class LogError(ValueError):
+    """No part of the log can be used, or, with `strict`, not all of it."""
+
+
 @dataclass(frozen=True)
 class Fault:
     """A line of a log that cannot be used.

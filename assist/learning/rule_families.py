@@ -10,7 +10,6 @@ from itertools import product
 
 from ..people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
 from .likelihood import Method
-from .trust_scores import REFERENCE
 
 STEP_SIZES = (0.1, 0.2, 0.4, 0.8)
 """Steps of logit(theta) that are tried for gain and for loss, in log-odds."""
@@ -65,7 +64,7 @@ def families(method: Method) -> dict[str, RuleFamily]:
     paper = partial(EquationSeven, utility_scale=method.utility_scale)
     steps, pairs = {"gain": (0.0, LARGEST_STEP), "loss": (0.0, LARGEST_STEP)}, tuple(product(STEP_SIZES, STEP_SIZES))
     return {
-        REFERENCE: RuleFamily.of(constant()),
+        "constant": RuleFamily.of(constant()),
         "paper": RuleFamily(paper, {"eta": (0.0, 1.0)}, tuple((rate,) for rate in RATES))
         if method.eta is None
         else RuleFamily.of(paper(eta=method.eta)),

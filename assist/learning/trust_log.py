@@ -19,8 +19,8 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from ..people.trust_rules import LEAST, Event, PerceivedSuggestions, TrustRule, moved
-from .fit import LogError
 from .likelihood import Data, Method, alone
+from .log import LogError
 from .maximum_likelihood import largest_beta
 from .observations import Ints, Observations
 
@@ -47,7 +47,7 @@ class TrustLog:
     Attributes
     ----------
     people : tuple of str
-    counts : float array, shape (K,)
+    counts : int array, shape (K,)
         Number of choices of each person.
     silent : float array, shape (K, B)
         Log likelihood of the choices without a suggestion.
@@ -68,7 +68,7 @@ class TrustLog:
     """
 
     people: tuple[str, ...]
-    counts: Floats
+    counts: Ints
     silent: Floats
     heard: Ints
     anew: NDArray[np.bool_]
@@ -126,7 +126,7 @@ class TrustLog:
             gain[k, to], options[k, to] = o.gain[steps], data.options[steps]
             agrees[k, to], optimal[k, to] = o.excess[steps, slot] <= 0, o.optimal[steps, slot]
         return cls(
-            tuple(o.person for o in observations), np.array([float(len(o)) for o in observations]), silent, heard, anew,
+            tuple(o.person for o in observations), np.array([len(o) for o in observations]), silent, heard, anew,
             followed, chosen, told, rest, options, PerceivedSuggestions(gain, agrees, optimal), beta,
             1 / (1 + np.exp(-np.linspace(-end, end, THETAS))), method.lapse,
         )  # fmt: skip

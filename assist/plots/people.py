@@ -63,16 +63,16 @@ def comparison_figure(comparison: Comparison) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 0.9 + 0.55 * len(comparison.models)), layout="constrained")
+    figure = Figure(figsize=(9, 0.9 + 0.55 * len(comparison.scores)), layout="constrained")
     means, people = figure.subplots(1, 2)
-    reference, rows = comparison.models[0], np.arange(len(comparison.models))[::-1]
-    for row, model in zip(rows, comparison.models, strict=True):
+    reference, rows = comparison.scores[0], np.arange(len(comparison.scores))[::-1]
+    for row, model in zip(rows, comparison.scores, strict=True):
         means.errorbar(model.nats_per_choice, row, xerr=1.96 * model.stderr, fmt="o", color=BLUE, capsize=3)
         less = reference.of_people - model.of_people
         if model.better_for is not None:
             spread = np.linspace(-0.28, 0.28, len(less))[np.argsort(np.argsort(less))]
             people.scatter(less, row + spread, s=9, color=np.where(less > 0, GREEN, ORANGE), linewidths=0)
-    means.set_yticks(rows, [model.model for model in comparison.models])
+    means.set_yticks(rows, [model.model for model in comparison.scores])
     means.set(xlabel="nats per choice of held-out people, with 95 % interval", ylim=(-0.6, len(rows) - 0.4))
     people.set_yticks(rows, [""] * len(rows))
     people.set(xlabel=f"less than {reference.model}, one mark per person", ylim=(-0.6, len(rows) - 0.4))

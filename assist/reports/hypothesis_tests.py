@@ -6,7 +6,6 @@ Every function returns NaN where the data do not determine a result, for instanc
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,19 +128,3 @@ def _wilson(successes: int, n: int, level: float) -> tuple[float, float, float]:
     z, p = float(stats.norm.ppf((1 + level) / 2)), successes / n
     middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     return p, (middle - half) / (1 + z * z / n), (middle + half) / (1 + z * z / n)
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return the p-values adjusted for their number (Holm, 1979), which bounds the family-wise error.
-
-    Parameters
-    ----------
-    p_values : sequence of float
-        Undefined ones (NaN) count as 1: the family is as large as it was planned.
-    """
-    values = [1.0 if math.isnan(p) else p for p in p_values]
-    adjusted, largest = [0.0] * len(values), 0.0
-    for place, number in enumerate(sorted(range(len(values)), key=values.__getitem__)):
-        largest = max(largest, min(1.0, (len(values) - place) * values[number]))
-        adjusted[number] = largest
-    return [math.nan if math.isnan(p) else q for p, q in zip(p_values, adjusted, strict=True)]

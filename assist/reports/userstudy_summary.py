@@ -17,11 +17,12 @@ import numpy as np
 
 from planner.system.files import finite
 
+from ..learning.comparison import holm
 from ..userstudy.plan import UserStudy
 from ..userstudy.questionnaires import CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX, Item, Questionnaire
 from ..userstudy.tables import Row, Tables
 from .effects import between_groups, cronbach_alpha, detectable, detectable_within, within_participants
-from .hypothesis_tests import RankTest, fisher_p, holm, mann_whitney, newcombe, sign_test, signed_rank
+from .hypothesis_tests import RankTest, fisher_p, mann_whitney, newcombe, sign_test, signed_rank
 from .repeated_measures import means_within, mixed_model
 from .statistics import FEW, IntervalEstimate, mean
 

@@ -24,8 +24,7 @@ GROUPS = {
         "--people", "--prior", "--simulate", "--pace",
     ),
     "Estimates": (
-        "--misconception", "--terms", "--compare", "--compare-trust", "--theta-per-episode", "--folds", "--family",
-        "--level", "--largest-beta",
+        "--misconception", "--terms", "--theta-per-episode", "--folds", "--family", "--level", "--largest-beta",
     ),
     "Robot": (
         "--robots", "--policy", "--knowledge", "--goal-knowledge", "--suggestions", "--execute", "--gamma",
@@ -90,8 +89,9 @@ def _hint(name: str, context: click.Context) -> str:
 
 
 def _options(command: click.Command | None) -> list[str]:
-    """Return the long names of a command's options."""
-    params = [] if command is None else command.params
+    """Return the long names of a command's options, or of those of the commands in a group."""
+    inner = command.commands.values() if isinstance(command, click.Group) else [command]
+    params = [option for one in inner if one is not None for option in one.params]
     return [name for option in params for name in option.opts if name.startswith("--")]
 
 

@@ -1,7 +1,8 @@
-"""The options of `fit`, and the replay of a log and the estimates that are computed with them."""
+"""The options for reading a log and estimating people, and the replay of a log with them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,7 +20,6 @@ from .common import (
     JOBS,
     NUMBER,
     OUTPUT_FOLDER,
-    SEED,
     Command,
     Option,
     lapse_option,
@@ -28,19 +28,16 @@ from .common import (
     seconds_option,
     with_options,
 )
-from .goals import goals_of, prior_of
-from .population import choice_model, people_option
+from .goals import goals_of
 from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
     from planner import CostToGo, OnDemand
 
-    from ...learning.comparison import Comparison
-    from ...learning.fit import FittedPeople
+    from ...learning.evidence import Evidence
     from ...learning.likelihood import Method
     from ...learning.log import Fault, Log
     from ...learning.observations import EvaluatedStates
-    from ...learning.replay import Recording
 
 
 def reading_options(command: Command) -> Command:
@@ -75,26 +72,9 @@ def reading_options(command: Command) -> Command:
     return with_options(command, options)
 
 
-def log_options(command: Command) -> Command:
-    """Add the options for reading a log and estimating people. `replayed` takes those that concern the log."""
+def method_options(command: Command) -> Command:
+    """Add the options of `Method`; their values are its fields."""
     options: tuple[Option[Any], ...] = (
-        click.option(
-            "--misconception", "misconceptions", is_flag=True,
-            help="Also estimate misconceptions: their size (sigma) and the perceived cost-to-go.",
-        ),
-        click.option(
-            "--terms", is_flag=True,
-            help="Fit preferences besides cost (hierarchical model).",
-        ),
-        click.option(
-            "--compare", is_flag=True,
-            help="Compare choice models by cross-validation over people.",
-        ),
-        click.option(
-            "--folds", type=click.IntRange(2), default=8, show_default=True,
-            help="Number of folds of --compare.",
-        ),
-        people_option,
         click.option("--eta", type=NUMBER, help="Rate of the trust update (eta). Estimated unless given."),
         scale_option,
         lapse_option("Weight of a uniform choice."),
@@ -104,161 +84,111 @@ def log_options(command: Command) -> Command:
             help="Upper end of the range of expertise (beta).  [default: 10, divided by the cost of the smallest "
                  "possible mistake]",
         ),
-        reading_options,
-        click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the model check."),
     )  # fmt: skip
     return with_options(command, options)
 
 
-class Replayed(NamedTuple):
-    """A log that was replayed in its task, and the data that estimates are computed from."""
-
-    log: Log
-    walked: OnDemand
-    recording: Recording
-    evaluated: EvaluatedStates
-    faults: tuple[Fault, ...]
-    method: Method
-    jobs: int
+folds_option = click.option(
+    "--folds", type=click.IntRange(2), default=8, show_default=True,
+    help="Number of groups of people, each of which is predicted from the others.",
+)  # fmt: skip
 
 
-def replayed(
-    found: Instance,
-    file: Path,
-    *,
-    drop: tuple[str, ...],
-    rename: tuple[str, ...],
-    columns: tuple[str, ...],
-    gaps: bool,
-    strict: bool,
-    jobs: int | None,
-    max_states: int,
-    time_limit: float | None,
-    cache: Path | None,
-    **setting: Any,
-) -> Replayed:
-    """Read a log and replay it in the task of an instance. Expected errors end the command in one line.
+def method_of(
+    *, eta: float | None, utility_scale: float, lapse: float, level: float, largest_beta: float | None
+) -> Method:
+    """Return the options of the estimation; an invalid one is a usage error."""
+    from ...learning.likelihood import Method
 
-    Raises
-    ------
-    click.UsageError
-        An option has an invalid value.
+    try:
+        return Method(level, lapse, utility_scale, eta, largest_beta)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+
+
+class ReadingOptions(NamedTuple):
+    """The values of `reading_options`."""
+
+    drop: tuple[str, ...]
+    rename: tuple[str, ...]
+    columns: tuple[str, ...]
+    gaps: bool
+    strict: bool
+    max_states: int
+    time_limit: float | None
+    cache: Path | None
+    jobs: int | None
+
+    @classmethod
+    def taken(cls, options: dict[str, Any]) -> ReadingOptions:
+        """Return the values among those of a command, from which they are removed."""
+        return cls(**{name: options.pop(name) for name in cls._fields})
+
+    @property
+    def evaluation(self) -> dict[str, Any]:
+        """Those that say how states are evaluated."""
+        return {name: getattr(self, name) for name in ("max_states", "time_limit", "cache", "jobs")}
+
+    def replayed(self, file: Path, task: Any, **more: Any) -> Evidence:
+        """Replay a log, as `learning.replayed` does; tell its faults. Expected errors end the command in one line."""
+        from ...learning.evidence import replayed
+        from ...learning.log import LogError, told
+
+        def tell(_: Log, faults: tuple[Fault, ...]) -> None:
+            for line in told(faults, file):
+                click.echo(line, err=True)
+            if self.strict:
+                fail(f"{file}: nothing is estimated, because of --strict", ExitCode.FAILED)
+
+        names = renamed(self.rename)
+        log = log_of(file, self.columns, gaps=self.gaps)
+        tasks = task()
+        try:
+            found = replayed(tasks, log, tell=tell, drop=self.drop, rename=names, strict=self.strict, **more)
+        except LogError as error:
+            fail(str(error), ExitCode.FAILED)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+        for note in found.notes:
+            click.echo(note, err=True)
+        return found
+
+
+def with_task(found: Instance, file: Path, reading: ReadingOptions, *, table: bool = False) -> Evidence:
+    """Replay a log in the task of an instance. Expected errors end the command in one line.
+
+    With `table`, states are those of a table of the whole task, as a choice model needs it.
     """
-    from ...learning.fit import LogError, require_actions
-    from ...learning.likelihood import Method
-    from ...learning.log import told
-    from ...learning.replay import replay
-
-    names = renamed(rename)
-    try:
-        method = Method(**setting)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
-    log = log_of(file, columns, gaps=gaps)
-    tell_of_compiling()
-    task = planner.load(found)
-    tell_note(task)
-    if task.decided_by_translator:
-        why = "the goal is unreachable or holds in the initial state, so nothing can be estimated"
-        fail(f"{found}: {why}", ExitCode.FAILED)
-    walked = planner.OnDemand(task)
-    try:
-        recording, more = replay(log, walked, drop=drop, rename=names)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
-    faults = tuple(sorted([*log.faults, *more], key=lambda fault: fault.line))
-    for line in told(faults, file):
-        click.echo(line, err=True)
-    if strict and faults:
-        fail(f"{file}: nothing is fitted, because of --strict", ExitCode.FAILED)
-    jobs = jobs or processors()
-    try:
-        require_actions(log, recording, walked)
-    except LogError as error:
-        fail(str(error), ExitCode.FAILED)
-    evaluated = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
-    return Replayed(log, walked, recording, evaluated, faults, method, jobs)
-
-
-def people_of(
-    known: Replayed, *, misconceptions: bool, terms: bool, people: str | None, max_states: int, seed: int
-) -> FittedPeople:
-    """Estimate the parameters of the people in a log. Expected errors end the command in one line."""
     from ...large_tasks.person_problem import WHOLE, is_whole
-    from ...learning.fit import LogError, learn
-    from ...people.choice_model import ChoiceModelError
-    from ...people.user_code import UserCodeError
 
-    try:
-        chooses = None if people is None else choice_model(people)
-    except UserCodeError as error:
-        fail(str(error), ExitCode.FAILED)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
-    task = known.walked.task
-    table: CostToGo | None = None
-    if chooses is not None:
-        table = planner.cost_to_go(task, max_states=min(WHOLE, max_states), cache=planner.Cache(task))
-    if table is not None and not is_whole(table):
-        raise click.UsageError(f"--people: expected a task of at most {min(WHOLE, max_states):,} states")
-    try:
-        with progress_bar("fitting people", len(known.recording.people)) as advance:
-            return learn(
-                known.log, known.walked, known.recording, known.evaluated, faults=known.faults, method=known.method,
-                misconceptions=misconceptions, terms=terms, chooses=chooses, table=table, seed=seed, jobs=known.jobs,
-                progress=advance,
-            )  # fmt: skip
-    except (LogError, ChoiceModelError) as error:
-        fail(str(error), ExitCode.FAILED)
+    def loaded() -> CostToGo:
+        tell_of_compiling()
+        task = planner.load(found)
+        tell_note(task)
+        if task.decided_by_translator:
+            why = "the goal is unreachable or holds in the initial state, so nothing can be estimated"
+            fail(f"{found}: {why}", ExitCode.FAILED)
+        if not table:
+            walked.append(planner.OnDemand(task))
+            return walked[0]
+        most = min(WHOLE, reading.max_states)
+        whole = planner.cost_to_go(task, max_states=most, cache=planner.Cache(task))
+        if not is_whole(whole):
+            raise click.UsageError(f"--people: expected a task of at most {most:,} states")
+        return whole
+
+    walked: list[OnDemand] = []
+    evaluate = None if table else lambda wanted: _evaluate(walked[0], wanted, reading)
+    return reading.replayed(file, loaded, evaluate=evaluate)
 
 
-def people_with_goals(
-    instance: str, problems: tuple[str, ...], prior: tuple[str, ...], file: Path, *, domain: str | None,
-    drop: tuple[str, ...], rename: tuple[str, ...], columns: tuple[str, ...], gaps: bool, strict: bool,
-    jobs: int | None, max_states: int, time_limit: float | None, cache: Path | None, **setting: Any,
-) -> FittedPeople:  # fmt: skip
-    """Estimate people who pursue the goal of INSTANCE or of a further problem. Expected errors end the command."""
-    from ...learning.fit import LogError
-    from ...learning.goal_fit import learn_with_goals
-    from ...learning.goals import recorded
-    from ...learning.likelihood import Method
-    from ...learning.log import told
-    from ...people.goals import prior_over
-
-    names = renamed(rename)
-    try:
-        method = Method(**setting)
-        log = log_of(file, columns, gaps=gaps)
-        every = list(dict.fromkeys(str(found.problem) for found in find_instances([instance, *problems], domain)))
-        goals = goals_of(
-            every, domain=domain, max_states=max_states, time_limit=time_limit, cache=cache, jobs=jobs,
-        )  # fmt: skip
-        shares = prior_over(goals, prior_of(prior, "--goal-prior"))
-        found = recorded(goals, log, drop=drop, rename=names, strict=strict)
-        for line in [*told(found.faults, file), *found.notes]:
-            click.echo(line, err=True)
-        with progress_bar("fitting people", len(found.recording.people)) as advance:
-            return learn_with_goals(
-                log, found, tuple(goals), shares, method=method, jobs=jobs or processors(), progress=advance
-            )
-    except LogError as error:
-        fail(str(error), ExitCode.FAILED)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
-
-
-def comparison_of(known: Replayed, folds: int) -> Comparison:
-    """Compare choice models on the people in a log. Expected errors end the command in one line."""
-    from ...learning.comparison import compare_observed
-    from ...learning.fit import LogError, observed
-    from ...people.terms import TERMS
-
-    try:
-        observations, _ = observed(known.log, known.walked, known.recording, known.evaluated, TERMS)
-        with progress_bar("comparing models", len(TERMS) + 2) as advance:
-            return compare_observed(observations, known.method, folds=folds, name=str(known.log.name), progress=advance)
-    except LogError as error:
-        fail(str(error), ExitCode.FAILED)
+def with_goals(
+    problems: Sequence[str], file: Path, reading: ReadingOptions, *, domain: str | None,
+    prior: dict[str, float] | None,
+) -> Evidence:  # fmt: skip
+    """Replay a log in the tasks of several goals. Expected errors end the command in one line."""
+    every = list(dict.fromkeys(str(found.problem) for found in find_instances(problems, domain)))
+    return reading.replayed(file, lambda: goals_of(every, domain=domain, **reading.evaluation), prior=prior)
 
 
 def log_of(file: Path, columns: tuple[str, ...], *, gaps: bool) -> Log:
@@ -299,24 +229,21 @@ def _columns(given: tuple[str, ...]) -> dict[str, str]:
     return names
 
 
-def _evaluate(
-    walked: OnDemand, wanted: NDArray[np.int64], max_states: int, time_limit: float | None, cache: Path | None,
-    jobs: int, *, strict: bool,
-) -> EvaluatedStates:  # fmt: skip
+def _evaluate(walked: OnDemand, wanted: NDArray[np.int64], reading: ReadingOptions) -> EvaluatedStates:
     """Evaluate the wanted states among those that were visited, by a sweep or on demand.
 
     States that exceed the time limit get NaN. With `strict`, they raise `LimitError`.
     """
     from ...learning.observations import EvaluatedStates
 
-    values, limits = walked.values(wanted), Limits(seconds=time_limit)
-    kept = planner.Cache(walked.task, cache)
+    values, limits = walked.values(wanted), Limits(seconds=reading.time_limit)
+    kept = planner.Cache(walked.task, reading.cache)
     what = f"evaluating {len(wanted):,} states"
     with stages() as show:
         show(what, 0, None)
         costs = planner.cost_to_go(
-            walked.task, values, max_states=max_states, cache=kept, jobs=jobs, limits=limits,
-            progress=lambda of_all, done, total: show(f"{what}; all of the task, {of_all}", done, total),
+            walked.task, values, max_states=reading.max_states, cache=kept, jobs=reading.jobs or processors(),
+            limits=limits, progress=lambda of_all, done, total: show(f"{what}; all of the task, {of_all}", done, total),
         )  # fmt: skip
     numbers = costs.numbers(values)
     if not isinstance(costs, planner.OnDemand):
@@ -327,7 +254,7 @@ def _evaluate(
         try:
             h = costs.lookup(numbers, advance)
         except LimitError as error:
-            if strict:
+            if reading.strict:
                 raise
             h = costs.known(numbers)
             click.echo(f"{error}; actions that depend on them are left out", err=True)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ...people import user_code
+from ..terminal.console import ExitCode, fail
 from .common import INPUT_FILE, NUMBER, Command, Option, Range, is_given, range_option, refuse_unused, with_options
 
 if TYPE_CHECKING:
@@ -141,6 +142,18 @@ def refuse_unused_rates(trust: str | None) -> None:
 def _record(file: Path) -> dict[str, Any]:
     record = json.loads(file.read_text(encoding="utf-8"))
     return record if isinstance(record, dict) else {}
+
+
+def choice_model_of(people: str | None) -> ChoiceModel | None:
+    """Return the choice model FILE.py:FUNCTION of a user. Expected errors end the command in one line."""
+    from ...people.user_code import UserCodeError
+
+    try:
+        return None if people is None else choice_model(people)
+    except UserCodeError as error:
+        fail(str(error), ExitCode.FAILED)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
 
 
 def choice_model(people: str) -> ChoiceModel:

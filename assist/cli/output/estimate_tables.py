@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 from rich.table import Table
 
-from ...learning.comparison import Comparison
 from ...learning.fit import FittedPeople
 from ...learning.log import in_order
 from ...learning.population import PopulationFit
@@ -58,25 +57,6 @@ def lines_of(people: FittedPeople, found: PopulationFit | None) -> Iterable[str]
         yield f"{whose}: the weight of {name} is normal, mean {mean:.2f}, standard deviation {deviation:.2f}"
     if found.eta is not None:
         yield f"{whose}: eta {found.eta:.2f}"
-
-
-def comparison_table(comparison: Comparison) -> Table:
-    """Return a table of each choice model's predictions of people to whom it was not fitted."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("model")
-    for name in ("parameters", "nats per choice", "less than boltzmann", "better for", "beta"):
-        table.add_column(name, justify="right")
-    table.add_column("weights")
-    reference = comparison.models[0].nats_per_choice
-    for row in comparison.models:
-        less = "-" if row.better_for is None else f"{100 * (1 - row.nats_per_choice / reference):.1f} %"
-        better = "-" if row.better_for is None else f"{row.better_for} of {len(comparison.people)}"
-        weights = ", ".join(f"{name} {value:.2f}" for name, value in row.weights.items())
-        table.add_row(
-            row.model, f"{row.parameters}", f"{row.nats_per_choice:.3f} ± {row.stderr:.3f}", less, better,
-            f"{row.beta:.2f}", weights,
-        )  # fmt: skip
-    return table
 
 
 def _everybody(people: FittedPeople) -> list[str]:

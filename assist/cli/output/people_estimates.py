@@ -9,15 +9,30 @@ from typing import TYPE_CHECKING
 import click
 
 from planner.system import files
+from planner.system.machine import processors
 from planner.system.progress import stages
 
-from ..options.log import Replayed, comparison_of
-from ..terminal.console import print_json, print_table
+from ..terminal.console import ExitCode, fail, print_json, print_table
 
 if TYPE_CHECKING:
-    from ...learning.fit import FittedPeople
+    from ...learning.evidence import Evidence
+    from ...learning.fit import FittedPeople, Model
+    from ...learning.likelihood import Method
     from ...learning.population import PopulationFit
     from ...people.human import Range
+
+
+def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs: int | None) -> FittedPeople:
+    """Estimate the parameters of the people in a log. Expected errors end the command in one line."""
+    from ...learning.fit import fit
+    from ...learning.log import LogError
+    from ...people.choice_model import ChoiceModelError
+
+    try:
+        with stages() as show:
+            return fit(seen, method=method, model=model, seed=seed, jobs=jobs or processors(), progress=show)
+    except (LogError, ChoiceModelError) as error:
+        fail(str(error), ExitCode.FAILED)
 
 
 def show_people(
@@ -53,21 +68,3 @@ def write_population(found: PopulationFit, file: Path, sigma: Range = (0.0, 0.0)
     """Write a distribution over people, with the range of their misconceptions, as `simulate --population` reads it."""
     with files.atomic(file) as path:
         path.write_text(json.dumps(found.as_dict(sigma), indent=1) + "\n", encoding="utf-8")
-
-
-def show_comparison(known: Replayed, folds: int, out: Path | None, figures: Path | None, *, as_json: bool) -> bool:
-    """Compare choice models; write and print the results. Return whether every line of the log was used."""
-    from ...plots import people as pictures
-    from .estimate_tables import comparison_table
-
-    comparison = comparison_of(known, folds)
-    document = comparison.as_dict()
-    if out:
-        files.write_records(out, document["people"])
-    if figures:
-        pictures.draw_comparison(comparison, figures)
-    if as_json:
-        print_json(document)
-    else:
-        print_table(comparison_table(comparison), width=160)
-    return not known.faults and sum(comparison.actions) == len(known.recording)

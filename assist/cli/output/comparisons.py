@@ -1,0 +1,79 @@
+"""Comparisons of models on people to whom they were not fitted: computed with progress, and shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from rich.table import Table
+
+from planner.system import files
+from planner.system.progress import progress_bar
+
+from ..terminal.console import ExitCode, fail, print_json, print_table
+
+if TYPE_CHECKING:
+    from ...learning.advice_log import AdviceLog
+    from ...learning.comparison import Comparison
+    from ...learning.evidence import Evidence
+    from ...learning.likelihood import Method
+    from ...learning.observations import Observations
+
+
+def models_compared(seen: Evidence, method: Method, folds: int) -> Comparison:
+    """Compare choice models on the people in a log. Expected errors end the command in one line."""
+    from ...learning.log import LogError
+    from ...learning.model_comparison import compare_models
+    from ...people.terms import TERMS
+
+    try:
+        with progress_bar("comparing models", len(TERMS) + 2) as advance:
+            return compare_models(seen.observations(TERMS), method, folds=folds, progress=advance)
+    except LogError as error:
+        fail(f"{seen.log.name}: {error}", ExitCode.FAILED)
+
+
+def rules_compared(
+    people: Sequence[Observations] | AdviceLog, name: str, method: Method, folds: int, *, carry: bool
+) -> Comparison:
+    """Compare trust rules on the people of a file with this name. Expected errors end the command in one line."""
+    from ...learning.rule_comparison import compare_rules, rules_of
+
+    rules = rules_of(people, method)
+    try:
+        with progress_bar("comparing trust rules", len(rules)) as advance:
+            return compare_rules(people, method, rules=rules, folds=folds, carry=carry, progress=advance)
+    except ValueError as error:
+        fail(f"{name}: {error}", ExitCode.FAILED)
+
+
+def show_comparison(compared: Comparison, out: Path | None, figures: Path | None, *, as_json: bool) -> None:
+    """Write and print a comparison."""
+    from ...plots import people as pictures
+
+    if out:
+        files.write_records(out, compared.of_people())
+    if figures:
+        pictures.draw_comparison(compared, figures)
+    if as_json:
+        print_json(compared.as_dict())
+        return
+    reference, people = compared.scores[0].model, len(compared.people)
+    table = Table(box=None, pad_edge=False)
+    table.add_column("model")
+    of_difference = f"minus {reference} ({compared.level:.0%} interval)"
+    for name in ("nats per choice", of_difference, "p, corrected", "better for"):
+        table.add_column(name, justify="right")
+    table.add_column("parameters")
+    for row in compared.scores:
+        paired = corrected = better = "-"
+        if row.difference is not None and row.interval is not None:
+            paired = f"{row.difference:+.4f} ({row.interval[0]:+.4f} to {row.interval[1]:+.4f})"
+            corrected, better = f"{row.p_corrected:.2g}", f"{row.better_for} of {people}"
+        nats = f"{row.nats_per_choice:.4f} ± {row.stderr:.4f}"
+        numbers = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in row.parameters.items())
+        table.add_row(row.model, nats, paired, corrected, better, numbers)
+    print_table(table, width=200)
+    click.echo(f"{people:,} people, {compared.choices.sum():,} choices; best: {compared.best.model}")

@@ -1,0 +1,236 @@
+"""What a log says about people: its episodes, replayed in their task, with the cost-to-go of what could be done.
+
+`replayed` reads a log in one task, or in the tasks of several goals, of which each episode has one. All estimates begin
+with the observations that it returns.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import CostToGo, TransitionSystem, known_costs
+from planner.system.arrays import outline, read_only
+
+from ..people.decision import Floats
+from ..people.goals import prior_over
+from ..people.terms import Term, features
+from .joint_states import JointStates, looked_up
+from .log import Fault, Log, LogError, log_of
+from .observations import EvaluatedStates, Ints, Observations, UnknownGoals, observe
+from .replay import Recording, replay, situation
+
+if TYPE_CHECKING:
+    from planner import AnyTask
+
+Tasks: TypeAlias = "CostToGo | AnyTask | Mapping[str, CostToGo | AnyTask]"
+Records: TypeAlias = Log | str | PathLike[str] | Iterable[Mapping[str, Any]]
+
+
+class Reading(TypedDict, total=False):
+    """Options of reading a log.
+
+    Attributes
+    ----------
+    prior : mapping of str to float
+        Probability of each goal at the beginning of an episode; all are equal unless given.
+    drop, rename
+        As in `replay`.
+    strict : bool
+        Whether a log that cannot be used completely is an error.
+    """
+
+    prior: Mapping[str, float] | None
+    drop: Sequence[str]
+    rename: Mapping[str, str] | None
+    strict: bool
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A log that was replayed in the task of one goal, or of G goals.
+
+    Attributes
+    ----------
+    log : Log
+    costs : CostToGo
+        Cost-to-go of the task, or of the first goal.
+    goals : tuple of str
+        Names of the goals; empty if the goal is known.
+    prior : float array, shape (G,)
+        Probability of each goal in an episode.
+    recording : Recording
+        N choices, without those of which the cost-to-go is unknown.
+    known : tuple of EvaluatedStates
+        Of each goal, or of the only one.
+    reached : bool array, shape (G, N)
+        Whether each goal holds before each choice.
+    faults : tuple of Fault
+        Unusable lines of the log.
+    notes : tuple of str
+        Why states were not evaluated.
+    left_out : dict of str to int
+        Number of choices of each person that are left out.
+    """
+
+    log: Log
+    costs: CostToGo
+    goals: tuple[str, ...]
+    prior: Floats
+    recording: Recording
+    known: tuple[EvaluatedStates, ...]
+    reached: NDArray[np.bool_]
+    faults: tuple[Fault, ...]
+    notes: tuple[str, ...]
+    left_out: dict[str, int]
+
+    __repr__ = outline
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every line and every action was used."""
+        return not self.faults and not self.left_out
+
+    def observations(self, terms: Mapping[str, Term] | None = None) -> list[Observations]:
+        """Return each person's observations, with the values of terms if they are given."""
+        recording, none = self.recording, np.zeros(len(self.known[0].h), dtype=bool)
+        if not self.goals:
+            wanted = recording.wanted()
+            none[wanted] = self.costs.is_goal(wanted)
+            own = terms or {}
+            values = features(situation(recording, self.costs), own) if own else None
+            return observe(recording, self.known[0], none, tuple(own), values)
+        every = [observe(recording, known, none) for known in self.known]
+        return [
+            replace(
+                each[0],
+                goals=UnknownGoals(self.goals, self.prior, each, self.reached[:, recording.person == number]),
+            )
+            for number, each in enumerate(zip(*every, strict=True))
+        ]
+
+
+def replayed(
+    task: Tasks, log: Records, *, evaluate: Callable[[Ints], EvaluatedStates] | None = None,
+    tell: Callable[[Log, tuple[Fault, ...]], None] | None = None, **reading: Unpack[Reading],
+) -> Evidence:  # fmt: skip
+    """Replay a log in its task.
+
+    Parameters
+    ----------
+    task : CostToGo, or whatever `planner.load` takes; or a mapping of names to these
+        Cost-to-go of the task, as a table or on demand; only visited states and their successors are queried. A mapping
+        has the task of each goal, such as the tables of `planner.sweep_goals`; these differ in their goals only.
+    log : Log, path, list of dict, or data frame
+        A log, as from `read_log`, or what `read_log` and `Log.of` take.
+    evaluate : callable, optional
+        Returns the data of states, given by their numbers, shape (M,), in place of the task's cost-to-go.
+    tell : callable, optional
+        Receives the log and its faults before anything is evaluated. They are warnings unless given.
+    **reading
+        See `Reading`.
+
+    Raises
+    ------
+    LogError
+        No part of the log can be used or, with `strict`, some part cannot.
+    TypeError
+        `task` is no task, or `log` is no log.
+    ValueError
+        A name in `drop` or `rename` does not exist, the tasks of goals differ in more than their goals, a goal cannot
+        be reached, or the prior is no distribution.
+    """
+    log, strict = log_of(log), reading.get("strict", False)
+    several = isinstance(task, Mapping)
+    tasks = (
+        {name: known_costs(one) for name, one in task.items()} if isinstance(task, Mapping) else {"": known_costs(task)}
+    )
+    prior = prior_over(tasks, reading.get("prior"))
+    costs = next(iter(tasks.values()))
+    states: CostToGo | JointStates = JointStates(tasks) if several else costs
+    recording, found = replay(log, states, drop=reading.get("drop", ()), rename=reading.get("rename"))
+    faults = tuple(sorted([*log.faults, *found], key=lambda fault: fault.line))
+    if faults and tell is not None:
+        tell(log, faults)
+    elif strict and faults:
+        raise LogError(f"{log.name}:{faults[0].line}: {faults[0]}")
+    elif faults:
+        warned(log, faults)
+    require_actions(log, recording, states)
+    wanted, notes = recording.wanted(), list[str]()
+    if isinstance(states, JointStates):
+        known, notes = states.evaluated(wanted, strict=strict)
+    elif evaluate is not None:
+        known = [evaluate(wanted)]
+    else:
+        h, notes = looked_up(costs, wanted, strict=strict)
+        known = [EvaluatedStates.of(costs, wanted, h, wanted, len(costs))]
+    unknown = np.isnan([one.h for one in known]).any(axis=0)
+    recording, left_out = recording.evaluated(np.where(unknown, np.nan, 0.0))
+    if not len(recording):
+        raise LogError(f"{log.name}: the states after every action took too long")
+    if not several and not math.isfinite(known[0].h[recording.wanted()].min()):
+        raise LogError(f"{log.name}: no state that was visited has a way to the goal, so that all actions are alike")
+    reached = (
+        states.reached(recording.state) if isinstance(states, JointStates) else np.zeros((0, len(recording)), bool)
+    )
+    return Evidence(
+        log, costs, tuple(tasks) if several else (), prior, recording, tuple(known), reached, faults, tuple(notes),
+        left_out,
+    )  # fmt: skip
+
+
+def observed(
+    task: Tasks, log: Records, *, terms: Mapping[str, Term] | None = None, **reading: Unpack[Reading]
+) -> list[Observations]:
+    """Return each person's observations in a log, as estimates and comparisons take them; see `replayed`."""
+    return evidence(task, log, reading).observations(terms)
+
+
+def evidence(task: Tasks | Evidence, log: Records | None, reading: Reading) -> Evidence:
+    """Return a replayed log: `task` itself, or `log` replayed in it, with warnings about what was left out."""
+    if isinstance(task, Evidence):
+        if log is not None or reading:
+            raise TypeError("a replayed log, and a log or options of reading one: expected one of them")
+        return task
+    found = replayed(task, log, **reading)  # type: ignore[arg-type]  # which says what is expected for None
+    for note in found.notes:
+        warnings.warn(f"{note}; actions that depend on them are left out", stacklevel=_outside())
+    return found
+
+
+def warned(log: Log, faults: tuple[Fault, ...]) -> None:
+    """Warn of the faults of a log."""
+    others = f" (and {len(faults) - 1} more; see `faults`)" if len(faults) > 1 else ""
+    warnings.warn(f"{log.name}:{faults[0].line}: {faults[0]}{others}", stacklevel=_outside())
+
+
+def _outside() -> int:
+    """Return the stack level, for the calling function's warnings, of the first caller outside of the packages."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals["__name__"].startswith(("assist.", "planner.")):
+        frame, level = frame.f_back, level + 1
+    return level
+
+
+def require_actions(log: Log, recording: Recording, states: TransitionSystem) -> None:
+    """Check that some episode of a log can be used."""
+    if len(recording):
+        return
+    if not log.people:
+        raise LogError(f"{log.name}: no recorded actions")
+    if not log.entries:
+        raise LogError(f"{log.name}: no episode can be used")
+    place = states.task.instance
+    raise LogError(f"{log.name}: no episode can be followed through {place}; is it the log of another instance?")

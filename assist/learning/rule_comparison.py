@@ -1,0 +1,114 @@
+"""Comparison of trust rules, on logs of planning tasks and on logs of judgements with advice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.decision import Floats
+from .advice_fit import COMPARED, base_of, fit_to, fold_of
+from .advice_log import AdviceLog
+from .advice_model import AdviceModel
+from .comparison import FOLDS, Comparison, FitTo, compared, folds_of
+from .influence_population import InfluencePopulation
+from .likelihood import Method
+from .observations import Observations
+from .rule_families import RuleFamily, families, parameters_of
+from .rule_search import RuleSearch
+from .trust_log import TrustLog
+
+REFERENCE = "constant"
+
+Rules: TypeAlias = Mapping[str, Any]
+"""Rules by name: a `RuleFamily` each or, of advice, a `Rule` or None."""
+
+
+def compare_rules(
+    people: Sequence[Observations] | AdviceLog, method: Method | None = None, *,
+    rules: Rules | None = None, folds: int = FOLDS, carry: bool = True,
+    progress: Callable[[int], None] | None = None,
+) -> Comparison:  # fmt: skip
+    """Return a comparison of trust rules by the log probability of the choices of held-out people.
+
+    The parameters of each rule and its population are fitted to the people of the other folds.
+
+    Parameters
+    ----------
+    people : sequence of Observations, or AdviceLog
+        Observations as for `fit_influence`, or judgements with advice.
+    method : Method, optional
+        As for `fit_influence`; of advice, only the level of the intervals is used.
+    rules : mapping of str to RuleFamily, or to Rule or None
+        The rules; "constant" is among them. Those of `families` unless given. Of advice, those of `COMPARED`; None
+        stands for base rates.
+    folds : int
+        Groups of people that are left out in turn.
+    carry : bool
+        As for `fit_influence`.
+    progress : callable, optional
+        Called with how many rules have been finished since the last call.
+
+    Raises
+    ------
+    LogError
+        Nothing was ever suggested, or there are fewer than two people.
+    ValueError
+        There are fewer than two folds, or "constant" is missing, or the likelihood is not finite.
+    """
+    method = method or Method()
+    rules = rules_of(people, method) if rules is None else rules
+    fits: dict[str, FitTo[Any]]
+    if REFERENCE not in rules:
+        raise ValueError(f"rules {', '.join(rules)}: expected '{REFERENCE}' among them")
+    if isinstance(people, AdviceLog):
+        names, choices = tuple(people.people), people.counts
+        folds_of(len(names), folds)
+        fold = fold_of(names, folds)
+        base = base_of(people)
+        starts = {name: None if rule is None else AdviceModel.of(base, rule) for name, rule in rules.items()}
+        fits = {name: partial(fit_to, people, start) for name, start in starts.items()}
+    else:
+        fold = folds_of(len(people), folds)
+        log = TrustLog.of(people, method)
+        names, choices = log.people, log.counts
+        fits = {name: partial(_fit_to, log, family, carry) for name, family in rules.items()}
+    return compared(fits, names, choices, REFERENCE, fold=fold, level=method.level, progress=progress)
+
+
+def rules_of(people: Sequence[Observations] | AdviceLog, method: Method) -> Rules:
+    """Return the rules that are compared unless others are given, by name."""
+    return COMPARED if isinstance(people, AdviceLog) else families(method)
+
+
+@dataclass(frozen=True)
+class FittedRule:
+    """A rule with its population, fitted to some people of a log."""
+
+    log: TrustLog
+    family: RuleFamily
+    carry: bool
+    values: tuple[float, ...]
+    population: InfluencePopulation
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Those of the rule and of the population."""
+        return parameters_of(self.family.rule(self.values)) | vars(self.population)
+
+    def log_probability(self, people: NDArray[np.bool_]) -> Floats:
+        """Return the log probability of all that each of some people chose; `people` has shape (K,)."""
+        some = self.log.only(people)
+        return self.population.marginal(some, some.log_likelihood(self.family.rule(self.values), carry=self.carry))
+
+
+def _fit_to(
+    log: TrustLog, family: RuleFamily, carry: bool, people: NDArray[np.bool_], fits: Sequence[FittedRule]
+) -> FittedRule:
+    search = RuleSearch(log.only(people), family, carry, fits[0].population if fits else None)
+    values = search.best(fits[0].values if fits else None)
+    return FittedRule(log, family, carry, values, search.at(values)[1])
