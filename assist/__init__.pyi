@@ -4,3 +4,4 @@ from .live.assistant import Assistant as Assistant
 from .reports.policy_comparison import compare as compare
 from .simulation.pool import Pool as Pool
 from .simulation.simulate import simulate as simulate
+from .study.own_code import check as check

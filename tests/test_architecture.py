@@ -67,7 +67,7 @@ ROOMS = {
         sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people policies study userstudy",
-    "assist.study": "study protocol tasks cells runner",
+    "assist.study": "study protocol tasks cells runner own_code",
     "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file study_events codes
         participant_team participants places groups erasing cohort session tables export""",
     "assist.reports": """statistics policy_comparison effects hypothesis_tests repeated_measures wording templates
@@ -82,9 +82,8 @@ ROOMS = {
     "assist.cli.options": "common config task population person travel team policies help goals live log trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
         people_estimates trust_estimates comparisons goal_posteriors""",
-    "assist.cli": """domains solve simulate policy bound export draw fit compare infer study user_study serve
-        study_prepare
-        study_report         command_group""",
+    "assist.cli": """domains check solve simulate policy bound export draw fit compare infer study user_study
+        serve study_prepare study_report command_group""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 
@@ -92,7 +91,7 @@ ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file
 ORDER.remove("planner")
 # With all that is in them.
 MAY_READ_PDDL = (
-    *(f"assist.study.{file}" for file in ("study", "tasks", "cells", "protocol")),
+    *(f"assist.study.{file}" for file in ("study", "tasks", "cells", "protocol", "own_code")),
     "assist.drawing",
     "assist.interop.teams",
     "assist.interop.rendering",

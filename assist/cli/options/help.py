@@ -16,7 +16,7 @@ from .config import named
 GROUPS = {
     "Task": (
         "--domain", "--max-states", "--region-states", "--state", "--plan", "--protocol", "--format",
-        "--goals", "--goal-prior",
+        "--goals", "--goal-prior", "--as",
     ),
     "Log": ("--columns", "--drop", "--rename", "--gaps", "--strict", "--advice", "--confidence", "--rows"),
     "People": (

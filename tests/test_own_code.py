@@ -1,0 +1,202 @@
+"""Trials of users' own code: what is right passes, and what is wrong is told in one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import ROOT
+
+import assist
+from assist.cli import main
+from assist.people.terms import TERMS
+from assist.people.trust_rules import EquationSeven, LogitSteps, Reliability
+from assist.people.user_code import UserCodeError
+from assist.team.policies import named
+
+EXAMPLES = ROOT / "docs" / "examples"
+
+
+def only(found: Any, what: str) -> str:
+    """Return what a trial says; every other one, if it fails, does so too."""
+    told = {trial.what: trial.fault for trial in found.trials}
+    assert told[what] is not None, str(found)
+    return str(told[what])
+
+
+def nobody(team: Any) -> Any:
+    return team.act(np.full(team.location.shape, -1), team.first_optimal())
+
+
+def in_every_form(team: Any) -> Any:
+    """Send the first robot to the first person who has not finished."""
+    person = np.full(team.location.shape, -1)
+    first = person if person.ndim == 1 else person[:, 0]
+    first[:] = np.where(team.active.any(axis=1), team.active.argmax(axis=1), -1)
+    return team.act(person, np.zeros(team.active.shape, dtype=int))
+
+
+def test_policies_that_work_everywhere_pass() -> None:
+    for policy in (nobody, in_every_form):
+        found = assist.check(policy)
+        assert (found.kind, found.faults) == ("policy", ()), str(found)
+        assert len(found.trials) >= 12
+    shipped = assist.check(named("none", [], assist.Pool.sample("kitting/tiny", 1, seed=0).setting.travel(1)), "policy")
+    assert not shipped.faults
+
+
+def test_a_policy_for_one_robot_says_so_with_two() -> None:
+    found = assist.check(f"{EXAMPLES / 'policies.py'}:furthest_first")
+    assert {"two robots", "two robots that differ"} <= {one.what for one in found.faults}
+    assert "policies.py:13" in only(found, "two robots")
+    assert "three people" not in {one.what for one in found.faults}
+
+
+def of_the_batch(team: Any) -> Any:
+    """Go to somebody only in the first of all teams: a slip between rows and teams."""
+    taken = in_every_form(team)
+    person = taken.person.copy()
+    person[1:] = -1
+    return team.act(person, np.zeros(team.active.shape, dtype=int) + team.active)
+
+
+def outside(team: Any) -> Any:
+    return team.act(np.full(team.location.shape, team.active.shape[1]), team.first_optimal())
+
+
+def broken(team: Any) -> Any:
+    return team.no_such_thing
+
+
+@pytest.mark.parametrize(
+    ("policy", "what", "said"),
+    [
+        (of_the_batch, "each team by itself", "other teams"),
+        (outside, "three people", "expected 0 to 2"),
+        (broken, "three people", "no_such_thing"),
+        (lambda _: None, "one person", "TeamAction"),
+    ],
+)
+def test_what_is_wrong_with_a_policy(policy: Callable[..., Any], what: str, said: str) -> None:
+    assert said in only(assist.check(policy, "policy"), what)
+
+
+def uniform(choices: Any, q: Any, beta: Any) -> Any:  # noqa: ARG001
+    share = choices.applicable / np.maximum(choices.applicable.sum(axis=1, keepdims=True), 1)
+    return np.broadcast_to(share, (len(beta), *share.shape)).copy()
+
+
+def ranked(choices: Any, q: Any, beta: Any) -> Any:
+    """Depends on the place of a type among the others."""
+    return uniform(choices, q, beta) if len(beta) == 1 else _greedy(choices, q, beta)
+
+
+def _greedy(choices: Any, q: Any, beta: Any) -> Any:
+    best = np.zeros((len(beta), *q.shape))
+    rows = np.flatnonzero(choices.applicable.any(axis=1))
+    best[:, rows, np.where(choices.applicable, q, np.inf)[rows].argmin(axis=1)] = 1.0
+    return best
+
+
+def in_place(choices: Any, q: Any, beta: Any) -> Any:
+    q += 1.0
+    return uniform(choices, q, beta)
+
+
+def overflowing(choices: Any, q: Any, beta: Any) -> Any:
+    with np.errstate(all="ignore"):
+        weight = np.exp(beta[:, None, None] * (40 - q)) * choices.applicable
+        return weight / weight.sum(axis=2, keepdims=True)
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        (lambda choices, q, beta: uniform(choices, q, beta)[0], "shape"),
+        (lambda choices, q, beta: 2 * uniform(choices, q, beta), "adding up to 1"),
+        (ranked, "alone than among others"),
+        (in_place, "changes the array q"),
+        (overflowing, "adding up to 1"),
+    ],
+)
+def test_what_is_wrong_with_a_choice_model(model: Callable[..., Any], said: str) -> None:
+    assert said in only(assist.check(model), "probabilities of all choices")
+
+
+def test_choice_models_that_work_pass() -> None:
+    for model in (uniform, f"{EXAMPLES / 'short_sighted.py'}:short_sighted"):
+        found = assist.check(model)
+        assert (found.kind, found.faults) == ("people", ()), str(found)
+
+
+@pytest.mark.parametrize("rule", [EquationSeven(), LogitSteps(0.1, 0.5, 1.0), Reliability()])
+def test_shipped_trust_rules_pass(rule: Any) -> None:
+    found = assist.check(rule)
+    assert (found.kind, found.faults) == ("trust", ()), str(found)
+
+
+@dataclass(frozen=True)
+class Up:
+    """A rule of one's own, with each part that may be wrong."""
+
+    step: float = 0.1
+    feedback: Any = "never"
+    uses_answer: Any = False
+
+    def update(self, theta: Any, event: Any) -> Any:
+        return theta + self.step + 0 * event.gain
+
+
+class Answers(Up):
+    def update(self, theta: Any, event: Any) -> Any:
+        return np.clip(theta + np.where(event.followed, 0.1, 0.0) + 0 * event.gain, 0, 1)
+
+
+class Mutating(Up):
+    def update(self, theta: Any, event: Any) -> Any:
+        theta *= 0.5
+        return theta + 0 * event.gain
+
+
+@pytest.mark.parametrize(
+    ("rule", "what", "said"),
+    [
+        (Up(), "events of all kinds", "theta 1.1; expected a number from 0 to 1"),
+        (Up(feedback="often"), "its attributes", "'often'; expected one of perceived, true, never"),
+        (Up(uses_answer=None), "its attributes", "uses_answer"),
+        (Answers(), "events of all kinds", "`uses_answer` is False"),
+        (Mutating(), "events of all kinds", "changes the array theta"),
+    ],
+)
+def test_what_is_wrong_with_a_trust_rule(rule: Any, what: str, said: str) -> None:
+    assert said in only(assist.check(rule), what)
+
+
+def test_terms_are_tried_where_there_is_no_last_action() -> None:
+    for term in TERMS.values():
+        assert not assist.check(term, "term").faults
+    assert "finite" in only(assist.check(lambda s: np.where(s.goals_after > 0, np.inf, 0.0), "term"), "a small task")
+    by_place = assist.check(lambda s: np.arange(len(s.state))[:, None] + 0.0 * s.actions, "term")
+    assert "each row by itself" in only(by_place, "a small task")
+
+
+def test_the_command_says_what_is_wrong_and_ends_with_1(tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(
+        "def policy(team):\n    return 1 / 0\n\n\nclass Rule:\n    def __init__(self, step):\n        pass\n"
+    )
+    run = CliRunner().invoke(main, ["check", f"{own}:policy"])
+    assert run.exit_code == 1
+    assert all(f"{own}:2: ZeroDivisionError" in line for line in run.output.splitlines())
+    for name, said in (("absent", "has no function 'absent'"), ("Rule", "expected a class without arguments")):
+        run = CliRunner().invoke(main, ["check", f"{own}:{name}"])
+        assert (run.exit_code, said in run.output) == (1, True)
+    run = CliRunner().invoke(main, ["check", f"{EXAMPLES / 'short_sighted.py'}:short_sighted"])
+    assert (run.exit_code, run.output.strip().endswith("all 13 trials passed")) == (0, True)
+    with pytest.raises(UserCodeError, match=r"expected FILE\.py:NAME"):
+        assist.check("attention")
