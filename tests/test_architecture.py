@@ -18,8 +18,8 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": """lazy_imports errors arrays files machine processes threads signs progress_reports progress
-        compiling jit limits workers""",
+    "planner.system": """lazy_imports errors arrays results files machine processes threads signs progress_reports
+        progress compiling jit limits workers""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
         saturation value_ranges value_encoder value_scope numeric_encoding numeric_compiler compilation writer

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.system.arrays import outline
+from planner.system.results import Result
 
 from ..people.decision import Floats
 from ..simulation.pool import Pool
@@ -20,8 +20,8 @@ from ..team.state import TeamPolicy
 from ..team.travel import Travel
 
 
-@dataclass(frozen=True)
-class Certificate:
+@dataclass(frozen=True, repr=False)
+class Certificate(Result):
     """The distance of a team policy from the optimum, at most.
 
     Attributes
@@ -52,8 +52,6 @@ class Certificate:
     gap_percent: float
     slack_percent: float
     episodes: int
-
-    __repr__ = outline
 
     @property
     def within_error(self) -> bool:

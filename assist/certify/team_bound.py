@@ -44,12 +44,13 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from planner.system.arrays import outline
 from planner.system.machine import processors
 from planner.system.progress import Wanted, shows_progress
+from planner.system.results import Result
 
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
@@ -66,8 +67,8 @@ from .options import BoundOptions
 from .truncated_prices import truncated_prices
 
 
-@dataclass(frozen=True)
-class TeamBound:
+@dataclass(frozen=True, eq=False, repr=False)
+class TeamBound(Result):
     """An upper bound on the value of every policy for a team, from the beginning of an episode.
 
     Attributes
@@ -108,7 +109,9 @@ class TeamBound:
     sampled: SampledBound | None = None
     on_actions: Floats | None = None
 
-    __repr__ = outline
+    def records(self) -> list[dict[str, Any]]:
+        """Return one row: the number of people, the bound in cost units, its slack, and the seconds."""
+        return [{"humans": len(self.team), "upper": self.upper, "slack": self.slack, "seconds": self.seconds}]
 
     def __post_init__(self) -> None:
         self.price.flags.writeable = False

@@ -36,8 +36,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.arrays import outline
 from planner.system.progress import Wanted, shows_progress
+from planner.system.results import Result
 
 from ..people.decision import Floats
 from . import archive, convex_bound
@@ -53,8 +53,8 @@ from .search import Search, SolverOptions, relative_gap
 SOLVING = "solving a person's POMDP: backups"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Solution(Policy):
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Solution(Result, Policy):
     """A policy for one person's problem with certified bounds on its value.
 
     The policy is greedy with respect to the alpha vectors, by one exact Bellman backup. Its value is at least that of
@@ -99,7 +99,10 @@ class Solution(Policy):
     backups: int
     stopped: str
 
-    __repr__ = outline
+    def records(self) -> list[dict[str, Any]]:
+        """Return one row: the bounds, the values of simpler policies, all in cost units, and how the search ended."""
+        names = ("lower", "upper", "value_qmdp", "value_never", "value_always", "stopped", "seconds")
+        return [{name: getattr(self, name) for name in names}]
 
     def __post_init__(self) -> None:
         for array in (self.corner, self.point, self.drop, self.first):

@@ -22,6 +22,7 @@ import numpy as np
 
 from planner.system.errors import MissingExtraError, expected
 from planner.system.progress import Progress, Wanted, shows_progress
+from planner.system.results import html_table
 
 from ..certify.certificate import Certificate
 from ..certify.comparison import certify
@@ -212,10 +213,8 @@ class PolicyComparison:
 
     def _repr_html_(self) -> str:
         columns, lines = self.table()
-        head = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
-        body = "".join(f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in line)}</tr>" for line in lines)
-        note = html.escape(self.note())
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table><p>{note}</p>"
+        cells = [dict(enumerate(line)) for line in lines]
+        return f"{html_table(cells, columns)}<p>{html.escape(self.note())}</p>"
 
 
 @shows_progress

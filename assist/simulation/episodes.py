@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.arrays import outline
+from planner.system.results import Result
 
 from ..people.decision import Floats
 from ..person.policy import not_worth_its_cost
 from .episode import Episode, episode_of, to_frame
 
 
-@dataclass(frozen=True)
-class Episodes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Episodes(Result):
     """The records of N episodes of K people, as arrays; a sequence of `Episode`.
 
     Attributes
@@ -69,7 +69,9 @@ class Episodes:
     pruned: Floats | None = None
     questions: NDArray[np.int64] | None = None
 
-    __repr__ = outline
+    def records(self) -> list[dict[str, Any]]:
+        """Return one row: means over episodes, each with its standard error."""
+        return self.summary().records()
 
     @classmethod
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
@@ -123,8 +125,8 @@ class Episodes:
         return (self[row] for row in range(len(self)))
 
 
-@dataclass(frozen=True)
-class Summary:
+@dataclass(frozen=True, eq=False)
+class Summary(Result):
     """Means and standard errors over the episodes of one policy.
 
     Attributes
@@ -158,6 +160,15 @@ class Summary:
     c_suggest_too_high: float | None = None
     pruned: float | None = None
     questions: float | None = None
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return one row: the policy, the number of episodes, each mean with its standard error, and `cut_off`."""
+        means = {
+            name: f"{mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
+            for name in ("actions", "costs", "interventions", "suggestions", "executions", "moves", "discounted_return")
+            for mean, error in [getattr(self, name)]
+        }
+        return [{"policy": self.policy, "episodes": self.episodes, **means, "cut_off": self.cut_off}]
 
     def __str__(self) -> str:
         shown = [

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo, known_costs
-from planner.system.arrays import frozen, outline
+from planner.system.arrays import frozen
 from planner.system.progress import Progress, Wanted, adding, shows_progress
+from planner.system.results import Result, same
 
 from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy, default_size
@@ -53,8 +54,8 @@ def require_pool(pool: object) -> None:
         raise TypeError(f"pool: expected people at a task, a Pool, not what is a {found}; {example} is one")
 
 
-@dataclass(frozen=True)
-class Pool:
+@dataclass(frozen=True, eq=False, repr=False)
+class Pool(Result):
     """The people from whom teams are drawn, with the robot's policy for each of them.
 
     Attributes
@@ -78,7 +79,22 @@ class Pool:
     policies: tuple[Policy, ...]
     model: NDArray[np.int64]
 
-    __repr__ = outline
+    def __eq__(self, other: object) -> bool:
+        """Whether both have the same people and problems, solved or not."""
+        if not isinstance(other, Pool):
+            return False
+        problems, others = ([each.pomdp for each in one.policies] for one in (self, other))
+        known, given = ((one.setting, one.people, one.model) for one in (self, other))
+        return same(known, given) and same(problems, others)
+
+    __hash__ = None
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each person: `beta` (per cost unit), `theta`, `sigma` (cost units) and weights of terms."""
+        return [
+            {"person": number + 1, "beta": one.beta, "theta": one.theta, "sigma": one.sigma, **one.weights}
+            for number, one in enumerate(self.people)
+        ]
 
     def __post_init__(self) -> None:
         if not self.people or self.model.shape != (len(self.people),):

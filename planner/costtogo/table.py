@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,11 +19,12 @@ from ..grounding.task import Task
 from ..search.distances import UNREACHED, as_floats, is_dead_end, plan_lengths
 from ..states.packing import Ints
 from ..states.state_space import StateSpace, Transitions, state_numbers
+from ..system.results import Result
 from .cost_to_go import optimal_choices, optimal_plan
 
 
-@dataclass(frozen=True)
-class Table:
+@dataclass(frozen=True, eq=False, repr=False)
+class Table(Result):
     """The exact cost-to-go of every state of a state space.
 
     Attributes
@@ -50,6 +51,20 @@ class Table:
         cost, dead = self[self.initial], int(self.dead_end.sum())
         first = "no way to the goal" if cost == math.inf else f"cost {cost:g}"
         return f"<Table of {self.task.name}: {len(self):,} states, {first} from the initial one, {dead:,} dead ends>"
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both have the same costs of the same task, whose states are numbered in one way."""
+        return isinstance(other, Table) and self.task == other.task and np.array_equal(self.h, other.h)
+
+    __hash__ = None
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return one row: the task, its states, the cost of the initial one, dead ends, and the largest h*."""
+        largest = float(self.h[~self.dead_end].max(initial=0.0))
+        return [{
+            "task": self.task.name, "states": len(self), "cost": self[self.initial],
+            "dead ends": int(self.dead_end.sum()), "largest h*": largest,
+        }]  # fmt: skip
 
     @property
     def method(self) -> Literal["sweep", "on-demand"]:

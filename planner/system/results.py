@@ -1,0 +1,98 @@
+"""What every result offers: one line as a string, a table in a notebook, a frame, and comparison by value."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from .arrays import outline
+from .errors import MissingExtraError
+
+MOST_ROWS = 20
+"""Rows of a result that a notebook shows; a frame has all."""
+
+
+class Result:
+    """A result with records, a mixin of frozen dataclasses that are made with `eq=False, repr=False`.
+
+    Two results are equal if their fields are: arrays by shape and entries, where NaN equals NaN. Results are not
+    hashed, as their arrays are not.
+    """
+
+    __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def records(self) -> Sequence[Mapping[str, Any]]:
+        """Return the rows of the table, each as a mapping of columns to values."""
+        return [{field.name: getattr(self, field.name) for field in fields(self)}]  # type: ignore[arg-type]
+
+    def to_frame(self) -> Any:
+        """Return the table as a `pandas.DataFrame`.
+
+        Raises
+        ------
+        MissingExtraError
+            pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise MissingExtraError("a frame needs", str(error.name), "study") from None
+        return pandas.DataFrame.from_records(list(self.records()))
+
+    def __repr__(self) -> str:
+        return outline(self)
+
+    def _repr_html_(self) -> str:
+        """Return the first rows as a table."""
+        rows = self.records()
+        return html_table(rows[:MOST_ROWS]) + (f"<p>{len(rows):,} rows</p>" if len(rows) > MOST_ROWS else "")
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and _same_fields(self, other)
+
+
+def same(one: Any, other: Any) -> bool:
+    """Return whether two values are equal; arrays, and dataclasses and containers of them, are compared by content."""
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        if not (isinstance(one, np.ndarray) and isinstance(other, np.ndarray)) or one.dtype != other.dtype:
+            return False
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, Result):
+        return bool(one == other)
+    if is_dataclass(one) and not isinstance(one, type):
+        return _same_fields(one, other)
+    if isinstance(one, Mapping):
+        return list(one) == list(other) and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, tuple | list):
+        return len(one) == len(other) and all(map(same, one, other))
+    return bool(one == other)
+
+
+def _same_fields(one: Any, other: Any) -> bool:
+    return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+
+
+def html_table(rows: Sequence[Mapping[Any, Any]], head: Sequence[str] = ()) -> str:
+    """Return rows as a table of HTML, below a head or the names of columns; numbers have four significant digits."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    top = "".join(f"<th>{html.escape(str(name))}</th>" for name in head or columns)
+    body = "".join(f"<tr>{''.join(f'<td>{_cell(row.get(name))}</td>' for name in columns)}</tr>" for row in rows)
+    return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float | np.floating):
+        return f"{value:.4g}"
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        return f"{value:,}"
+    return html.escape(str(value))
