@@ -96,7 +96,7 @@ def enumerated(rows: list[dict], rule: TrustRule, log: TrustLog, population: Inf
             for a in range(q.shape[1]):
                 p[:, :, a] *= now if a == told else 1 - now
             p /= p.sum(axis=2, keepdims=True)
-        likelihood = (1 - log.lapse) * p[:, :, slot] + log.lapse / choices.applicable[x].sum()
+        likelihood = (1 - log.data[0].lapse) * p[:, :, slot] + log.data[0].lapse / choices.applicable[x].sum()
         belief = belief * likelihood
         total += np.log(belief.sum())
         belief = belief / belief.sum()

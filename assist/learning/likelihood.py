@@ -1,6 +1,8 @@
-"""The likelihood of a person's actions under the model of `people.decision`, as a function of beta, theta and eta.
+"""The likelihood of a person's actions under the model of `people.decision`: the one definition of all estimates.
 
-The person's perceived cost-to-go is assumed to be h*. Each episode begins with the same theta.
+The person's perceived cost-to-go is assumed to be h*. `alone` has what depends on beta, `with_trust` what depends on
+theta as well. The path of theta over the suggestions is computed before: by equation (7), where each episode begins
+with the same theta (`by_equation_seven`), or by any trust rule (`trust_log`).
 
 If a person pursues one of several goals in each episode, the likelihood of an episode is the sum over the goals of the
 prior probability, times the likelihood with that goal. After a goal is reached, an action can only be a lapse, and a
@@ -20,11 +22,14 @@ from planner.system.arrays import frozen
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
-from ..people.influence_kernels import influence_factors, update_trust
+from ..people.influence_kernels import update_trust
 from .observations import Ints, Observations, UnknownGoals
 
 SMALL = 1e-3
 """Share of the range of beta below which the scale of beta is linear; it is logarithmic above."""
+
+SURE = 1e-300
+"""Least weight of a choice in equation (6)."""
 
 
 @dataclass(frozen=True)
@@ -71,23 +76,6 @@ class Method:
             raise ValueError(f"eta {self.eta:g}: expected 0 to {large:g}")
 
 
-def log_likelihood(
-    observations: Observations, beta: Floats, theta: Floats, eta: Floats, method: Method | None = None
-) -> Floats:
-    """Return the log-likelihood of one person's actions on a grid, shape (B, T, E).
-
-    Parameters
-    ----------
-    observations : Observations
-    beta, theta, eta : float arrays, shapes (B,), (T,), (E,)
-        Values of the parameters; theta is the one at the beginning of each episode.
-    method : Method, optional
-        Options of the estimation.
-    """
-    axes = [np.array(axis, dtype=np.float64, ndmin=1) for axis in (beta, theta, eta)]
-    return on_grid(Data.of(observations, method or Method()), *axes)
-
-
 class Data(NamedTuple):
     """Observations in the form that compiled code reads; numba accepts named tuples and no dataclasses.
 
@@ -96,7 +84,7 @@ class Data(NamedTuple):
     If one of several goals is pursued, the steps are those of all pairs of an episode and a goal that is not reached
     yet, as if they were different episodes. `pair` is the number of each step's pair, episode by episode. `first` is
     the logarithm of the goal's probability and of all lapses after the goal, shape (episodes, goals); it is empty if
-    the goal is known.
+    the goal is known. `together` factors of a product do not underflow.
     """
 
     excess: Floats
@@ -112,11 +100,14 @@ class Data(NamedTuple):
     anew: NDArray[np.bool_]
     pair: Ints
     first: Floats
+    together: int
 
     @classmethod
     def of(cls, o: Observations, method: Method) -> Data:
         """Return one person's observations in this form."""
         data = cls._with_one_goal(o, method) if o.goals is None else cls._with_goals(o, o.goals, method)
+        least = method.lapse / max(data.options.max(initial=1), 1)
+        data = data._replace(together=max(1, int(200.0 / -math.log10(least))))  # since logarithms are slow
         return cls._make(frozen(part) if isinstance(part, np.ndarray) else part for part in data)
 
     @classmethod
@@ -127,7 +118,7 @@ class Data(NamedTuple):
         return cls(
             excess=o.excess, options=o.applicable.sum(axis=1), chosen=o.chosen, suggested=o.suggested, gain=gain,
             begins=o.begins, lapse=method.lapse, grid=grid, chances=chances, heard=heard, anew=anew,
-            pair=np.zeros(0, dtype=np.int64), first=np.zeros((0, 0)),
+            pair=np.zeros(0, dtype=np.int64), first=np.zeros((0, 0)), together=1,
         )  # fmt: skip
 
     @classmethod
@@ -145,7 +136,7 @@ class Data(NamedTuple):
         return cls(
             excess=excess[goal, step], options=options[step], chosen=o.chosen[step], suggested=o.suggested[step],
             gain=gain[goal, step] / method.utility_scale, begins=begins, lapse=method.lapse, grid=np.zeros(0),
-            chances=np.zeros((0, 0, 0)), heard=heard, anew=anew, pair=pair, first=first,
+            chances=np.zeros((0, 0, 0)), heard=heard, anew=anew, pair=pair, first=first, together=1,
         )  # fmt: skip
 
 
@@ -212,69 +203,113 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats, sile
 
 
 @njit(nogil=True)
-def with_trust(
-    data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, every: Floats, first: float, eta: float
-) -> float:
-    """Return the log-likelihood of the steps with a suggestion, given the probabilities from `alone`.
+def by_equation_seven(data: Data, theta: Floats, eta: Floats) -> Floats:
+    """Return theta at each suggestion, shape (heard, P), for P initial values and learning rates, each shape (P,)."""
+    path = np.empty((len(data.heard), len(theta)))
+    for k in range(len(data.heard)):
+        gain = data.gain[data.heard[k - 1]]
+        for p in range(len(theta)):
+            path[k, p] = theta[p] if data.anew[k] else update_trust(path[k - 1, p], eta[p], gain)
+    return path
 
-    If the goal is unknown, it is that of all steps, and the logarithm of the joint probability of each goal and the
-    actions of each episode is filled into `every`, (episodes, goals).
+
+@njit(nogil=True)
+def _add_logs(total: Floats, product: Floats) -> None:
+    """Add the logarithms of products to a total, and set the products to 1."""
+    for p in range(len(product)):
+        total[p] += math.log(product[p])
+        product[p] = 1.0
+
+
+@njit(nogil=True)
+def joint(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, path: Floats) -> Floats:
+    """Return the log-likelihood of the steps with a suggestion, given the probabilities from `alone`, shape (1, P).
+
+    `path` is theta at each suggestion, shape (heard, P), for P values of what theta depends on. If the goal is unknown,
+    `silent` is added, and there is a row for each pair of an episode and a goal: the logarithm of the joint probability
+    of the goal and of the episode's actions, shape (pairs, P).
+
+    Equation (6) as in `influence_kernels.influence_factors`, without branches in the loop over theta, so that it is
+    compiled into vector instructions. `SURE` in place of 0 makes a suggestion have no effect that would leave no choice
+    possible.
     """
-    goals = data.first.shape[1]  # 0 if the goal is known
+    count, goals = path.shape[1], data.first.shape[1]
+    found, row = np.zeros((max(1, data.first.size), count)), 0
     if goals:
-        every[:] = silent
-    total = 0.0
-    product = 1.0
-    theta = first
+        for pair in range(data.first.size):
+            found[pair] = silent[pair // goals, pair % goals]
+    product, since = np.ones(count), 0
     for k in range(len(data.heard)):
         i = data.heard[k]
-        if data.anew[k]:
-            theta = first
-            if goals and k:
-                pair = data.pair[data.heard[k - 1]]
-                every[pair // goals, pair % goals] += total + math.log(product)
-                total, product = 0.0, 1.0
-        same, other = influence_factors(theta, told[k], rest[k])
-        p = own[k] * (same if data.chosen[i] == data.suggested[i] else other)
-        theta = update_trust(theta, eta, data.gain[i])
-        product *= (1.0 - data.lapse) * p + data.lapse / data.options[i]
-        if product < 1e-100:
-            total += math.log(product)
-            product = 1.0
-    total += math.log(product)
-    if goals:
-        if len(data.heard):
-            pair = data.pair[data.heard[-1]]
-            every[pair // goals, pair % goals] += total
-        total = 0.0
-        for episode in every:
+        if since == data.together or (goals and data.anew[k] and since):
+            _add_logs(found[row], product)
+            since = 0
+        if goals:
+            row = data.pair[i]
+        yes, share = data.chosen[i] == data.suggested[i], data.lapse / data.options[i]
+        picked, heed, others = (1.0 - data.lapse) * own[k], told[k], rest[k]
+        for p in range(count):
+            sure, other = max(path[k, p], SURE), max(1.0 - path[k, p], SURE)
+            product[p] *= picked * (sure if yes else other) / (sure * heed + other * others) + share
+        since += 1
+    _add_logs(found[row], product)
+    return found
+
+
+@njit(nogil=True)
+def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, path: Floats) -> Floats:
+    """Return the log-likelihood of the steps with a suggestion, or of all steps if the goal is unknown, shape (P,)."""
+    found, goals = joint(data, own, told, rest, silent, path), data.first.shape[1]
+    if not goals:
+        return found[0]
+    total = np.zeros(path.shape[1])
+    for p in range(len(total)):
+        for first in range(0, len(found), goals):
+            episode = found[first : first + goals, p]
             most = episode.max()
-            total += most + math.log(np.exp(episode - most).sum())
+            total[p] += most + math.log(np.exp(episode - most).sum())
     return total
 
 
 @njit(nogil=True)
-def on_grid(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
-    """Return the log-likelihood of all combinations, shape (B, T, E)."""
-    result = np.empty((len(beta), len(theta), len(eta)))
-    n = len(data.heard)
+def on_path(data: Data, beta: Floats, path: Floats) -> Floats:
+    """Return the log-likelihood of all steps for each beta, shape (B,), and each path of theta, shape (B, P)."""
+    result, n = np.empty((len(beta), path.shape[1])), len(data.heard)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)
-    parts, every = np.empty_like(data.first), np.empty_like(data.first)
+    parts = np.empty_like(data.first)
     for b in range(len(beta)):
         silent = alone(data, beta[b], own, told, rest, parts)
-        for t in range(len(theta)):
-            for e in range(len(eta)):
-                result[b, t, e] = silent + with_trust(data, own, told, rest, parts, every, theta[t], eta[e])
+        result[b] = silent + with_trust(data, own, told, rest, parts, path)
     return result
+
+
+def log_likelihood(
+    observations: Observations, beta: Floats, theta: Floats, eta: Floats, method: Method | None = None
+) -> Floats:
+    """Return the log-likelihood of one person's actions on a grid, shape (B, T, E), under equation (7).
+
+    Parameters
+    ----------
+    observations : Observations
+    beta, theta, eta : float arrays, shapes (B,), (T,), (E,)
+        Values of the parameters; theta is the one at the beginning of each episode.
+    method : Method, optional
+        Options of the estimation.
+    """
+    betas, thetas, etas = (np.array(axis, dtype=np.float64, ndmin=1) for axis in (beta, theta, eta))
+    data = Data.of(observations, method or Method())
+    path = by_equation_seven(data, np.repeat(thetas, len(etas)), np.tile(etas, len(thetas)))
+    return np.asarray(on_path(data, betas, path).reshape(len(betas), len(thetas), len(etas)))
 
 
 def goal_posteriors(observations: Observations, beta: float, theta: float, eta: float, method: Method) -> Floats:
     """Return the probability of each goal in each episode, shape (episodes, goals), given all its actions."""
     data = Data.of(observations, method)
     own, told, rest = np.empty((3, len(data.heard)))
-    silent, every = np.empty_like(data.first), np.empty_like(data.first)
+    silent = np.empty_like(data.first)
     alone(data, beta, own, told, rest, silent)
-    with_trust(data, own, told, rest, silent, every, theta, eta)
+    path = by_equation_seven(data, np.array([theta]), np.array([eta]))
+    every = joint(data, own, told, rest, silent, path).reshape(silent.shape)
     every = np.exp(every - every.max(axis=1, keepdims=True))
     return every / every.sum(axis=1, keepdims=True)
 

@@ -17,7 +17,7 @@ import numpy as np
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
-from .likelihood import SMALL, Data, Method, alone, on_grid, with_trust
+from .likelihood import SMALL, Data, Method, alone, by_equation_seven, on_path, with_trust
 from .observations import Observations
 
 BETA, THETA, ETA = 0, 1, 2
@@ -60,8 +60,8 @@ class Profiles:
 
     def at(self, point: Floats) -> float:
         """Return the log-likelihood at a point, given by its three coordinates."""
-        beta = self.beta(point[BETA : BETA + 1])
-        return float(on_grid(self.data, beta, point[THETA : THETA + 1], point[ETA : ETA + 1])[0, 0, 0])
+        path = by_equation_seven(self.data, point[THETA : THETA + 1], point[ETA : ETA + 1])
+        return float(on_path(self.data, self.beta(point[BETA : BETA + 1]), path)[0, 0])
 
     def coarse(self, axis: int) -> Floats:
         """Return, for each grid point of one coordinate, the largest log-likelihood on the grid of the others."""
@@ -173,19 +173,17 @@ def _on_lines(
     n = len(data.heard)
     result, where = np.full((len(betas), len(others)), -np.inf), np.empty((len(betas), len(others)))
     silent, chances = np.empty(len(betas)), np.empty((len(betas), 3, n))
-    parts, every = np.empty((len(betas), *data.first.shape)), np.empty_like(data.first)
+    parts = np.empty((len(betas), *data.first.shape))
     for b in range(len(betas)):
         silent[b] = alone(data, betas[b], chances[b, 0], chances[b, 1], chances[b, 2], parts[b])
     for e in range(len(others)):
         places = _places(axis, others[e], sums, gaps, low, high, count)
+        other = np.full(len(places), others[e])
+        path = by_equation_seven(data, places, other) if axis == THETA else by_equation_seven(data, other, places)
         for b in range(len(betas)):
-            for place in places:
-                theta, eta = (place, others[e]) if axis == THETA else (others[e], place)
-                own, told, rest = chances[b, 0], chances[b, 1], chances[b, 2]
-                value = silent[b] + with_trust(data, own, told, rest, parts[b], every, theta, eta)
-                if value > result[b, e]:
-                    result[b, e] = value
-                    where[b, e] = place
+            values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], parts[b], path)
+            best = values.argmax()
+            result[b, e], where[b, e] = silent[b] + values[best], places[best]
     return result, where
 
 
@@ -233,10 +231,10 @@ def _climb(
     """
     n = len(data.heard)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)
-    parts, every = np.empty_like(data.first), np.empty_like(data.first)
+    parts = np.empty_like(data.first)
     filled = at[0]
     silent = alone(data, small * math.expm1(filled), own, told, rest, parts)
-    best = silent + with_trust(data, own, told, rest, parts, every, at[1], at[2])
+    best = silent + with_trust(data, own, told, rest, parts, by_equation_seven(data, at[1:2], at[2:3]))[0]
     before = at.copy()
     for _ in range(halvings):
         improved = True
@@ -259,7 +257,8 @@ def _climb(
                     if at[0] != filled:
                         filled = at[0]
                         silent = alone(data, small * math.expm1(filled), own, told, rest, parts)
-                    value = silent + with_trust(data, own, told, rest, parts, every, at[1], at[2])
+                    path = by_equation_seven(data, at[1:2], at[2:3])
+                    value = silent + with_trust(data, own, told, rest, parts, path)[0]
                     if value > best:
                         best = value
                         improved = True

@@ -1,7 +1,6 @@
 """People's choices with and without suggestions, and their likelihood under a trust rule, on a grid of beta and theta.
 
-Unlike `likelihood`, which is compiled for equation (7), this module takes any trust rule, and theta may be carried from
-episode to episode. As there, the person's cost-to-go is taken for h*.
+The likelihood is that of `likelihood`. Here theta moves by any trust rule, and may be carried from episode to episode.
 """
 
 from __future__ import annotations
@@ -9,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from ..people.trust_rules import LEAST, Event, PerceivedSuggestions, TrustRule, moved
-from .likelihood import Data, Method, alone
+from .likelihood import Data, Method, alone, with_trust
 from .log import LogError
 from .maximum_likelihood import largest_beta
 from .observations import Ints, Observations
@@ -35,9 +35,6 @@ BETAS = 31
 
 BETA_RANGE = 200.0
 """Factor between the largest and the least beta; people with the least choose almost at random."""
-
-SMALL = 1e-300
-"""Least weight of a choice in equation (6)."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +53,14 @@ class TrustLog:
     anew : bool array, shape (K, H)
         Whether an episode begins between this suggestion and the one before.
     followed : bool array, shape (K, H)
-    chosen, told, rest : float arrays, shape (K, H, B)
+    data : tuple of Data
+        The choices of each person.
+    chances : tuple of float arrays, each of shape (B, 3, heard)
         Probability, without the suggestion, of the choice made, of the suggested one, and of all but that one.
-    options : float array, shape (K, H)
-        Number of choices.
     suggestions : PerceivedSuggestions
         Arrays of shape (K, H).
     beta, theta : float arrays, shapes (B,), (T,)
         Nodes.
-    lapse : float
     """
 
     people: tuple[str, ...]
@@ -73,14 +69,11 @@ class TrustLog:
     heard: Ints
     anew: NDArray[np.bool_]
     followed: NDArray[np.bool_]
-    chosen: Floats
-    told: Floats
-    rest: Floats
-    options: Floats
+    data: tuple[Data, ...]
+    chances: tuple[Floats, ...]
     suggestions: PerceivedSuggestions
     beta: Floats
     theta: Floats
-    lapse: float
 
     __repr__ = outline
 
@@ -112,24 +105,28 @@ class TrustLog:
         end = math.log((1 - LEAST) / LEAST)
         shape = (len(every), int(heard.max()))
         anew, followed, agrees, optimal = (np.zeros(shape, dtype=bool) for _ in range(4))
-        gain, options = np.zeros(shape), np.ones(shape)
-        chosen, told, rest = (np.full((*shape, BETAS), 0.5) for _ in range(3))
+        gain, chances = np.zeros(shape), [np.empty((BETAS, 3, len(data.heard))) for data in every]
         silent = np.zeros((len(every), BETAS))
         for k, (o, data) in enumerate(zip(observations, every, strict=True)):
             steps, to = data.heard, slice(0, len(data.heard))
-            own = np.empty((3, len(steps)))
             for b, value in enumerate(beta.tolist()):
-                silent[k, b] = alone(data, value, *own, np.empty_like(data.first))
-                chosen[k, to, b], told[k, to, b], rest[k, to, b] = own
+                silent[k, b] = alone(data, value, *chances[k][b], np.empty_like(data.first))
             slot = o.suggested[steps]
-            anew[k, to], followed[k, to] = data.anew, o.chosen[steps] == slot
-            gain[k, to], options[k, to] = o.gain[steps], data.options[steps]
+            anew[k, to], followed[k, to], gain[k, to] = data.anew, o.chosen[steps] == slot, o.gain[steps]
             agrees[k, to], optimal[k, to] = o.excess[steps, slot] <= 0, o.optimal[steps, slot]
         return cls(
-            tuple(o.person for o in observations), np.array([len(o) for o in observations]), silent, heard, anew,
-            followed, chosen, told, rest, options, PerceivedSuggestions(gain, agrees, optimal), beta,
-            1 / (1 + np.exp(-np.linspace(-end, end, THETAS))), method.lapse,
-        )  # fmt: skip
+            tuple(o.person for o in observations),
+            np.array([len(o) for o in observations]),
+            silent,
+            heard,
+            anew,
+            followed,
+            tuple(every),
+            tuple(chances),
+            PerceivedSuggestions(gain, agrees, optimal),
+            beta,
+            1 / (1 + np.exp(-np.linspace(-end, end, THETAS))),
+        )
 
     def only(self, people: NDArray[np.bool_]) -> TrustLog:
         """Return the log of some people, shape (K,)."""
@@ -139,8 +136,9 @@ class TrustLog:
             if isinstance(array, np.ndarray) and name not in ("beta", "theta")
         }
         suggestions = PerceivedSuggestions(*(array[people] for array in vars(self.suggestions).values()))
-        names = tuple(name for name, kept in zip(self.people, people.tolist(), strict=True) if kept)
-        return replace(self, people=names, suggestions=suggestions, **chosen)
+        for name in ("people", "data", "chances"):
+            chosen[name] = tuple(compress(getattr(self, name), people.tolist()))
+        return replace(self, suggestions=suggestions, **chosen)
 
     @property
     def accepted(self) -> Ints:
@@ -173,44 +171,17 @@ class TrustLog:
     def log_likelihood(self, rule: TrustRule, *, carry: bool = True) -> Floats:
         """Return the log likelihood of each person's choices, shape (K, B, T); parameters as for `thetas`.
 
-        Equation (6) with a lapse, at the theta to which the rule has led.
+        At the theta to which the rule has led.
         """
         before, _ = self.thetas(rule, carry=carry)
-        found = np.repeat(self.silent[:, :, None], len(self.theta), axis=2)
-        _add_answers(
-            found, before, self.heard, self.followed, self.chosen, self.told, self.rest, self.options, self.lapse
-        )
+        found = np.empty((len(self.people), len(self.beta), len(self.theta)))
+        for k, data in enumerate(self.data):
+            _fill(found[k], data, self.silent[k], self.chances[k], before[k, : self.heard[k]])
         return found
 
 
-@njit()
-def _add_answers(
-    found: Floats, theta: Floats, heard: Ints, followed: NDArray[np.bool_], chosen: Floats, told: Floats, rest: Floats,
-    options: Floats, lapse: float,
-) -> None:  # fmt: skip
-    """Add the log likelihood of the choices with a suggestion, in place, shape (K, B, T).
-
-    Equation (6) as in `influence_kernels.influence_factors`, without branches in the loop over theta, so that it is
-    compiled into vector instructions. `SMALL` in place of 0 makes a suggestion have no effect that would leave no
-    choice possible.
-    """
-    people, betas, thetas = found.shape
-    least = lapse / options.max()
-    together = max(1, int(200.0 / -math.log10(least)))  # factors of a product, since logarithms are slow
-    product = np.empty(thetas)
-    for k in range(people):
-        for b in range(betas):
-            product[:] = 1.0
-            for h in range(heard[k]):
-                share, heed, others = lapse / options[k, h], told[k, h, b], rest[k, h, b]
-                own, yes = (1.0 - lapse) * chosen[k, h, b], followed[k, h]
-                for t in range(thetas):
-                    sure, other = max(theta[k, h, t], SMALL), max(1.0 - theta[k, h, t], SMALL)
-                    answer = sure if yes else other
-                    product[t] *= own * answer / (sure * heed + other * others) + share
-                if (h + 1) % together == 0:
-                    for t in range(thetas):
-                        found[k, b, t] += math.log(product[t])
-                        product[t] = 1.0
-            for t in range(thetas):
-                found[k, b, t] += math.log(product[t])
+@njit(nogil=True)
+def _fill(found: Floats, data: Data, silent: Floats, chances: Floats, path: Floats) -> None:
+    """Fill in the log likelihood for each beta and each path of theta, shape (B, T)."""
+    for b in range(len(silent)):
+        found[b] = silent[b] + with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], data.first, path)
