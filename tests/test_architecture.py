@@ -43,10 +43,10 @@ ROOMS = {
     "assist.person": """leaf_bounds observation_model pomdp known_goals visiting_robot policy lazy_policy archive
         problem_arrays belief_filter reached_goals dynamics joint_belief rounding action_values policy_iteration qmdp
         solution_cache alpha_vectors upper_hull convex_bound hsvi search memory_needed further_beliefs solver""",
-    "assist.learning": """log_steps log_json log_files log comparison advice_log advice_rules advice_model advice_fit
-        replay observations joint_states evidence likelihood choosing profiles maximum_likelihood logit_likelihood
-        hierarchy misconception_fit diagnostics population person_estimate fit goals model_comparison rule_families
-        trust_log posterior_sample influence_population rule_search trust_fit rule_comparison""",
+    "assist.learning": """log_steps log_json log_files log comparison intervals advice_log advice_rules advice_model
+        advice_fit replay observations joint_states evidence likelihood choosing profiles maximum_likelihood
+        logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit goals model_comparison
+        rule_families trust_log posterior_sample influence_population rule_search trust_fit rule_comparison""",
     "assist.team": """policy_names by_policy robots travel travel_of_each state extra_costs hidden_states action_check
         settings plain_setting setting_table assignment attention attention_never questions time_expansion
         subproblem_frontier attention_subproblem priority whittle rollout policies""",

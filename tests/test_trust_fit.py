@@ -18,13 +18,14 @@ from assist.learning import Method, Observations
 from assist.learning.advice_log import COLUMNS
 from assist.learning.comparison import Comparison, holm, ratio
 from assist.learning.influence_population import InfluencePopulation
+from assist.learning.intervals import equal_tailed
 from assist.learning.log import LogError
 from assist.learning.population import trust_of
 from assist.learning.posterior_sample import PosteriorSample, posterior_covariance
 from assist.learning.rule_comparison import compare_rules
 from assist.learning.rule_families import RuleFamily, families
 from assist.learning.rule_search import RuleSearch
-from assist.learning.trust_fit import _interval, fit_influence
+from assist.learning.trust_fit import fit_influence
 from assist.learning.trust_log import TrustLog
 from assist.people.choices import Choices
 from assist.people.trust_rules import (
@@ -284,7 +285,7 @@ def test_beliefs_are_averaged_over_what_the_population_may_be() -> None:
 def test_an_interval_of_a_normal_distribution() -> None:
     nodes = np.linspace(-6, 6, 41)
     mass = np.exp(-(nodes**2) / 2)
-    low, high = _interval(nodes, mass / mass.sum(), 0.95, float)
+    low, high = equal_tailed(nodes, mass / mass.sum(), 0.95)
     assert (low, high) == (pytest.approx(-1.96, abs=0.05), pytest.approx(1.96, abs=0.05))
 
 

@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from planner.system.arrays import read_only
 
 from ..people.decision import NOTHING, Floats
+from .intervals import largest_fall
 from .likelihood import Method
 from .logit_likelihood import BETA, FIRST_TERM, THETA, Likelihood, Prior, maximise
 from .maximum_likelihood import Estimate, Fit
@@ -150,7 +150,7 @@ def intervals(likelihood: Likelihood, near: Floats, level: float) -> tuple[Float
         better = tried[1] > best
         at, best = np.where(better[:, None], tried[0], at), np.where(better, tried[1], best)
         curvature = np.where(better[:, None, None], tried[2], curvature)
-    wanted = float(np.sqrt(chdtri(1, 1 - level)))
+    wanted = float(np.sqrt(2 * largest_fall(level)))
     width = np.sqrt(np.diagonal(np.linalg.pinv(curvature + 1e-9 * np.eye(size)), axis1=1, axis2=2))
     ends = [
         np.stack([_end(likelihood, at, best, axis, side, wanted, width[:, axis]) for axis in range(size)], axis=1)

@@ -13,8 +13,8 @@ from threadpoolctl import ThreadpoolController
 from planner.system.jit import njit
 
 from ..people.decision import Floats
+from .intervals import Interval
 from .posterior_sample import PosteriorSample, posterior_covariance
-from .rule_families import Interval
 from .trust_log import TrustLog
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,18 +222,29 @@ class Likelihood:
     def _evaluate(self, at: Floats, who: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
         s = self.steps
         bounds = np.searchsorted(s.person, np.arange(len(at) + 1))
-        return _evaluate(
-            at.copy(), who, bounds, s.speaks, s.possible, s.options, s.chosen, s.gain, s.begins,
-            self.ranges.small, self.lapse, self.eta, s.told,
-        )  # fmt: skip
+        parts = Parts(bounds, s.speaks, s.possible, s.options, s.chosen, s.gain, s.begins, s.told)
+        return _evaluate(at.copy(), who, parts, self.ranges.small, self.lapse, self.eta)
+
+
+class Parts(NamedTuple):
+    """Arrays of `Steps` that compiled code reads; those of person k are from `bounds[k]` to `bounds[k + 1]`."""
+
+    bounds: Ints
+    speaks: Floats
+    possible: NDArray[np.bool_]
+    options: Ints
+    chosen: Ints
+    gain: Floats
+    begins: NDArray[np.bool_]
+    told: bool
 
 
 @njit()
 def _evaluate(
-    at: Floats, who: NDArray[np.bool_], bounds: Ints, speaks: Floats, possible: NDArray[np.bool_], options: Ints,
-    chosen: Ints, gain: Floats, begins: NDArray[np.bool_], small: float, lapse: float, eta: float, told: bool,
-) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    at: Floats, who: NDArray[np.bool_], parts: Parts, small: float, lapse: float, eta: float
+) -> tuple[Floats, Floats, Floats]:
     """Return log-probabilities of the choices (N,), gradients (K, P) and curvatures (K, P, P)."""
+    bounds, speaks, possible, options, chosen, gain, begins, told = parts
     count, size = at.shape
     logs = np.zeros(len(chosen))
     gradient, curvature = np.zeros((count, size)), np.zeros((count, size, size))

@@ -16,10 +16,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import chdtri
 
 from ..people.decision import Floats, choice, influence, lapse
+from .intervals import end_of, largest_fall
 from .likelihood import Method, goal_posteriors, thetas
 from .observations import Observations
 from .profiles import BETA, ETA, THETA, Profiles
@@ -159,7 +158,7 @@ def _fit(observations: Observations, method: Method, largest: float) -> Fit:
     profiles = Profiles(observations, method, largest)
     best, at = profiles.maximum()
     at = _to_the_end(profiles, best, at)
-    drop = float(chdtri(1, 1 - method.level)) / 2
+    drop = largest_fall(method.level)
     free = [axis for axis in (BETA, THETA, ETA) if profiles.free(axis)]
     found = {axis: _estimate(profiles, axis, at, best, drop) for axis in free}
     return Fit(observations, found[BETA], found.get(THETA), found.get(ETA), best, method.eta, method)
@@ -207,14 +206,8 @@ def _estimate(profiles: Profiles, axis: int, at: Floats, best: float, drop: floa
             if short <= 0 or (short <= 0.5 and margin(outwards[count - 1]) >= 0):
                 kept = count
                 break
-        inside = outwards[kept - 1] if kept else middle
-        end = inside
-        for outside in outwards[kept:]:
-            if margin(outside) < 0:
-                end = brentq(margin, inside, outside, xtol=1e-4) if margin(inside) > 0 else inside
-                break
-            kept, inside, end = kept + 1, outside, outside
+        end, open_ = end_of(margin, outwards[kept - 1] if kept else middle, outwards[kept:], 1e-4)
         ends.append(end)
-        is_open.append(kept == len(outwards))
+        is_open.append(open_)
     value, low, high = (float(profiles.beta(np.array(x))) if axis == BETA else x for x in (middle, *ends))
     return Estimate(value, (min(low, value), max(high, value)), is_open[0], is_open[1])

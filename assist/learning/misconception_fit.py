@@ -22,14 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import minimize_scalar
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
-from scipy.special import chdtri
 
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
+from .intervals import end_of, largest_fall
 from .maximum_likelihood import Fit
 from .observations import Ints, Observations
 
@@ -110,19 +110,14 @@ def fit_misconception(fitted: Fit) -> MisconceptionFit:
         lambda sigma: -best_beta(float(sigma))[1], bounds=(low, high), method="bounded", options={"xatol": 0.02 * unit}
     )
     sigma, best = (float(found.x), -float(found.fun)) if -found.fun > values[place] else (tried[place], values[place])
-    drop = chdtri(1, 1 - fitted.method.level) / 2
+    drop = largest_fall(fitted.method.level)
 
     def margin(sigma: float) -> float:
         return float(best_beta(sigma)[1] - best + drop)
 
     def end(side: int) -> float:
-        outside = tried[(tried - sigma) * side > 1e-9][::side]
-        inside = sigma
-        for value in outside:
-            if margin(float(value)) < 0:
-                return float(brentq(margin, inside, value, xtol=0.02 * unit)) if margin(inside) > 0 else float(inside)
-            inside = value
-        return float(outside[-1]) if len(outside) else float(sigma)
+        outwards = tried[(tried - sigma) * side > 1e-9][::side].tolist()
+        return end_of(margin, float(sigma), outwards, 0.02 * unit)[0]
 
     beta = best_beta(float(sigma))[0]
     _, z = model.marginal(beta, float(sigma))

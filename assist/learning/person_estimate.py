@@ -8,11 +8,10 @@ from typing import Any
 
 from ..people.decision import NOTHING
 from .diagnostics import Check
+from .intervals import Interval
 from .maximum_likelihood import Estimate, Fit
 from .misconception_fit import MisconceptionFit
 from .observations import Ints
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import chdtri, logit, ndtr
+from scipy.special import logit, ndtr
 
 from planner.system.arrays import outline
 
@@ -32,6 +32,7 @@ from ..people.human import Population, Range
 from ..people.mixture import Mixture
 from ..people.trust_rules import Shipped, rule_of
 from .hierarchy import Hierarchy
+from .intervals import largest_fall
 from .likelihood import Method, log_likelihood
 from .logit_likelihood import BETA, FIRST_TERM, THETA
 from .maximum_likelihood import largest_beta
@@ -292,7 +293,7 @@ def fit_population(
             if progress is not None:
                 progress(1)
         eta = _summit(rates, np.array(scores))
-        known = max(scores) - min(scores) > float(chdtri(1, 1 - method.level)) / 2
+        known = max(scores) - min(scores) > largest_fall(method.level)
     table, top = likelihoods(eta)
     if family == "histogram":
         shares, score = _free(table, 2000)

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from scipy.stats.qmc import Halton
 
 from ..people.decision import Floats
-from .rule_families import Interval
+from .intervals import Interval
 
 Value = Callable[[Floats], float]
 """Returns the log likelihood of parameters, shape (P,), within their ranges."""

@@ -11,6 +11,7 @@ pattern search (Hooke and Jeeves 1961) starts from the best points, for many val
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -119,7 +120,18 @@ class Profiles:
     def _lines(self, coordinates: Floats, axis: int, others: Floats) -> tuple[Floats, Floats]:
         """Return the largest grid values along theta or eta, and their places, both of shape (coordinates, others)."""
         ends, count = (self.low[axis], self.high[axis]), POINTS[axis] if self.free(axis) else 1
-        return _on_lines(self.data, self.beta(coordinates), axis, others, self.sums, self.gaps, *ends, count)
+        return _on_lines(self.data, self.beta(coordinates), others, Line(axis, *ends, count, self.sums, self.gaps))
+
+
+class Line(NamedTuple):
+    """A line along theta or eta (`axis`) from `low` to `high`, with `points` points besides its kinks."""
+
+    axis: int
+    low: float
+    high: float
+    points: int
+    sums: Floats
+    gaps: Floats
 
 
 def _sums(data: Data) -> tuple[Floats, Floats]:
@@ -155,17 +167,7 @@ def _peaks(values: Floats, count: int) -> list[tuple[int, ...]]:
 
 
 @njit(nogil=True)
-def _on_lines(
-    data: Data,
-    betas: Floats,
-    axis: int,
-    others: Floats,
-    sums: Floats,
-    gaps: Floats,
-    low: float,
-    high: float,
-    count: int,
-) -> tuple[Floats, Floats]:
+def _on_lines(data: Data, betas: Floats, others: Floats, line: Line) -> tuple[Floats, Floats]:
     """Return the largest values at points along theta or eta, and their places, both of shape (betas, others).
 
     There is a point between any two kinks. `others` are the values of the other parameter.
@@ -177,9 +179,9 @@ def _on_lines(
     for b in range(len(betas)):
         silent[b] = alone(data, betas[b], chances[b, 0], chances[b, 1], chances[b, 2], parts[b])
     for e in range(len(others)):
-        places = _places(axis, others[e], sums, gaps, low, high, count)
+        places = _places(line, others[e])
         other = np.full(len(places), others[e])
-        path = by_equation_seven(data, places, other) if axis == THETA else by_equation_seven(data, other, places)
+        path = by_equation_seven(data, places, other) if line.axis == THETA else by_equation_seven(data, other, places)
         for b in range(len(betas)):
             values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], parts[b], path)
             best = values.argmax()
@@ -188,8 +190,9 @@ def _on_lines(
 
 
 @njit(nogil=True)
-def _places(axis: int, other: float, sums: Floats, gaps: Floats, low: float, high: float, count: int) -> Floats:
+def _places(line: Line, other: float) -> Floats:
     """Return points along theta or eta: a regular grid, the kinks, and the midpoints between any two of these."""
+    axis, low, high, count, sums, gaps = line
     if count == 1:
         return np.full(1, low)
     points = np.empty(count + 2 * len(sums) + len(gaps))

@@ -9,6 +9,7 @@ from functools import partial
 from itertools import product
 
 from ..people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
+from .intervals import Interval
 from .likelihood import Method
 
 STEP_SIZES = (0.1, 0.2, 0.4, 0.8)
@@ -19,8 +20,6 @@ LARGEST_STEP = 3.0
 
 RATES = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Values of eta that are tried."""
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.optimize import brentq, minimize
-from scipy.special import chdtri
+from scipy.optimize import minimize
 
 from ..people.decision import Floats
 from .influence_population import InfluencePopulation
+from .intervals import Interval, end_of, largest_fall
 from .posterior_sample import PosteriorSample, posterior_covariance
-from .rule_families import Interval, RuleFamily
+from .rule_families import RuleFamily
 from .trust_log import TrustLog
 
 
@@ -63,23 +63,15 @@ class RuleSearch:
 
     def intervals(self, best: tuple[float, ...], covariance: Floats, level: float) -> list[Interval]:
         """Return the likelihood-ratio interval of each parameter, with the others where the likelihood is largest."""
-        at, top = np.array(best), self.value(np.array(best))
-        wanted, found = float(chdtri(1, 1 - level)) / 2, []
-        for j, (low, high) in enumerate(self.ends):
+        at, found = np.array(best), []
+        least = self.value(at) - largest_fall(level)
+        for j, ends in enumerate(self.ends):
 
-            def excess(value: float, j: int = j) -> float:
-                return top - self._largest(at, j, value, covariance) - wanted
+            def margin(value: float, j: int = j) -> float:
+                return self._largest(at, j, value, covariance) - least
 
-            ends = []
-            for end in (low, high):
-                inside, step = at[j], np.sign(end - at[j]) * (0.02 + 0.2 * abs(at[j]))
-                outside = float(np.clip(inside + step, low, high))
-                while outside != end and excess(outside) < 0:
-                    inside, step = outside, 2 * step
-                    outside = float(np.clip(outside + step, low, high))
-                beyond = outside == inside or excess(outside) < 0
-                ends.append(end if beyond else float(brentq(excess, inside, outside, xtol=1e-3, rtol=1e-3)))
-            found.append((ends[0], ends[1]))
+            low, high = (end_of(margin, best[j], _outwards(best[j], end), 1e-3, 1e-3)[0] for end in ends)
+            found.append((low, high))
         return found
 
     def _largest(self, best: Floats, j: int, value: float, covariance: Floats) -> float:
@@ -107,3 +99,12 @@ class RuleSearch:
     def covariance(self, best: tuple[float, ...]) -> Floats:
         """Return the covariance of the parameters, (P, P); see `posterior_covariance`."""
         return posterior_covariance(self.value, np.array(best), self.ends)
+
+
+def _outwards(value: float, end: float) -> Iterator[float]:
+    """Yield values from one up to an end, in steps that double."""
+    step = math.copysign(0.02 + 0.2 * abs(value), end - value)
+    while value != end:
+        value = min(value + step, end) if step > 0 else max(value + step, end)
+        yield value
+        step *= 2

@@ -21,10 +21,11 @@ from scipy.special import expit, logit
 from ..people.decision import Floats
 from ..people.trust_rules import TrustRule, plain_rule
 from .influence_population import InfluencePopulation
+from .intervals import Interval, equal_tailed
 from .likelihood import Method
 from .observations import Observations
 from .population import Margin, PopulationFit
-from .rule_families import Interval, RuleFamily, families, parameters_of
+from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
 from .trust_log import TrustLog
 
@@ -159,9 +160,9 @@ def fit_influence(
     people = [
         Influence(
             person, int(log.heard[k]), int(log.accepted[k]),
-            float(log.beta @ beta[k]), _interval(np.log(log.beta), beta[k], method.level, np.exp),
-            float(log.theta @ theta[k]), _interval(logit(log.theta), theta[k], method.level, _theta),
-            float(after[k] @ mass[k]), _interval(after[k], mass[k], method.level, float),
+            float(log.beta @ beta[k]), _shown(equal_tailed(np.log(log.beta), beta[k], method.level), np.exp),
+            float(log.theta @ theta[k]), _shown(equal_tailed(logit(log.theta), theta[k], method.level), expit),
+            float(after[k] @ mass[k]), equal_tailed(after[k], mass[k], method.level),
         )
         for k, person in enumerate(log.people)
     ]  # fmt: skip
@@ -205,13 +206,5 @@ def _edges(nodes: Floats) -> Floats:
     return np.concatenate([nodes[:1], (nodes[1:] + nodes[:-1]) / 2, nodes[-1:]])
 
 
-def _theta(log_odds: float) -> float:
-    return float(expit(log_odds))
-
-
-def _interval(nodes: Floats, mass: Floats, level: float, shown: Callable[[float], float]) -> Interval:
-    """Return the equal-tailed interval of a distribution that is known at nodes, and linear between them."""
-    order = np.argsort(nodes, kind="stable")
-    below = np.cumsum(mass[order]) - mass[order] / 2
-    low, high = np.interp(((1 - level) / 2, (1 + level) / 2), below, nodes[order]).tolist()
-    return float(shown(low)), float(shown(high))
+def _shown(interval: Interval, shown: Callable[[float], float]) -> Interval:
+    return float(shown(interval[0])), float(shown(interval[1]))
