@@ -1,0 +1,108 @@
+"""Erasure and withdrawal of a running service: what the person said is in no byte of its folder or of its log."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import pytest
+from serving import served
+from test_event_store import content
+from test_userstudy_report import run
+from userstudies import PLAN, SCORES, written
+
+from planner import Table
+
+WORDS = "Quittenmus am Dienstag"
+NAME = "Zdenka Ungewöhnlich"
+
+
+def bytes_of(text: str) -> set[bytes]:
+    """Return a text in the forms in which it could be stored: as UTF-8, escaped as in JSON, and in an address."""
+    return {text.encode(), json.dumps(text)[1:-1].encode(), quote(text).encode(), text.encode("utf-16-le")}
+
+
+def assert_no_trace(*texts: str, folder: Path, said: str = "") -> None:
+    everything = content(folder) + said.encode()
+    assert [one for text in texts for one in bytes_of(text) if one in everything] == []
+
+
+@pytest.mark.parametrize("ends", [signal.SIGTERM, signal.SIGKILL], ids=["stopped", "killed"])
+def test_who_is_erased_is_in_no_byte_of_a_team(tmp_path: Path, ends: signal.Signals) -> None:
+    """The journal, its log, the store of people, and what the service says on stderr, also of what it refused."""
+    options = ("--humans", 1, "--data", tmp_path / "data", "--people-store", tmp_path / "people.sqlite", "--tick", 3600)
+    with served(*options, "--log-format", "json") as team:
+        added = team.ask("POST", "/api/team/people", json={"person": NAME})
+        assert added.status_code == 200, added.text
+        path = f"/api/people/{NAME}"
+        for number, action in enumerate(("(fetch box-a)", "(return box-a)", "(fly away)", "(fetch box-b)")):
+            answer = team.ask("POST", f"{path}/actions", json={"action": action, "id": f"zdenkas-{number}"})
+            assert answer.status_code == (422 if "fly" in action else 200), answer.text
+        assert team.ask("GET", f"{path}/explanation").status_code == 200
+        assert team.ask("POST", f"{path}/undo", json={"id": "zdenkas-9"}).status_code == 200
+        assert NAME.encode() in content(tmp_path)
+        erased = team.ask("DELETE", f"{path}/records", params={"reason": "wrote a letter"})
+        assert erased.status_code == 200, erased.text
+        assert_no_trace(NAME, "zdenkas-", folder=tmp_path)  # at once, while it runs
+        assert team.ask("GET", "/api/team").status_code == 200
+        _, said = team.end(ends)
+    assert '"event": "acted"' in said  # the log has been kept
+    assert_no_trace(NAME, "zdenkas-", folder=tmp_path, said=said)
+    with served(*options) as team:
+        assert NAME not in json.dumps(team.ask("GET", "/api/team").json(), ensure_ascii=False)
+        assert team.ask("POST", "/api/people/person-1/actions", json={"action": "(fetch box-a)"}).status_code == 200
+    assert_no_trace(NAME, "zdenkas-", folder=tmp_path)
+
+
+@pytest.mark.parametrize("how", ["withdraw", "code", "erase"])
+def test_who_withdraws_is_in_no_byte_of_a_study(tiny: Table, tmp_path: Path, how: str) -> None:
+    """The journal, the export and the report within the folder, and the log; the rows of others stay."""
+    file = written(tmp_path / "study.toml", PLAN.replace("simulated = 2", "simulated = 1"))
+    data = tmp_path / "data"
+    with served("--study", file, "--data", data, "--log-format", "json", instance=None) as study:
+
+        def takes_part(words: str) -> str:
+            seat = study.ask("POST", "/api/study/seats", "everybody", json={"id": f"a visit {words}"})
+            assert seat.status_code == 200, seat.text
+            person = str(seat.json()["person"])
+            view: Any = study.ask("GET", f"/api/people/{person}").json()
+            while view["study"]["kind"] != "thanks":
+                at = view["study"]
+                if at["kind"] in ("practice", "task"):
+                    for action in tiny.optimal_plan(tiny.initial) or ():
+                        assert study.ask("POST", f"/api/people/{person}/actions", json={"action": action}).is_success
+                answers = {"remarks": words} if at["what"] == "remarks" else SCORES.get(at["what"])
+                body = {"stage": at["stage"], "answers": answers if at["kind"] == "questionnaire" else None}
+                answer = study.ask("POST", f"/api/study/participants/{person}/onward", json=body)
+                assert answer.status_code == 200, answer.text
+                view = answer.json()
+            return person
+
+        leaves, stays = takes_part(WORDS), takes_part("die Worte der anderen")
+        completion = study.ask("GET", f"/api/people/{leaves}").json()["study"]["completion"]
+        (data / "user-study.zip").write_bytes(study.ask("GET", "/api/study/export").content)
+        run("study-report", data)
+        assert WORDS.encode() in content(data)
+        path = f"/api/study/participants/{leaves}"
+        code = study.ask("GET", f"{path}/withdrawal").json()["code"]
+        answer = {
+            "withdraw": lambda: study.ask("POST", f"{path}/withdraw", json={}),
+            "code": lambda: study.ask("POST", "/api/study/withdrawals", "everybody", json={"code": code}),
+            "erase": lambda: study.ask("DELETE", f"/api/people/{leaves}/records", params={"reason": "a letter"}),
+        }[how]()
+        assert answer.status_code == 200, answer.text
+        gone = (WORDS, f"a visit {WORDS}", completion, *([leaves] if how == "erase" else []))
+        assert_no_trace(*gone, folder=data)
+        assert not (data / "user-study.zip").exists()
+        _, said = study.end(signal.SIGKILL)
+    assert_no_trace(*gone, folder=data, said=said)
+    assert leaves not in said
+    assert b"die Worte der anderen" in content(data)
+    with served("--study", file, "--data", data, instance=None) as study:
+        assert study.ask("GET", f"/api/people/{stays}").json()["study"]["kind"] == "thanks"
+        again = study.ask("GET", f"/api/people/{leaves}")
+        assert again.status_code == 404 if how == "erase" else again.json()["study"]["kind"] == "withdrew"
+    assert_no_trace(*gone, folder=data)
