@@ -74,7 +74,7 @@ ROOMS = {
         html_page study_summary study_claims study_figures study_report userstudy_summary
         preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures service schemas authorization request_limits task_drawings routes
-        metrics streams openapi_page page_routes app server client""",
+        metrics streams openapi_page page_routes app connections server client""",
     "assist.web.user_study": "service routes rehearsal server",
     "assist.bridges": """messages ordering session_client tasks team_watch mqtt_settings mqtt opcua_settings opcua
         opcua_server ros2_settings ros2""",

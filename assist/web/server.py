@@ -35,10 +35,14 @@ from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.catalogue import Catalogue
 from ..texts.refusals import AbsentError, BusyError, InapplicableError
+from . import connections
 from .app import END_STREAMS, make_app
 from .request_limits import Networks
 from .service import Bridge, Service
 from .tokens import AccessTokens
+
+WAITING = 1024
+"""Connections that may wait to be accepted, such as those of a full waiting room."""
 
 SEAT = re.compile(r"(person|simulated)-\d+")
 """Names of the people with whom a session begins."""
@@ -60,7 +64,7 @@ def listen(host: str, port: int, *, otherwise: int | None = None, unread: float 
     """
     try:
         listening = socket.create_server(
-            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=1024
+            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=WAITING
         )
     except OSError as error:
         if otherwise is not None and error.errno == errno.EADDRINUSE:
@@ -153,6 +157,8 @@ class _Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start to listen."""
         await super().startup(sockets)
+        for listening in sockets or ():
+            listening.listen(WAITING)  # asyncio takes the number of those that it accepts at once for this one, too
         if not self.should_exit:
             self.ready()
 
@@ -169,7 +175,8 @@ def server_of(app: ASGIApp, ready: Callable[[], None]) -> uvicorn.Server:
     server = _Server(
         uvicorn.Config(
             app, log_config=None, access_log=False, lifespan="on", proxy_headers=False,
-            server_header=False, timeout_graceful_shutdown=2, timeout_keep_alive=75, ws="none", backlog=1024,
+            server_header=False, timeout_graceful_shutdown=2, timeout_keep_alive=75, ws="none",
+            backlog=connections.AT_ONCE, http=connections.protocol(connections.most()),
         )
     )  # fmt: skip
     server.ready = ready
@@ -304,7 +311,6 @@ def serve(
     changed_settings : callable, optional
         As in `Service`. SIGHUP then reloads the configuration, instead of ending the service.
     """
-    logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
     asyncio.run(_serve(plan, session, listening, ready, beside, changed_settings))
 
 
@@ -380,6 +386,9 @@ async def run(
     reload : callable, optional
         Called at SIGHUP, which otherwise ends the service.
     """
+    connections.allow_files()
+    # Warnings are about requests that are none, of which anybody can send as many as they want.
+    logging.getLogger("uvicorn.error").setLevel(logging.ERROR)
     server = server_of(app, ready)
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):

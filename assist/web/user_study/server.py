@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -45,7 +44,6 @@ def serve(
     trusted_proxies : sequence of networks
         Proxies that report the client's address, as `networks` returns them.
     """
-    logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
     asyncio.run(_serve(study, tasks, folder, listening, ready, participants, public_url, trusted_proxies))
 
 
