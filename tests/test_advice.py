@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 from dataclasses import replace
 from itertools import pairwise, product
@@ -12,11 +13,13 @@ import numpy as np
 import pytest
 from advice_rules import RULES as COMPARED_BEFORE
 from advice_rules import model_of
+from conftest import invoke
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import simulated
 
-from assist.learning.advice_fit import fit_advice, fit_model, fold_of, local_maximum
+from assist.learning import rule_comparison
+from assist.learning.advice_fit import COMPARED, fit_advice, fit_model, fold_of, local_maximum
 from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
 from assist.learning.advice_model import BASES, LAPSE, NODES, AdviceModel
 from assist.learning.advice_rules import DEFAULT_STEPS, RULES, Rule
@@ -313,3 +316,60 @@ def test_the_advisors_confidence_is_refused_where_it_has_no_effect(tmp_path: Pat
     with pytest.raises(InputFileError, match="advice_confidence is not used with confidences about the own choice"):
         read_advice(file)
     assert len(read_advice(write(file, ROW, columns=columns))) == 1
+
+
+@pytest.fixture
+def judgements(tmp_path: Path) -> Path:
+    """Six people, half of whom follow advice, with a few judgements each."""
+    rng = np.random.default_rng(0)
+    file = tmp_path / "advice.csv"
+    with file.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(COLUMNS)
+        for k in range(6):
+            for trial in range(6):
+                own, advice, outcome = (int(flag) for flag in rng.random(3) < 0.5)
+                final = advice if rng.random() < (0.9 if k % 2 else 0.2) else own
+                writer.writerow([f"p{k}", "a", trial, own, int(rng.integers(0, 101)), advice, final, outcome, 1])
+    return file
+
+
+def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {name: COMPARED[name] for name in ("base rates", "one theta", "constant", "outcome")}
+    monkeypatch.setattr(rule_comparison, "COMPARED", few)
+    done = invoke("fit", "--advice", judgements, "--trust", "constant", "--out", tmp_path / "one.jsonl")
+    assert done.exit_code == 0, done.output
+    assert "6 people, 36 choices" in done.stdout
+    assert json.loads((tmp_path / "one.jsonl").read_text())["rule"] == "constant"
+    compared = json.loads(invoke("compare", "rules", "--advice", judgements, "--folds", 2, "--json").stdout)
+    assert (len(compared["people"]), compared["choices"]) == (6, 36)
+    parameters = {row["model"]: set(row["parameters"]) for row in compared["models"]}
+    assert parameters["outcome"] - parameters["constant"] == {"g", "l"}
+    assert parameters["base rates"] == {"agreement", "disagreement"}
+    assert parameters["one theta"] == parameters["constant"]
+    chosen = json.loads(
+        invoke(
+            "fit",
+            "--advice",
+            judgements,
+            "--trust",
+            "constant",
+            "--rows",
+            "sequence=a",
+            "--rows",
+            "person=p1",
+            "--json",
+        ).stdout
+    )
+    assert (chosen["people"], chosen["choices"]) == (1, 6)
+
+
+def test_a_line_of_advice_that_is_wrong_is_named(judgements: Path) -> None:
+    rows = judgements.read_text().splitlines()
+    judgements.write_text("\n".join([*rows[:3], rows[3].replace(",a,2,", ",a,two,"), *rows[4:]]))
+    done = invoke("fit", "--advice", judgements, "--trust", "constant")
+    assert done.exit_code == 1
+    assert f"{judgements}:4: trial 'two'; expected a number" in done.stderr
+    judgements.write_text("\n".join(rows[:5]))
+    one = invoke("compare", "rules", "--advice", judgements)
+    assert (one.exit_code, "one person; a comparison needs two or more" in one.stderr) == (1, True)

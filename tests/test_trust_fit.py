@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import importlib
 import json
 from dataclasses import dataclass
@@ -15,7 +14,6 @@ from conftest import KITTING, invoke, kit
 from recorded import write_log
 
 from assist.learning import Method, Observations
-from assist.learning.advice_log import COLUMNS
 from assist.learning.comparison import Comparison, holm, ratio
 from assist.learning.influence_population import InfluencePopulation
 from assist.learning.intervals import equal_tailed
@@ -163,15 +161,9 @@ def test_the_population_that_is_found_is_the_likeliest() -> None:
             assert other.marginal(log, logs).sum() < value + 1e-6
 
 
-@pytest.mark.parametrize(
-    ("name", "rule"),
-    [
-        ("paper", EquationSeven(0.04)),
-        pytest.param("outcome", outcome(0.4, 0.8), marks=pytest.mark.slow),
-    ],
-)
-def test_parameters_of_simulated_people_are_found(name: str, rule: TrustRule) -> None:
-    found = fit_influence(seen(recorded(rule, 60, 30, 3)), name)
+def test_parameters_of_simulated_people_are_found() -> None:
+    name, rule = "paper", EquationSeven(0.04)
+    found = fit_influence(seen(recorded(rule, 40, 30, 3)), name)
     assert found.intervals
     for parameter, (low, high) in found.intervals.items():
         assert low - (high - low) / 2 <= getattr(rule, parameter) <= high + (high - low) / 2
@@ -209,9 +201,9 @@ def test_one_episode_is_the_same_carried_or_not() -> None:
 
 
 def test_the_right_rule_is_chosen() -> None:
-    rules = {name: families(Method())[name] for name in ("constant", "paper", "outcome")}
+    rules = {name: families(Method())[name] for name in ("constant", "outcome")}
     for name, rule, seed in (("outcome", outcome(0.6, 0.9), 7), ("constant", constant(), 8)):
-        compared = compare_rules(seen(recorded(rule, 24, 30, seed)), Method(), rules=rules, folds=2)
+        compared = compare_rules(seen(recorded(rule, 20, 25, seed)), Method(), rules=rules, folds=2)
         assert compared.best.model == name
 
 
@@ -323,29 +315,25 @@ def test_influence_is_fitted_by_command(log_file: Path, tmp_path: Path) -> None:
     assert "trust rule outcome, gain " in done.stdout
     records = [json.loads(line) for line in out.read_text().splitlines()]
     assert {record["suggestions"] for record in records} == {15}
-    anew = invoke("fit", KITTING / "tiny.pddl", log_file, "--trust", "paper", "--theta-per-episode", "--json")
-    document = json.loads(anew.stdout)
-    assert document["carried"] is False
-    assert set(document["intervals"]) == {"eta"}
-    known = json.loads(
-        invoke("fit", KITTING / "tiny.pddl", log_file, "--trust", "paper", "--eta", 0.1, "--json").stdout
+    known = invoke(
+        "fit", KITTING / "tiny.pddl", log_file, "--trust", "paper", "--theta-per-episode", "--eta", 0.1, "--json"
     )
-    assert (known["parameters"]["eta"], known["intervals"]) == (0.1, {})
+    document = json.loads(known.stdout)
+    assert (document["carried"], document["parameters"]["eta"], document["intervals"]) == (False, 0.1, {})
 
 
 def test_rules_are_compared_by_command(tmp_path: Path) -> None:
     few = write_log(tmp_path / "few.jsonl", recorded(outcome(0.5, 0.8), 4, 6, 0))
-    arguments = ("compare", "rules", KITTING / "tiny.pddl", few, "--folds", 2)
-    done = invoke(*arguments, "--out", tmp_path / "people.jsonl")
+    arguments = ("compare", "rules", KITTING / "tiny.pddl", few, "--folds", 2, "--eta", 0.2)
+    done = invoke(*arguments, "--out", tmp_path / "people.jsonl", "--json")
     assert done.exit_code == 0, done.output
-    assert "4 people" in done.stdout
     rows = [json.loads(line) for line in (tmp_path / "people.jsonl").read_text().splitlines()]
     assert list(rows[0]["nats_per_choice"]) == list(families(Method()))
-    document = json.loads(invoke(*arguments, "--json").stdout)
+    document = json.loads(done.stdout)
     assert (document["people"], [row["model"] for row in document["models"]]) == (rows, list(families(Method())))
 
 
-@pytest.mark.parametrize("rule", ["outcome", "paper", "constant"])
+@pytest.mark.parametrize("rule", ["paper", "constant"])
 def test_a_population_file_has_the_rule(rule: str, log_file: Path, tmp_path: Path) -> None:
     """`simulate` draws people from it whose theta moves by its rule, which the robot knows."""
     people = tmp_path / "people.json"
@@ -411,61 +399,6 @@ def test_a_population_file_with_no_such_rule_is_refused(bad: object, words: str,
         done = invoke(*command, "--population", file)
         assert done.exit_code == 2
         assert f"--population {file}: {words}" in " ".join(done.stderr.split())
-
-
-@pytest.fixture
-def judgements(tmp_path: Path) -> Path:
-    """Twelve people, half of whom follow advice, with a few judgements each."""
-    rng = np.random.default_rng(0)
-    file = tmp_path / "advice.csv"
-    with file.open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(COLUMNS)
-        for k in range(12):
-            for trial in range(10):
-                own, advice, outcome = (int(flag) for flag in rng.random(3) < 0.5)
-                final = advice if rng.random() < (0.9 if k % 2 else 0.2) else own
-                writer.writerow([f"p{k}", "a", trial, own, int(rng.integers(0, 101)), advice, final, outcome, 1])
-    return file
-
-
-def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path) -> None:
-    done = invoke("fit", "--advice", judgements, "--trust", "constant", "--out", tmp_path / "one.jsonl")
-    assert done.exit_code == 0, done.output
-    assert "12 people, 120 choices" in done.stdout
-    assert json.loads((tmp_path / "one.jsonl").read_text())["rule"] == "constant"
-    compared = json.loads(invoke("compare", "rules", "--advice", judgements, "--folds", 2, "--json").stdout)
-    assert (len(compared["people"]), compared["choices"]) == (12, 120)
-    parameters = {row["model"]: set(row["parameters"]) for row in compared["models"]}
-    assert parameters["outcome"] - parameters["constant"] == {"g", "l"}
-    assert parameters["base rates"] == {"agreement", "disagreement"}
-    assert parameters["paper, eta 0.2"] == parameters["constant"]
-    chosen = json.loads(
-        invoke(
-            "fit",
-            "--advice",
-            judgements,
-            "--trust",
-            "constant",
-            "--rows",
-            "sequence=a",
-            "--rows",
-            "person=p1",
-            "--json",
-        ).stdout
-    )
-    assert (chosen["people"], chosen["choices"]) == (1, 10)
-
-
-def test_a_line_of_advice_that_is_wrong_is_named(judgements: Path) -> None:
-    rows = judgements.read_text().splitlines()
-    judgements.write_text("\n".join([*rows[:3], rows[3].replace(",a,2,", ",a,two,"), *rows[4:]]))
-    done = invoke("fit", "--advice", judgements, "--trust", "constant")
-    assert done.exit_code == 1
-    assert f"{judgements}:4: trial 'two'; expected a number" in done.stderr
-    judgements.write_text("\n".join(rows[:5]))
-    one = invoke("compare", "rules", "--advice", judgements)
-    assert (one.exit_code, "one person; a comparison needs two or more" in one.stderr) == (1, True)
 
 
 def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:

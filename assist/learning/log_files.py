@@ -174,10 +174,9 @@ def tidy(rows: Iterable[Row], taken: Taken, *, gaps: bool = False) -> list[Row]:
             taken.idle += [number] * (record.get("executed") is None)
         kept.append((number, record))
     found = [record for _, record in kept if isinstance(record, dict)]
-    digits = any(is_plain(record.get("step")) for record in found)
     for record in found:
         step = record.get("step")
-        integer = whole(step, thousands=digits)
+        integer = whole(step)
         if integer is not None:
             record["step"] = integer
             taken.steps += [str(step)] * (not is_plain(step))

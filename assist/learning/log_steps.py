@@ -12,6 +12,9 @@ from typing import Any
 DAY = 24  # units of the larger part of a clock time, hours, in a day
 
 CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}(?:[.,]\d+)?)")
+AMBIGUOUS = re.compile(r"[+-]?\d{1,3},\d{3}")
+"""A comma that may separate decimals or thousands."""
+
 DECIMAL = re.compile(r"[+-]?(\d{1,20})[.,](\d{1,20})")
 
 
@@ -20,15 +23,8 @@ def is_plain(value: object) -> bool:
     return type(value) is int or (isinstance(value, str) and re.fullmatch(r"[+-]?\d+", value.strip()) is not None)
 
 
-def whole(value: object, *, thousands: bool) -> int | None:
-    """Return a step as an integer; None if it is none, or ambiguous, such as 1,000.
-
-    Parameters
-    ----------
-    value : object
-    thousands : bool
-        Whether other steps have no decimals, so that in 1,000 the comma may separate thousands.
-    """
+def whole(value: object) -> int | None:
+    """Return a step as an integer; None if it is none, or ambiguous, such as 1,000."""
     if isinstance(value, float):
         return int(value) if value.is_integer() else None
     if not isinstance(value, str):
@@ -37,23 +33,17 @@ def whole(value: object, *, thousands: bool) -> int | None:
     if re.fullmatch(r"[+-]?\d{1,20}", text):
         return int(text)
     if found := re.fullmatch(r"([+-]?\d{1,20})[.,](0*)", text):
-        return None if thousands and len(found[2]) == 3 and len(found[1].lstrip("+-")) <= 3 else int(found[1])
+        return None if AMBIGUOUS.fullmatch(text) else int(found[1])
     if re.fullmatch(r"\d([.,]\d{1,14})?[eE]\+?\d\d?", text):  # as R writes 100000
         number = float(text.replace(",", "."))
         return int(number) if number.is_integer() else None
     return None
 
 
-def moment(value: object, *, thousands: bool = False) -> tuple[str, Any] | None:
+def moment(value: object) -> tuple[str, Any] | None:
     """Return the kind of a time and a value that orders times of this kind; None if it is no time.
 
     Times are numbers, such as seconds; dates with times, as ISO 8601 has them; or times of the clock.
-
-    Parameters
-    ----------
-    value : object
-    thousands : bool
-        Whether in 1,250 the comma may separate thousands, so that it is ambiguous.
     """
     if isinstance(value, bool):
         return None
@@ -68,9 +58,8 @@ def moment(value: object, *, thousands: bool = False) -> tuple[str, Any] | None:
     if not isinstance(value, str):
         return None
     text = value.strip()
-    if found := DECIMAL.fullmatch(text):
-        ambiguous = thousands and len(found[1]) <= 3 and len(found[2]) == 3
-        return None if ambiguous else ("number", Decimal(text.replace(",", ".")))
+    if DECIMAL.fullmatch(text):
+        return None if AMBIGUOUS.fullmatch(text) else ("number", Decimal(text.replace(",", ".")))
     if found := CLOCK.fullmatch(text):
         hours, minutes, seconds = found[1], int(found[2]), Decimal(found[3].replace(",", "."))
         if hours is None:
@@ -104,8 +93,7 @@ def number_times(records: Sequence[dict[str, Any]]) -> tuple[str | None, list[di
     unclear : list of dict
         Records of episodes that seem to go on after midnight by clock times without dates.
     """
-    plain = any(is_plain(record.get("step")) for record in records)
-    times = [(record, moment(record.get("step"), thousands=plain)) for record in records]
+    times = [(record, moment(record.get("step"))) for record in records]
     if all(found is None or type(record["step"]) is int for record, found in times):
         return None, []
     kinds = Counter(found[0] for _, found in times if found is not None)

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize_scalar
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
@@ -32,9 +32,6 @@ from ..people.decision import NOTHING, Floats
 from .intervals import end_of, largest_fall
 from .maximum_likelihood import Fit
 from .observations import Ints, Observations
-
-WHOLE = 1000
-"""Number of states up to which the curvature is a dense matrix, which is then as fast as a band."""
 
 
 @dataclass(frozen=True)
@@ -155,8 +152,8 @@ class Uncertain:
         h* of these states.
     seen : int array, shape (M,)
         Number of steps in which each state was an alternative.
-    band : int or None
-        Largest difference of two indices in one choice; None if a dense matrix is used.
+    band : int
+        Largest difference of two indices in one choice.
     """
 
     kept: NDArray[np.bool_]
@@ -165,11 +162,11 @@ class Uncertain:
     states: Ints
     cost_to_go: Floats
     seen: Ints
-    band: int | None
+    band: int
 
     @classmethod
-    def of(cls, o: Observations, whole: int = WHOLE) -> Uncertain:
-        """Return the uncertain alternatives; up to `whole` states stay in ascending order."""
+    def of(cls, o: Observations) -> Uncertain:
+        """Return the uncertain alternatives; states are in an order in which those of one choice are near."""
         # An avoidable action into a dead end is a lapse, and a single alternative carries no information.
         kept = np.isfinite(o.regret) & np.isfinite(o.cost_to_go) & (o.applicable.sum(axis=1) > 1)
         possible = o.applicable & np.isfinite(o.excess)
@@ -179,19 +176,17 @@ class Uncertain:
         )
         index = np.full(o.targets.shape, len(states))  # goal states share the last index, whose z stays 0
         index[uncertain] = inverse
-        h, band = o.ahead[uncertain][first], None
-        if len(states) > whole:
-            order = _near_each_other(index, len(states))
-            states, h, seen = states[order], h[order], seen[order]
-            index = np.append(np.argsort(order), len(order))[index]
-            low = np.where(uncertain, index, len(order)).min(axis=1)
-            band = int((np.where(uncertain, index, -1).max(axis=1) - low)[uncertain.any(axis=1)].max())
-        return cls(kept, possible[kept], index[kept], states, h, seen, band)
+        order = _near_each_other(index, len(states))
+        index = np.append(np.argsort(order), len(order))[index]
+        low = np.where(uncertain, index, len(order)).min(axis=1)
+        band = (np.where(uncertain, index, -1).max(axis=1) - low)[uncertain.any(axis=1)].max(initial=0)
+        h = o.ahead[uncertain][first]
+        return cls(kept, possible[kept], index[kept], states[order], h[order], seen[order], int(band))
 
     @property
     def megabytes(self) -> float:
         """The memory that the curvature and its factor take."""
-        return 2 * 8e-6 * len(self.states) * (len(self.states) if self.band is None else self.band + 1)
+        return 2 * 8e-6 * len(self.states) * (self.band + 1)
 
 
 def _near_each_other(index: Ints, size: int) -> Ints:
@@ -224,9 +219,9 @@ def require_memory(observations: Sequence[Observations], limit_mb: float) -> Non
 class MarginalLikelihood:
     """The marginal likelihood of choices with uncertain costs: z = beta sigma eps for each state."""
 
-    def __init__(self, fitted: Fit, whole: int = WHOLE) -> None:
+    def __init__(self, fitted: Fit) -> None:
         o: Observations = fitted.observations
-        uncertain = Uncertain.of(o, whole)
+        uncertain = Uncertain.of(o)
         self.states, self.h, self.seen = uncertain.states, uncertain.cost_to_go, uncertain.seen
         self.index, self.possible, self.band = uncertain.index, uncertain.possible, uncertain.band
         theta = np.clip(fitted.thetas(), fitted.method.lapse, 1 - fitted.method.lapse)
@@ -281,32 +276,18 @@ class MarginalLikelihood:
 
     def _solved(self, p: Floats, variance: float, b: Floats) -> tuple[Floats, float]:
         """Return the solution of (curvature + 1 / variance) x = b, shape (M,), and the logarithm of the determinant."""
-        m = len(self.states)
-        if self.band is None:
-            factor = cho_factor(_curvature(p, self.index, m) + np.eye(m) / variance)
-            return cho_solve(factor, b), 2 * float(np.log(np.diag(factor[0])).sum())
-        rows = _band(p, self.index, m, self.band)
+        rows = _band(p, self.index, len(self.states), self.band)
         rows[0] += 1 / variance
         lower = cholesky_banded(rows, overwrite_ab=True, lower=True, check_finite=False)
         return cho_solve_banded((lower, True), b, check_finite=False), 2 * float(np.log(lower[0]).sum())
 
 
 @njit(nogil=True)
-def _curvature(p: Floats, index: Ints, m: int) -> Floats:
-    """Return minus the second derivatives of the log-likelihood by z, shape (M, M)."""
-    result = np.zeros((m + 1, m + 1))
-    for i in range(p.shape[0]):
-        for a in range(p.shape[1]):
-            if p[i, a] > 0.0:
-                result[index[i, a], index[i, a]] += p[i, a]
-                for b in range(p.shape[1]):
-                    result[index[i, a], index[i, b]] -= p[i, a] * p[i, b]
-    return result[:m, :m]
-
-
-@njit(nogil=True)
 def _band(p: Floats, index: Ints, m: int, band: int) -> Floats:
-    """Return the lower band of the same matrix: entry (i, j) in row i - j and column j, shape (band + 1, M)."""
+    """Return the lower band of minus the second derivatives of the log-likelihood by z, shape (band + 1, M).
+
+    Entry (i, j) of the matrix is in row i - j and column j.
+    """
     result = np.zeros((band + 1, m))
     for i in range(p.shape[0]):
         for a in range(p.shape[1]):
