@@ -37,6 +37,8 @@ CASES = {
     "wide": "wide.py --instance kitting/paper --instance kitting/ladder-3x5 --region 2000 --episodes 2000",
     "live load": "live_load.py --people 50 --seconds 30",
     "environments": "environments.py --steps 40 --repeat 3",
+    "fit": "fit.py recover --people 40 --episodes 2",
+    "rules": "trust_recovery.py choice --people 12 --populations 1 --setting constant",
     "decisions, ladder-4x7": "peers/decisions.py kitting/ladder-4x7",
     "decisions, ladder-6x12": "peers/decisions.py kitting/ladder-6x12",
 }
