@@ -24,7 +24,8 @@ ROOMS = {
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
         saturation value_ranges value_encoder value_scope numeric_encoding numeric_compiler compilation writer
         validation plan_execution validation_process built_actions built_bounds built_formulas built_problems""",
-    "planner.grounding": "fast_downward task leaving sas_reader cross_check shown_names translation semantics",
+    "planner.grounding": """fast_downward task leaving sas_reader cross_check plain_assignments shown_names translation
+        semantics""",
     "planner.states": "packing state_space",
     "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors
         expansion distance_updates""",
@@ -33,8 +34,8 @@ ROOMS = {
     "planner.search.symmetry": "automorphisms canonical_states",
     "planner.search": """distances search_space rules sorted_space numbering forward_search backward_search
         relaxation successor_generator state_registry ranked_index compiled_search""",
-    "planner.costtogo": """watched_states number_values load cost_to_go table astar cache verification first_answer
-        sweep goals orbit_table table_file on_demand portfolio""",
+    "planner.costtogo": """watched_states trial_search number_values load cost_to_go table astar cache verification
+        first_answer sweep goals orbit_table table_file on_demand portfolio""",
     "planner.batch": "solve_record solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.texts": "typed_toml catalogue refusals",

@@ -67,6 +67,14 @@ def test_functions_that_nothing_reads_or_changes_leave_a_classical_task(tmp_path
     assert compared(1266, tmp_path)
 
 
+@pytest.mark.parametrize(("seed", "free"), [(1002, False), (1976, False), (1073, True), (1140, True)])
+def test_a_task_without_a_plan_is_swept_although_nothing_bounds_its_numbers(
+    seed: int, free: bool, tmp_path: Path
+) -> None:
+    """The translator alone decides that there is no plan within the values that are tried, and drops all states."""
+    assert compared(seed, tmp_path, free=free) == "swept"
+
+
 @pytest.mark.parametrize("first", range(0, 24, 8))
 def test_random_tasks_whose_numbers_nothing_bounds(first: int, tmp_path: Path) -> None:
     assert any(compared(seed, tmp_path, free=True) for seed in range(first, first + 8))

@@ -78,6 +78,43 @@ def test_a_plan_that_leaves_the_values_is_never_taken_for_one(tmp_path: Path) ->
     assert astar(task)[0] == 6  # five times double, then leap
 
 
+def test_an_action_that_reads_a_number_without_a_value_breaks_no_bound(tmp_path: Path) -> None:
+    """All parts together are 5, as nothing can be taken from the table, whose stock is never said."""
+    domain = """(:types place) (:predicates (full)) (:functions (stock ?p - place))
+      (:action take :parameters (?p - place) :precondition (not (full)) :effect (and (full) (decrease (stock ?p) 1)))
+      (:action put :parameters (?p - place) :precondition (full) :effect (and (not (full)) (increase (stock ?p) 1)))"""
+    domain = domain.replace("(not (full))", "(and (not (full)) (>= (stock ?p) 1))", 1)
+    problem = """(:objects shelf bin table - place) (:init (= (stock shelf) 5) (= (stock bin) 0))
+      (:goal (= (stock bin) 2))"""
+    task = loaded(tmp_path, domain, problem)
+    assert (task.note, len(sweep(task))) == (None, 11)  # 0 to 5 in the bin, and 0 to 4 with one part in hand
+
+
+def test_a_way_beyond_the_values_that_is_as_cheap_as_the_plan_asks_for_more_values(tmp_path: Path) -> None:
+    """The plan costs 8, so that n has all values that fewer than 9 actions lead to."""
+    domain = """(:functions (n) (total-cost)) (:predicates (done))
+      (:action up :parameters () :effect (and (increase (n) 1) (increase (total-cost) 1)))
+      (:action down :parameters () :effect (and (decrease (n) 1) (increase (total-cost) 1)))
+      (:action finish :parameters () :effect (and (done) (increase (total-cost) 8)))"""
+    problem = "(:init (= (n) 0) (= (total-cost) 0)) (:goal (and (done) (= (n) 0))) (:metric minimize (total-cost))"
+    task = loaded(tmp_path, domain, problem)
+    assert astar(task)[0] == 8
+    assert {f"Atom n() = {n}" for n in range(-8, 9)} <= {fact for each in task.variables for fact in each.facts}
+
+
+def test_conditions_for_all_objects_make_no_derived_variables(tmp_path: Path) -> None:
+    domain = """(:types bin) (:predicates (closed ?b - bin)) (:functions (n))
+      (:action close :parameters (?b - bin) :effect (closed ?b))
+      (:action count :parameters () :precondition (and (< (n) 3) (forall (?b - bin) (closed ?b)))
+        :effect (increase (n) 1))
+      (:action clear :parameters (?b - bin) :effect (and (not (closed ?b)) (assign (n) 0)))"""
+    problem = "(:objects a b - bin) (:init (= (n) 0)) (:goal (and (= (n) 2) (forall (?b - bin) (not (closed ?b)))))"
+    task = loaded(tmp_path, domain, problem)
+    assert not task.axioms
+    assert all(not effect.conditions for operator in task.operators for effect in operator.effects)
+    assert cost_to_go(task).lookup([0]).tolist() == [float("inf")]
+
+
 @pytest.mark.parametrize(
     "unused", [":timed-initial-literals", ":continuous-effects", ":preferences", ":constraints", ":object-fluents"]
 )

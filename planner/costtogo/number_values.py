@@ -1,10 +1,7 @@
 """Grounding of an instance whose numbers may have no proven bound: values are tried, and more while these are left.
 
 A number without a proven bound is given few values, those that are near to the first one. A change to another value
-leads *beyond*. The trial is made with twice as many values as long as
-
-- the translator alone decides that there is no plan, or
-- a reachable state has a number beyond its values.
+leads *beyond*. The trial is made with twice as many values as long as a reachable state has a number beyond its values.
 
 Claim: once all reachable states of a trial are enumerated, and no number is beyond, the task has exactly the states,
 actions and costs of the original one.
@@ -16,6 +13,9 @@ beyond. There are none, so that the states after one more action are the same.
 The values are then known to be all, and are compiled as such. Where there are too many states to enumerate, or no trial
 is closed, the task keeps its beyond facts. It is no longer swept, and its states are solved on demand (`leaving`). A
 trial is then large enough if a plan from the initial state is optimal within it. If no trial is, the number is refused.
+
+Trials end after numbers of states and operators, never because time is short: a file has the same values everywhere.
+Where time is short, there is an error instead.
 """
 
 from __future__ import annotations
@@ -24,9 +24,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-from ..grounding import fast_downward
-from ..grounding.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
-from ..grounding.leaving import REACH, with_leaving
 from ..grounding.task import Task
 from ..grounding.translation import ground
 from ..pddl.compilation import MOST_VALUES, Compilation, Compiler
@@ -34,16 +31,18 @@ from ..pddl.instances import PDDLError
 from ..pddl.reader import Reading
 from ..pddl.value_ranges import UnprovenError
 from ..pddl.value_sets import Trial
-from ..system.limits import NO_LIMITS, LimitError, Limits
+from ..system.limits import NO_LIMITS, LimitError, Limits, MemoryLimitError
 
 FIRST_VALUES = 8
 """Values of a number in the first trial."""
 MOST_STATES = 1_000_000
 """States that are enumerated in all trials of an instance."""
+MOST_SEARCHED = 300_000
+"""States that the search for a cheapest plan meets within one trial."""
 MOST_OPERATORS = 30_000
-"""A trial with more operators is not enlarged: the next one would take minutes to ground."""
-TRIAL_SECONDS = 30.0
-"""Longest processor time to ground one trial, or to search for a plan within it."""
+"""No trial is made that is expected to have more operators, since it would take minutes to ground."""
+TRIAL_SECONDS = 120.0
+"""Longest processor time to ground one trial. To reach it is an error."""
 
 
 def grounded(
@@ -80,57 +79,66 @@ class _Trials:
     def sufficient(self, refusal: UnprovenError) -> tuple[Compilation, Task]:
         """Return the compilation and the task of a trial that suffices; if there is none, raise the refusal."""
         from ..search.forward_search import explore  # slow to import, and seldom needed
+        from .trial_search import stays_within
         from .watched_states import BeyondError, WatchedStates
 
         states, open_trials = MOST_STATES, []
-        for trial, compilation, task in self._made():
-            if not task.beyond:
-                return compilation, task
-            open_trials.append((compilation, task))
+        for trial, compilation, task, decided in self._made():
+            if not decided:
+                if not task.beyond:
+                    return compilation, task
+                open_trials.append((compilation, task))
             watched = WatchedStates(task, states)
             try:
                 explore(watched, watched.budget, 1, lambda *_: None)  # one thread: the same states are met each time
             except BeyondError:
                 states -= len(watched)
+            except MemoryLimitError:
+                raise
             except LimitError:  # too many states
                 break
             else:
                 closed = self._compiler.compilation(replace(trial, known=watched.numbers()))
                 return closed, ground(closed, self._left())
-            if len(task.operators) > MOST_OPERATORS:
-                break
+        found = None  # the last trial of which it is not known that a cheapest plan leaves it
         for compilation, task in open_trials:
-            if self._has_optimum(task):
-                note = f"{refusal.message.partition(';')[0]}: no bound is proven, so that states are solved on demand"
-                return compilation, replace(task, note="; ".join(filter(None, (task.note, note))))
-        raise refusal
+            self._left()  # which raises an error if the caller's time is over
+            stays = stays_within(task, MOST_SEARCHED)
+            if stays is not False:
+                found = compilation, task
+            if stays:
+                break
+        if found is None:
+            raise refusal
+        compilation, task = found
+        note = f"{refusal.message.partition(';')[0]}: no bound is proven, so that states are solved on demand"
+        return compilation, replace(task, note="; ".join(filter(None, (task.note, note))))
 
-    def _has_optimum(self, task: Task) -> bool:
-        """Return whether a cheapest plan stays within the values, as far as can be found in time."""
-        whole = with_leaving(task)
-        search = ASTAR_WITH_AXIOMS if task.axioms else ASTAR
-        try:
-            plan = fast_downward.optimal_plan(whole.reduced.sas, search=search, limits=self._left())
-        except LimitError:
-            return True  # it is to be found later, under the limits of who asks
-        return plan is None or plan[-1] == REACH
+    def _made(self) -> Iterator[tuple[Trial, Compilation, Task, bool]]:
+        """Yield the trials, and whether the translator decides that there is no plan within their values.
 
-    def _made(self) -> Iterator[tuple[Trial, Compilation, Task]]:
-        """Yield the trials of which the translator does not decide that there is no plan."""
-        values = FIRST_VALUES
+        In the task of such a trial another goal is reached, so that its states can be enumerated.
+        """
+        values, before = FIRST_VALUES, 0
         while True:
-            trial, left = Trial(min(values, self._most_values)), self._left()
+            trial = Trial(min(values, self._most_values))
             try:
                 compilation = self._compiler.compilation(trial)
-                task = ground(compilation, left)
-            except (PDDLError, LimitError):  # too many combinations of values, or for too long
-                self._left()  # which raises an error if it is the caller's time that is over
+            except PDDLError:  # too many combinations of values
                 return
-            if not task.decided_by_translator or holds_initially(task):
-                yield trial, compilation, task
-            if values >= self._most_values:
-                return
-            values *= 2
+            try:
+                task = ground(compilation, self._left())
+                decided = task.decided_by_translator and not holds_initially(task)
+                if decided:
+                    task = ground(compilation.with_open_goal(), self._left())
+            except LimitError as error:
+                tried = f"while {values} values were tried of numbers without a proven bound"
+                raise type(error)(f"{error} {tried}") from None
+            yield trial, compilation, task, decided
+            operators = len(task.operators)
+            if values >= self._most_values or operators**2 > MOST_OPERATORS * max(before, operators // 2):
+                return  # the number of operators grows by the same factor as before, at least doubling at first
+            values, before = 2 * values, operators
 
 
 def holds_initially(task: Task) -> bool:

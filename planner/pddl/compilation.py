@@ -7,11 +7,14 @@ says how the compiled names and numbers are shown, so that users only meet those
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from . import numeric_compiler
-from .reader import Reading
+from .conditions import TRUE
+from .declarations import Symbol
+from .formulas import listed, word
+from .reader import Action, Reading
 from .value_sets import Trial
 
 MOST_VALUES = 1_000
@@ -49,6 +52,21 @@ class Compilation:
     numbers: Mapping[str, tuple[str, Mapping[str, str]]] = field(default_factory=dict)
     compiled: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def with_open_goal(self) -> Compilation:
+        """Return an instance with the same states, each with and without a further fact, which is the goal.
+
+        A free action makes it true, so that the translator grounds all actions whatever the goal of the file is.
+        """
+        domain, problem = self.reading.domain, self.reading.problem
+        name = "open-goal"
+        while name in domain.predicates or name in domain.actions:
+            name += "x"
+        fact, place = listed(word(name)), problem.init
+        action = Action(name, (), TRUE, fact, None, place)
+        predicates = {**domain.predicates, name: Symbol(name, (), place)}
+        wider = replace(domain, predicates=predicates, entries=(*domain.entries, action))
+        return replace(self, reading=replace(self.reading, domain=wider, problem=replace(problem, goal=fact)))
 
 
 class Compiler:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from math import prod
 
 from .conditions import COMPLEMENT, FALSE, TRUE, conjunction, conjuncts, disjunction, free_variables, variables_of
 from .formulas import listed
@@ -15,6 +16,8 @@ LARGEST_JOIN = 300_000
 """Largest number of combinations of objects that are enumerated at a time, about ten seconds."""
 MOST_WORK = 5_000_000
 """Work with objects for one instance, about 20 seconds: combinations that are enumerated, and conditions on these."""
+FEW = 200
+"""Objects for which a condition without numbers is written out."""
 COMPARISON = 50
 """Work of one comparison of numbers."""
 
@@ -210,15 +213,24 @@ class Statics:
             return FALSE
 
     def expanded(self, condition: Expression) -> Expression:
-        """Return a condition whose quantifiers around comparisons of numbers are written out for all objects."""
+        """Return a condition whose quantifiers around comparisons of numbers are written out for all objects.
+
+        Other conditions for all objects are written out too if they are few: the translator would make a derived
+        variable of them, with which sweeps are slower and searches have no heuristic.
+        """
         head, parts = condition.head, condition.parts[1:]
         if head in ("and", "or"):
             inner = (self.expanded(part) for part in parts)
             return conjunction(inner) if head == "and" else disjunction(inner)
-        if head not in ("forall", "exists") or not any(each.head in COMPLEMENT for each in parts[1].walk()):
+        if head not in ("forall", "exists"):
+            return condition
+        numeric = any(each.head in COMPLEMENT for each in parts[1].walk())
+        if not numeric and head == "exists":
             return condition
         body = self.expanded(parts[1])
         variables = variables_of(parts[0])
+        if not numeric and prod(len(self.of_kind(kind)) for kind in variables.values()) > FEW:
+            return listed(condition.parts[0], parts[0], body)
         rows = self.bindings(variables, conjuncts(body) if head == "exists" else ())
         if len(rows) * max(len(conjuncts(body)), 1) > 20_000:  # conditions: more would not be grounded
             raise TooManyError

@@ -297,6 +297,7 @@ class Proofs:
                 if inner.head in heads and free_variables(inner).keys() <= bound.keys():
                     known[tuple(bound.get(each, each) for each in key(inner))] = holds
             effects: dict[Fact, set[tuple[bool, bool]]] = defaultdict(set)
+            possible = True
             for literal in literals:
                 for fact, certain in self._instances(literal.atom, literal.variables, literal.condition, bound):
                     effects[fact].add((literal.holds, certain))
@@ -310,11 +311,17 @@ class Proofs:
                         continue
                     if change.grows and certain:
                         row.amounts[fluent] = row.amounts.get(fluent, 0) + amount
+                        possible = possible and not self._never_defined(fluent)
                     elif not change.grows:
                         row.assigned[fluent] = amount
                         if not certain:
                             row.unsure.add(fluent)
-            yield row
+            if possible:
+                yield row
+
+    def _never_defined(self, fluent: Fluent) -> bool:
+        """Whether a fluent never has a value, so that an action that lets it grow is never applicable."""
+        return self.initial.get(fluent) is None and fluent[0] not in self.assigned
 
     def _instances(
         self, atom: Expression, variables: Mapping[str, str], condition: Expression, bound: Mapping[str, str]

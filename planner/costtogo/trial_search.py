@@ -1,0 +1,70 @@
+"""Whether the cheapest plans of a trial stay within its values, by a search without a heuristic.
+
+The limit is a number of states, so that a file has the same task on every machine.
+"""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+
+from ..grounding.semantics import derived
+from ..grounding.task import Task
+from ..search.state_registry import StateRegistry
+from ..search.successor_generator import expanded, packed_operators
+from ..states.packing import Ints, Packing, holds
+
+STATES_AT_A_TIME = 10_000
+
+
+def stays_within(task: Task, most_states: int) -> bool | None:
+    """Return whether no plan of the trial is as cheap if it may end beyond the values; None if that is not known.
+
+    It is also True if there is no plan, and no number can be beyond. The search by increasing cost (Dijkstra) ends
+    without an answer once it has met more than `most_states` states.
+    """
+    packing = Packing.of(task)
+    operators, costs = packed_operators(task, packing), np.asarray(task.costs, dtype=np.int64)
+    goal, beyond = packing.condition(task.goal), [packing.condition([fact]) for fact in task.beyond]
+    met = StateRegistry(packing.words)
+    begin = met.numbers(packing.pack([derived(task, task.initial)])).astype(np.int64)
+    least = np.zeros(1, dtype=np.int64)  # cost of the cheapest known way to each state
+    waiting: dict[int, list[Ints]] = {0: [begin]}
+    queue = [0]
+    while queue:
+        cost = heapq.heappop(queue)
+        done, reached, left = np.zeros(0, dtype=np.int64), False, False
+        while cost in waiting:  # actions that cost nothing lead to more states of the same cost
+            numbers = np.setdiff1d(np.concatenate(waiting.pop(cost)), done)
+            numbers = numbers[least[numbers] == cost]
+            done = np.union1d(done, numbers)
+            states = met.states(numbers)
+            away = np.zeros(len(states), dtype=bool)
+            for condition in beyond:
+                away |= holds(states, *condition)
+            left = left or bool(away.any())
+            reached = reached or bool(np.any(holds(states, *goal) & ~away))
+            for at in range(0, len(states), STATES_AT_A_TIME):
+                part = slice(at, at + STATES_AT_A_TIME)
+                for _, actions, after in expanded(operators, states[part][~away[part]]):
+                    known, spent = met.numbers(after).astype(np.int64), costs[actions]
+                    if len(met) > most_states:
+                        return None
+                    more = np.full(len(met) - len(least), np.iinfo(np.int64).max, dtype=np.int64)
+                    least = np.concatenate((least, more)) if len(more) else least
+                    cheaper = cost + spent < least[known]
+                    np.minimum.at(least, known, cost + spent)
+                    _wait(known[cheaper], cost + spent[cheaper], waiting, queue)
+        if reached or left:
+            return not left
+    return True
+
+
+def _wait(states: Ints, costs: Ints, waiting: dict[int, list[Ints]], queue: list[int]) -> None:
+    """Let states wait until all that cost less are expanded."""
+    for cost in np.unique(costs).tolist():
+        if cost not in waiting:
+            waiting[cost] = []
+            heapq.heappush(queue, cost)
+        waiting[cost].append(np.unique(states[costs == cost]))
