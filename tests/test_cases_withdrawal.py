@@ -18,12 +18,13 @@ from userstudies import PLAN, SCORES, Part, written
 from assist.cli.user_study import _report
 from assist.live.events import ERASED
 from assist.live.store import JournalError, stored
+from assist.reports.html_page import html_page
 from assist.reports.userstudy_report import write_report
 from assist.reports.userstudy_summary import summarise
 from assist.texts import AbsentError, InapplicableError
 from assist.userstudy.cohort import Cohort
 from assist.userstudy.plan_file import read
-from assist.userstudy.session import JOURNAL, StudySession
+from assist.userstudy.session import JOURNAL, REPORT, StudySession
 from assist.userstudy.tables import tables
 from planner import Table
 
@@ -295,3 +296,30 @@ def test_who_withdraws_after_the_end_did_not_complete_the_study(opened: Open) ->
     assert sum(row["left"] for row in found["conditions"]) == 0
     text = write_report(session.folder, session.folder / "elsewhere") and (session.folder / "elsewhere/report.md")
     assert "| withdrew; their data are removed | 2 |" in text.read_text()
+
+
+@pytest.mark.parametrize("how", ["withdraw", "erase"])
+def test_a_report_that_is_being_written_has_nothing_of_who_withdraws_meanwhile(
+    opened: Open, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """Another process has read the journal already, and writes its files after those of before were removed."""
+    session = opened()
+    for name in ("ann", "eve"):
+        part = Part(session, name)
+        part.come()
+        answers(part)
+        Part(session, name).report("excluded", reason=f"words about {name}")
+    calls = []
+
+    def late(*arguments: Any, **more: Any) -> str:
+        calls.append(arguments)
+        if len(calls) == 1:
+            Part(session, "eve").report("withdrew") if how == "withdraw" else session.erase("eve", "wrote a letter")
+        return html_page(*arguments, **more)
+
+    monkeypatch.setattr("assist.reports.userstudy_report.html_page", late)
+    monkeypatch.setattr("assist.reports.userstudy_report._pictures", lambda *_: iter(()))
+    write_report(session.folder, session.folder / REPORT)
+    assert len(calls) == 2
+    assert b"words about ann" in content(session.folder / REPORT)
+    assert b"words about eve" not in content(session.folder)

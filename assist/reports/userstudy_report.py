@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from planner.system.errors import DamagedFileError
 from planner.system.files import atomic
 
+from ..live.store import stored
 from ..plots import style
 from ..plots import userstudy as draw
 from ..texts.catalogue import Catalogue
@@ -91,6 +92,8 @@ def _cell(name: str, cell: str) -> Any:
 def write_report(folder: Path, out: Path) -> dict[str, Any]:
     """Write the report of a study; return its numbers.
 
+    It is written again if somebody has withdrawn or was erased meanwhile.
+
     Parameters
     ----------
     folder : Path
@@ -102,6 +105,20 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
     InputFileError, DamagedFileError, OSError
         The folder is neither a study's folder nor an unpacked export, or a file in it is damaged.
     """
+    while True:
+        before = _removed(folder)
+        summary = _written(folder, out)
+        if _removed(folder) == before:
+            return summary
+
+
+def _removed(folder: Path) -> int:
+    """Return the number of events of a study whose records were removed; 0 for an export."""
+    file = folder / JOURNAL
+    return sum(at is None for at, _ in stored(file)[1]) if file.exists() else 0
+
+
+def _written(folder: Path, out: Path) -> dict[str, Any]:
     study, found = of_folder(folder)
     found = found.analysed()
     summary = summarise(study, found) | {"preregistration": compared(study, found, folder)}

@@ -135,15 +135,19 @@ class StudySession(Session):
 
     def _remove_withdrawn(self) -> None:
         """Remove the records of those who withdrew, and what was made from them; does nothing if nothing is left."""
-        self._remains, self._tried = True, self._clock()
+        again, self._remains, self._tried = self._remains, True, self._clock()
         for code in self.cohort.withdrawn():
             self._remove(code, code, WITHDRAWN)
+        if again:
+            self._remove_derived()
         self._store.purge()
         self._remains = False
 
     def _remove(self, person: str, label: str, reason: str) -> Tombstone:
         self._remove_derived()  # first: if it fails, nothing is removed, and all of it is tried again
-        return super()._remove(person, label, reason)
+        stone = super()._remove(person, label, reason)
+        self._remove_derived()  # what was made meanwhile of what is removed now
+        return stone
 
     def _remove_derived(self) -> None:
         """Remove the export and the report in the folder, which have the data of everybody at that time."""
