@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import io
+import re
+import shutil
+import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote, urlencode
 
 import pytest
+from conftest import KITTING
 from serving import served
 from test_live_pages import CHROMIUM, chromium
 from test_userstudy_pages import PATIENCE
 from userstudies import PLAN, SCORES, Part, written
 
+from assist.drawing import Artist, plan_frames, save
 from assist.reports.html_page import html_page
+from assist.reports.study_report import Report
 from assist.reports.userstudy_report import write_report
 from assist.reports.wording import cell, table
+from assist.study.study import Study
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
-from planner import Table
+from planner import Table, load
 
 __all__ = ["chromium"]
 IMAGE = "<img src=x onerror=window.ran=1>"
@@ -182,3 +192,92 @@ def test_the_pages_of_a_team_obey_the_policy_too(chromium: Any, tmp_path: Path) 
             page.wait_for_function("() => window.blocked.length")  # the policy is in force
             assert page.evaluate("window.ran ?? null") is None
         context.close()
+
+
+def kits(folder: Path) -> Path:
+    """Write a task whose file is named like markup, with words of a domain that are markup; return the file."""
+    folder.mkdir()
+    for file in ("domain.pddl", "drawing.toml"):
+        shutil.copy(KITTING / file, folder / file)
+    words = (folder / "drawing.toml").read_text(encoding="utf-8")
+    for own in ("Fetch ?c", "Storage", "Kit"):
+        words = words.replace(f'"{own}', f'"{IMAGE} {own}')
+    (folder / "drawing.toml").write_text(words, encoding="utf-8")
+    return Path(shutil.copy(KITTING / "tiny.pddl", folder / f"{IMAGE}.pddl"))
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+def test_no_script_in_a_drawing_or_its_animation_runs(chromium: Any, tmp_path: Path) -> None:
+    """A file name of a task, and the words of a domain; without the page's own policy, too."""
+    task = load(kits(tmp_path / "kits"))
+    artist = Artist(task)
+    frames = plan_frames(artist, ["(fetch box-a)", "(return box-a)"])
+    for name in ("plan.html", "plan.svg"):
+        save(artist, frames, tmp_path / name)
+    text = (tmp_path / "plan.html").read_text(encoding="utf-8")
+    (tmp_path / "bare.html").write_text(re.sub(r"<meta http-equiv[^>]*>", "", text), encoding="utf-8")
+    context = chromium.new_context()
+    context.add_init_script(WATCH)
+    page = context.new_page()
+    for name in ("plan.html", "bare.html", "plan.svg"):
+        page.goto((tmp_path / name).as_uri())
+        assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []], name
+        assert page.locator("script, img").count() == 0
+        assert IMAGE in page.evaluate("document.documentElement.textContent")
+    context.close()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+def test_no_script_in_a_task_or_an_address_runs_on_a_page(chromium: Any, tmp_path: Path) -> None:
+    file = kits(tmp_path / "kits")
+    plan = PLAN.replace(str(KITTING / "tiny.pddl"), str(file))
+    with served("--study", written(tmp_path / "study.toml", plan), "--data", tmp_path / "data", instance=None) as study:
+        context = chromium.new_context()
+        context.add_init_script(WATCH)
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        link = study.links["everybody"]
+        marked = f"{link.replace('#', '?' + urlencode({'participant': IMAGE, 'withdraw': IMAGE, 'x': RUNS}) + '#')}"
+        named = [f"{study.url}/{kind}/{quote(IMAGE, safe='')}#{quote(IMAGE)}" for kind in ("part", "join")]
+        for address in (marked, *named, f"{study.url}/study/operator?{urlencode({'x': IMAGE})}#{quote(IMAGE)}"):
+            page.goto(address)
+            page.wait_for_load_state("networkidle")
+            assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []], address
+        page.goto("about:blank")
+        context.clear_cookies()
+        page.goto(link)
+        page.wait_for_selector("#form button")
+        person = page.url.partition("/part/")[2].partition("#")[0]
+        for stage in ("consent", "instructions"):
+            assert study.ask("POST", f"/api/study/participants/{person}/onward", json={"stage": stage}).is_success
+        page.wait_for_selector(f"#actions button:has-text('{IMAGE} Fetch box-a')")
+        page.wait_for_selector("#drawing svg")
+        page.click("#actions button")
+        page.wait_for_function("() => document.getElementById('steps').textContent === '1'")
+        assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
+        page.goto(study.operator)
+        page.wait_for_selector("#people td")
+        assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
+        context.close()
+        packed = zipfile.ZipFile(io.BytesIO(study.ask("GET", "/api/study/export").content))
+        assert not any("/" in name or name.startswith(".") for name in packed.namelist())
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+def test_the_report_of_a_study_with_simulated_people_needs_no_script(
+    chromium: Any, small_study: tuple[Study, Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    """Its conditions and tasks have names that are markup."""
+    study, folder, _ = small_study
+    found = Report.of(study, folder)
+    first = next(name for name in ("tiny", "paper") if name in found.text)
+    (tmp_path / "report.html").write_text(replace(found, text=found.text.replace(first, cell(RUNS))).page(RUNS))
+    shutil.copytree(folder / "figures", tmp_path / "figures") if (folder / "figures").exists() else None
+    context = chromium.new_context()
+    context.add_init_script(WATCH)
+    page = context.new_page()
+    page.goto((tmp_path / "report.html").as_uri())
+    assert page.evaluate("[window.ran ?? null, window.blocked]") == [None, []]
+    assert page.locator("script").count() == 0
+    assert IMAGE in page.evaluate("document.body.textContent")
+    context.close()

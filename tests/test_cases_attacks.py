@@ -1,0 +1,246 @@
+"""What a visitor could learn or bend by addresses, headers and comparisons: nothing about others, and no link."""
+
+from __future__ import annotations
+
+import hmac
+import re
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import pytest
+from starlette.testclient import TestClient
+from test_cases_study_identities import signature_of
+from test_userstudy_pages import Web
+
+from assist.userstudy.codes import LETTERS
+from assist.web.request_limits import LARGEST, Allowance
+from assist.web.tokens import VISITOR, AccessTokens
+from planner import Table
+
+SCRIPT = "<script>alert(1)</script>"
+
+
+@pytest.fixture
+def web(tiny: Table, tmp_path: Path) -> Any:
+    found = Web(tiny, tmp_path, allowance=Allowance(burst=10_000))
+    with found.client:
+        yield found
+
+
+def test_nobody_learns_which_codes_there_are(web: Web) -> None:
+    """The answer is the same whether a participant exists or not, for people's data and for withdrawal codes."""
+    ann, eve = (web.come(name).json()["person"] for name in ("ann", "eve"))
+    nobody = "P-" + "".join(letter for letter in LETTERS if letter not in ann)[:6]
+    paths = [f"/api/people/{{}}{rest}" for rest in ("", "/drawing", "/explanation")]
+    paths += [f"/api/study/participants/{{}}{rest}" for rest in ("/withdrawal",)]
+    for path in paths:
+        answers = [web.ask("GET", path.format(name), eve) for name in (ann, nobody)]
+        assert {(one.status_code, one.text) for one in answers} == {(answers[0].status_code, answers[0].text)}
+        assert answers[0].status_code == 403
+    real = web.service.withdrawal_code(ann)
+    codes = [
+        real[:-1] + ("2" if real[-1] != "2" else "3"),
+        f"{nobody}-{real.rpartition('-')[2]}",
+        ann,
+        "P-",
+        "-",
+        ann + "-",
+    ]
+    codes += [f"{ann}-{'2' * n}" for n in (1, 7, 9, 40)]
+    said = {(one.status_code, one.text) for one in (
+        web.ask("POST", "/api/study/withdrawals", VISITOR, json={"code": code}) for code in codes
+    )}  # fmt: skip
+    assert len(said) == 1
+    assert web.ask("POST", "/api/study/withdrawals", VISITOR, json={"code": f"  {real.lower()} "}).status_code == 200
+
+
+def test_secrets_are_compared_in_constant_time(web: Web, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tokens, signatures and withdrawal codes: no answer comes earlier because the first letters are wrong."""
+    compared: list[tuple[bytes, bytes]] = []
+    compare = hmac.compare_digest
+    monkeypatch.setattr(hmac, "compare_digest", lambda a, b: compared.append((a, b)) or compare(a, b))
+    ann = web.come("ann").json()["person"]
+    code = web.service.withdrawal_code(ann)
+    for guess in (code, code[:-1] + "2", "2" + code[1:], "x"):
+        compared.clear()
+        web.ask("POST", "/api/study/withdrawals", VISITOR, json={"code": guess})
+        assert any(guess.upper().encode() in pair for pair in compared), guess
+    named, signature = signature_of(web, "7")
+    for guess in (signature, "a" + signature[1:], ""):
+        compared.clear()
+        body = {"id": f"participant {named}", "signature": guess}
+        web.ask("POST", "/api/study/seats", VISITOR, json=body)
+        assert any(guess.encode() in pair for pair in compared), guess
+    # Tokens are found by their digest, about which the time of a look-up says nothing.
+    compared.clear()
+    assert web.access.whose(web.access.token(ann)) is not None
+    assert compared
+    assert web.access.whose("x" * 32) is None
+
+
+def test_tokens_of_another_study_or_another_use_open_nothing(web: Web) -> None:
+    ann = web.come("ann").json()["person"]
+    foreign = AccessTokens(b"k" * 32, web.access.base)
+    own = web.access
+    tokens = [foreign.operator, foreign.token(ann), own.signature(f"person {ann}"), own.signed("seat", ann)]
+    tokens += [own.token(ann)[:-1], own.token(ann).lower(), own.token(ann) + "=", own.token(ann.lower())]
+    for token in tokens:
+        headers = {"Authorization": f"Bearer {token}"}
+        assert web.client.get(f"/api/people/{ann}", headers=headers).status_code in (401, 403), token
+        assert web.client.get("/api/study", headers=headers).status_code in (401, 403), token
+    for scheme in ("Basic", "Token", "", "Bearer Bearer"):
+        headers = {"Authorization": f"{scheme} {own.operator}"}
+        assert web.client.get("/api/study", headers=headers).status_code == 401
+    asked = web.client.get(f"/api/study?token={own.operator}&access_token={own.operator}")
+    assert asked.status_code == 401  # a token in an address would be in the log of a proxy
+
+
+PATHS = (
+    "/pages/..%2f..%2fserver.py", "/pages/..%2fapp.py", "/pages/%2e%2e%2fapp.py", "/pages/....//app.py", "/pages/.",
+    "/study/pages/..%2froutes.py", "/study/pages/..%5croutes.py", "/study/pages//etc/passwd", "/pages/%2fetc%2fpasswd",
+    "/pages/worker.js%00.css", "/pages/head.html", "/pages/worker.html", "/study/pages/part.html", "/secret",
+    "/journal.sqlite", "/data/journal.sqlite", "/study.toml", "/..%2fstudy.toml", "/study/pages/../../../secret",
+)  # fmt: skip
+
+
+def test_no_path_leads_to_another_file(web: Web) -> None:
+    for path in PATHS:
+        answer = web.client.get(path)
+        assert answer.status_code == 404, path
+        assert "import" not in answer.text
+        assert "CREATE TABLE" not in answer.text
+    ann = web.come("ann").json()["person"]
+    for language in ("../../study.toml", "/etc/passwd", "study.toml", "de.toml", "xx", "de\x00", SCRIPT):
+        path = f"/api/people/{ann}/explanation?language={quote(language)}"
+        assert web.ask("GET", path).status_code in (409, 422), language
+
+
+@pytest.mark.parametrize("kind", ["join", "part", "study", "operator"])
+def test_what_stands_in_an_address_is_not_in_its_page(web: Web, kind: str) -> None:
+    """Pages are the same for every name; nothing of the address is in their text or in their headers."""
+    for name in (SCRIPT, "a\r\nSet-Cookie: x=1", "{texts}", "{study.title}", "\u202e", '"><img src=x>'):
+        rest = f"?participant={quote(name)}" if kind in ("study", "operator") else f"/{quote(name, safe='')}"
+        answer = web.client.get(f"/{kind}{rest}")
+        assert name not in answer.text
+        assert "x=1" not in str(answer.headers)
+        assert "script-src 'self';" in answer.headers["content-security-policy"]
+
+
+def test_no_header_bends_a_link_or_names_another_address(web: Web, tiny: Table, tmp_path: Path) -> None:
+    forged = {"Host": "evil.example", "X-Forwarded-Host": "evil.example", "Forwarded": "host=evil.example"}
+    forged |= {"X-Forwarded-Prefix": "/evil", "X-Original-URL": "/api/study", "X-HTTP-Method-Override": "DELETE"}
+    ann = web.come("ann").json()["person"]
+    headers = {"Authorization": f"Bearer {web.access.operator}", **forged}
+    links = web.client.post("/api/study/links", headers=headers, json={"participants": ["7"]})
+    assert "evil" not in links.text
+    withdrawal = web.client.get(f"/api/study/participants/{ann}/withdrawal", headers=headers)
+    assert "evil" not in withdrawal.text
+    page = web.client.get("/study", headers=forged)
+    assert "evil" not in page.text
+    own = {"Authorization": f"Bearer {web.access.token(ann)}", **forged}
+    assert web.client.get(f"/api/people/{ann}", headers=own).status_code == 200  # read, not deleted
+    assert web.client.get("/api/study", headers=own).status_code == 403
+
+    # Where no proxy is trusted, nobody gets a new allowance by another claim of an address.
+    other = tmp_path / "other"
+    other.mkdir()
+    web = Web(tiny, other, allowance=Allowance(burst=5, clock=lambda: 0.0))
+    with web.client:
+        claims = [{"X-Forwarded-For": f"192.0.2.{n}", "X-Real-IP": f"192.0.2.{n}"} for n in range(12)]
+        answers = [web.client.get("/api/me", headers=claim).status_code for claim in claims]
+        assert answers == [401] * 5 + [429] * 7
+
+
+def test_bodies_of_every_size_and_kind_are_refused_before_they_are_kept(web: Web) -> None:
+    ann = web.come("ann").json()["person"]
+    headers = {"Authorization": f"Bearer {web.access.token(ann)}", "Content-Type": "application/json"}
+    path = f"/api/study/participants/{ann}/onward"
+
+    def parts(size: int) -> Any:
+        return (b"x" * 1000 for _ in range(size // 1000))
+
+    kinds: dict[str, tuple[Any, dict[str, str], int]] = {
+        "one byte too many": (b" " * (LARGEST + 1), {}, 413),
+        "without a length": (parts(4 * LARGEST), {}, 413),
+        "a length that is a lie": (b"{}", {"Content-Length": "99999999999999"}, 413),
+        "a length that is no number": (b"{}", {"Content-Length": "-1"}, 422),
+        "a deep list": (b"[" * 30_000, {}, 422),
+        "a long number": (b'{"stage": ' + b"1" * 6000 + b"}", {}, 400),
+        "not a number": (b'{"stage": NaN}', {}, 422),
+        "two stages": (b'{"stage": "thanks", "stage": "task tiny"}', {}, 409),
+        "a form": (b"stage=consent", {"Content-Type": "application/x-www-form-urlencoded"}, 422),
+        "a file": (b"--x\r\n", {"Content-Type": "multipart/form-data; boundary=x"}, 422),
+        "compressed": (b"\x1f\x8b" + bytes(50), {"Content-Encoding": "gzip"}, 422),
+    }  # fmt: skip
+    before = web.ask("GET", "/api/study").json()["events"]
+    for name, (content, more, status) in kinds.items():
+        answer = web.client.post(path, content=content, headers=headers | more)
+        assert answer.status_code in (status, 400, 422 if status != 413 else 413), (
+            name,
+            answer.status_code,
+            answer.text,
+        )
+        assert set(answer.json()) == {"detail"}, name
+        assert "\n" not in answer.json()["detail"].strip(), name
+        assert len(answer.json()["detail"]) < 300, name
+    for method in ("PUT", "PATCH", "TRACE", "CONNECT", "OPTIONS", "HEAD", "PROPFIND"):
+        answer = web.client.request(method, path, headers=headers)
+        assert answer.status_code in (404, 405), method
+    assert web.ask("GET", "/api/study").json()["events"] == before
+    assert web.onward(ann, "consent").status_code == 200
+
+
+def test_two_devices_of_one_link_are_one_participant_and_a_replay_is_none(web: Web) -> None:
+    """A signed link on a phone and a computer; each request of one device repeated by the other."""
+    named, signature = signature_of(web, "7")
+    body = {"id": f"participant {named}", "signature": signature}
+    phone, computer = (web.ask("POST", "/api/study/seats", VISITOR, json=body).json() for _ in range(2))
+    assert phone == computer
+    ann = phone["person"]
+    for stage in ("consent", "instructions"):
+        assert web.onward(ann, stage, id=f"phone {stage}").status_code == 200
+        assert web.onward(ann, stage, id=f"computer {stage}").status_code == 409
+        assert web.onward(ann, stage, id=f"phone {stage}").status_code == 200  # the same request: the same answer
+    path = f"/api/people/{ann}/actions"
+    acted = [web.ask("POST", path, ann, json={"action": "(fetch box-a)", "id": "1"}).json() for _ in range(3)]
+    assert acted == acted[:1] * 3
+    assert web.ask("GET", f"/api/people/{ann}", ann).json()["steps"] == 1
+    other = web.ask("POST", path, ann, json={"action": "(return box-a)", "id": "1"})  # another request by that id
+    assert other.json() == acted[0]
+    assert web.ask("GET", "/api/study").json()["taken"] == 1
+
+
+def test_a_page_cannot_be_framed_and_its_address_goes_nowhere(web: Web) -> None:
+    for path in ("/", "/study", "/study/operator", "/part/P-2B4C6D", "/join/P-2B4C6D", "/docs", "/nowhere", "/api/me"):
+        headers = web.client.get(path).headers
+        policy = headers["content-security-policy"]
+        assert "frame-ancestors 'none'" in policy, path
+        assert "'unsafe-inline'" not in policy, path
+        assert "'unsafe-eval'" not in policy, path
+        assert (headers["referrer-policy"], headers["x-content-type-options"]) == ("no-referrer", "nosniff")
+        assert headers["cache-control"] == "no-store"
+        assert "access-control-allow-origin" not in headers
+        assert "server" not in headers
+
+
+INLINE = re.compile(
+    r"<script(?![^>]*\bsrc=)(?![^>]*application/json)|\son\w+\s*=\s*[\"']|javascript:|style\s*=\s*[\"']", re.I
+)
+
+
+def test_no_shipped_page_has_a_script_or_a_style_within_an_element() -> None:
+    root = Path(__file__).parents[1] / "assist"
+    files = [file for kind in ("*.html", "*.html.jinja") for file in root.rglob(kind)]
+    assert len(files) >= 9
+    for file in files:
+        assert not INLINE.search(file.read_text(encoding="utf-8")), file
+
+
+def test_without_a_token_there_are_pages_and_the_state_of_the_service_only(web: Web) -> None:
+    client = TestClient(web.client.app)
+    client.portal = web.client.portal
+    assert client.get("/api/health").status_code == 200
+    assert set(client.get("/api/health").json()) == {"status", "ready", "reasons", "people", "events"}
+    for path in ("/api/study", "/api/team", "/api/log", "/metrics", "/api/study/form", "/api/study/export"):
+        assert client.get(path).status_code in (401, 404), path
