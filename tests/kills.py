@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.batch.solve_record import COMPARING, SWEEPING
+from planner.batch.solve_record import COMPARING, SWEEPING, VALIDATING
 
 ROOT = Path(__file__).parent.parent
 DOMAINS = ROOT / "domains"
@@ -67,9 +67,9 @@ def lines_of(file: Path) -> list[dict]:
 
 def solve(*instances: Path, options: tuple[str, ...] = ("--jobs", "2", "--verify", "1")) -> Case:
     def stable(record: dict) -> dict:
-        # A record whose comparison with A* was interrupted is kept, since it is solved.
+        # A record whose comparison with A*, or validation, was interrupted is kept, since it is solved.
         return {
-            key: None if value == COMPARING else value
+            key: None if value in (COMPARING, VALIDATING) else value
             for key, value in record.items()
             if key not in ("seconds", "peak_memory_mb", "verified")
         }
