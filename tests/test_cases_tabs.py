@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import httpx2 as httpx
 import pytest
 from networks import conducted
 from test_cases_networks import has_done, is_hidden
@@ -73,3 +74,47 @@ def test_a_tab_that_was_left_behind_does_nothing_twice_and_catches_up(
         context.close()
     actions = [row for row in service.session.log() if row["person"] == person]
     assert len(actions) == 1
+
+
+@pytest.mark.parametrize("ends", ["thanks", "withdrew"])
+def test_nothing_that_somebody_typed_stays_in_the_browser_for_the_next_person(
+    chromium: Any, tiny: Table, tmp_path: Path, ends: str
+) -> None:
+    """In a laboratory the tab stays open; a participant may also have withdrawn by the code, on another device."""
+    first = PLAN.index("[[questionnaires]]")
+    last = PLAN.index('[[questionnaires]]\nform = "text"')
+    plan = (PLAN[:first] + PLAN[last:]).replace('form = "text"', 'form = "text"\nwhen = "before"')
+    with conducted(tiny, tmp_path, plan) as service:
+        context = chromium.new_context()
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        page.goto(service.join_url())
+        for words in ("Taking part", "What you will do"):
+            heading(page, words)
+            page.click("#form button.main")
+        heading(page, "In your own words")
+        page.fill("#form textarea", "Quittenmus am Dienstag")
+        kept = "() => JSON.stringify([...Object.entries(sessionStorage), ...Object.entries(localStorage)])"
+        page.wait_for_function(f"() => ({kept})().includes('Quittenmus')")
+        page.reload()
+        page.wait_for_function("() => document.querySelector('#form textarea')?.value.startsWith('Quittenmus')")
+        (person,) = service.session.people
+
+        def ask(rest: str, **body: Any) -> None:
+            headers = {"Authorization": f"Bearer {service.access.operator}"}
+            answer = httpx.post(f"{service.access.base}/api/{rest}", headers=headers, json=body, timeout=60)
+            assert answer.status_code == 200, answer.text
+
+        if ends == "thanks":
+            page.click("#form button.main")
+            page.wait_for_selector("#actions button")
+            for stage in ("practice", "task tiny"):
+                for action in tiny.optimal_plan(tiny.initial) or ():
+                    ask(f"people/{person}/actions", action=action)
+                ask(f"study/participants/{person}/onward", stage=stage)
+            heading(page, "Thank you")
+        else:
+            ask(f"study/participants/{person}/withdraw")
+            heading(page, "You have left the study")
+        page.wait_for_function(f"() => !({kept})().includes('Quittenmus')")
+        context.close()

@@ -7,6 +7,7 @@ import { Questions } from "./questions.js";
 const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${rest}`;
 const TASKS = ["practice", "task"];
 const LEAVING = "leaving";
+const LAST = ["thanks", "unmatched", "declined", "withdrew"]; // nothing is answered after these
 
 let form = null; // texts and questionnaires of the study
 let view = null; // the latest view from the service
@@ -98,10 +99,7 @@ const STAGES = {
   unmatched: (study) => ends(study, text("study.unmatched"), `<p>${text("study.unmatched_text")}</p>`),
   thanks: (study) => ends(study),
   declined: () => plain(text("study.declined"), text("study.declined_text")),
-  withdrew: () => {
-    forget(`kitassist draft ${place} `);
-    plain(text("study.left"), text("study.left_text"));
-  },
+  withdrew: () => plain(text("study.left"), text("study.left_text")),
   gone: (study, opened) => {
     if (opened) {
       plain(text("study.returned"), text("study.returned_text"));
@@ -155,6 +153,7 @@ function build(study, now) {
   at("form").replaceChildren();
   at("form").onsubmit = (event) => event.preventDefault();
   at("stage").removeAttribute("aria-busy");
+  if (LAST.includes(study.kind)) forget(`kitassist draft ${place} `);
   if (now === LEAVING) {
     at("leaving-title").focus();
     return;
