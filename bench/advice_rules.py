@@ -201,7 +201,10 @@ def _rules() -> dict[str, Rule]:
             "random confidence slope + L agreement + outcome at disagreement",
             {"slope": 1.0, "o": 0.04, "g": 0.08, "l": 0.16}, partial(random_slope, agreement_and_outcome), ("slope",),
         ),
-        replace(shipped.RULES["reliability"], name="beta counts, all forgotten"),
+        replace(
+            shipped.RULES["reliability"], name="beta counts, all forgotten", parameters={"n0": 20.0, "gam": 0.95},
+            positive=("n0",), unit=("gam",),
+        ),
     ]  # fmt: skip
     return {rule.name: rule for rule in every}
 

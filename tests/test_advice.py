@@ -344,7 +344,7 @@ def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path, monkeypat
     compared = json.loads(invoke("compare", "rules", "--advice", judgements, "--folds", 2, "--json").stdout)
     assert (len(compared["people"]), compared["choices"]) == (6, 36)
     parameters = {row["model"]: set(row["parameters"]) for row in compared["models"]}
-    assert parameters["outcome"] - parameters["constant"] == {"g", "l"}
+    assert parameters["outcome"] - parameters["constant"] == {"gain", "loss"}
     assert parameters["base rates"] == {"agreement", "disagreement"}
     assert parameters["one theta"] == parameters["constant"]
     chosen = json.loads(

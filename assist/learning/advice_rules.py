@@ -87,8 +87,8 @@ def _unmoved(log: AdviceLog) -> Floats:
     return plain_steps(np.zeros(len(log)))
 
 
-def _equation_seven(log: AdviceLog, rate: float) -> Floats:
-    return plain_steps(at_once(rate * log.confidence, -rate * log.confidence, log))
+def _equation_seven(log: AdviceLog, eta: float) -> Floats:
+    return plain_steps(at_once(eta * log.confidence, -eta * log.confidence, log))
 
 
 def _outcome(log: AdviceLog, gain: float, loss: float) -> Floats:
@@ -129,10 +129,17 @@ RULES = {
     rule.name: rule
     for rule in (
         Rule("constant", {}, _unmoved),
-        Rule("paper", {"e": 0.01}, _equation_seven, clipped=True),
-        Rule("outcome", {"g": 0.08, "l": 0.16}, _outcome),
-        Rule("outcome-at-disagreement", {"o": 0.04, "g": 0.08, "l": 0.16}, at_disagreement),
-        Rule("reliability", {"n0": 20.0, "gam": 0.95}, _reliability, ("n0",), ("gam",), by_steps=False),
+        Rule("paper", {"eta": 0.01}, _equation_seven, clipped=True),
+        Rule("outcome", {"gain": 0.08, "loss": 0.16}, _outcome),
+        Rule("outcome-at-disagreement", {"agreement": 0.04, "gain": 0.08, "loss": 0.16}, at_disagreement),
+        Rule(
+            "reliability",
+            {"weight": 20.0, "kept": 0.95},
+            _reliability,
+            ("weight",),
+            ("kept",),
+            by_steps=False,
+        ),
     )
 }
 """The rules that are estimated, by their names in `people.trust_rules.RULES`."""
