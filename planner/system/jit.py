@@ -1,24 +1,25 @@
 """Just-in-time compilation with numba, and its cache on disk.
 
-A function is compiled when it is first called. Later processes load its code from the cache.
+A function is compiled when it is first called. Later processes load its code from the cache. numba itself is imported
+then, too: that takes longer than most small work, which needs no compiled code.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import linecache
 import pickle
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, cached_property
 from importlib import import_module
 from types import FunctionType, ModuleType
 from typing import Any
 
-import numba
 import numpy as np
-from numba.core import event
 
 from .compiling import announce
 
@@ -27,13 +28,33 @@ BLAS = "scipy.linalg.cython_blas"
 CONSTANTS = (bool, int, float, str, tuple, np.generic)
 """Types of the values that numba compiles into the code as constants."""
 
+_loading = threading.RLock()
+
+
+@cache
+def _numba() -> Any:
+    """Import numba, and let it announce each function that is compiled because it is not in the cache."""
+    import numba
+    from numba.core import event
+
+    class Listener(event.Listener):
+        def on_start(self, event: Any) -> None:  # noqa: ARG002
+            announce()
+
+        def on_end(self, event: Any) -> None:
+            """Do nothing."""
+
+    _load_without_scipy()
+    event.register("numba:compile", Listener())
+    return numba
+
 
 def _load_without_scipy() -> None:
     """Import the part of numba that checks for scipy, without importing scipy: that would take 0.2 s of 0.8 s.
 
     numba needs scipy there for `np.cov` only, which is not compiled here. Code that does need scipy imports it itself.
     """
-    if BLAS in sys.modules:
+    if "scipy" in sys.modules:
         return
     sys.modules[BLAS] = None  # type: ignore[assignment]  # Python treats it as not installed
     try:
@@ -43,7 +64,38 @@ def _load_without_scipy() -> None:
         del sys.modules[BLAS]
 
 
-_load_without_scipy()
+class Compiled:
+    """A function that numba compiles, or loads from its cache, when it is first called, here or by compiled code."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        functools.update_wrapper(self, function)
+        self._options = options
+
+    @cached_property
+    def _dispatcher(self) -> Any:
+        with _loading:
+            if "_dispatcher" in vars(self):  # another thread was first
+                return vars(self)["_dispatcher"]
+            dispatcher = _numba().njit(cache=True, **self._options)(self.__wrapped__)  # type: ignore[attr-defined]
+            if not _numba().config.DISABLE_JIT:
+                files = dispatcher._cache._cache_file
+                files._source_stamp = stamp(self.__module__)
+                files._load_index = _readable(files._load_index)
+            return dispatcher
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """Call the compiled function."""
+        return self._dispatcher(*arguments, **named)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of numba's function, such as its type, which compiled code asks for."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self._dispatcher, name)
+
+    def __reduce__(self) -> str:
+        """Let it be sent to other processes by its name."""
+        return self.__qualname__  # type: ignore[attr-defined,no-any-return]
 
 
 def njit(*, fastmath: bool | set[str] = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -55,16 +107,7 @@ def njit(*, fastmath: bool | set[str] = False, **options: Any) -> Callable[[Call
     numba itself compares only the file of the function. It would load outdated code after an edit of a function or a
     constant that is compiled into this one from another file.
     """
-
-    def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher = numba.njit(cache=True, fastmath=fastmath, **options)(function)
-        if not numba.config.DISABLE_JIT:
-            files = dispatcher._cache._cache_file
-            files._source_stamp = stamp(function.__module__)
-            files._load_index = _readable(files._load_index)
-        return dispatcher
-
-    return compiled
+    return lambda function: Compiled(function, {"fastmath": fastmath, **options})
 
 
 def _readable(load: Callable[[], dict[Any, str]]) -> Callable[[], dict[Any, str]]:
@@ -111,16 +154,3 @@ def stamp(module: str) -> str:
 def _is_plain_class(value: object) -> bool:
     """Whether a value is a class that compiled code cannot use, that is, any class but a named tuple."""
     return isinstance(value, type) and not issubclass(value, tuple)
-
-
-class _Listener(event.Listener):
-    """Announces each function that is compiled because it is not in the cache."""
-
-    def on_start(self, event: Any) -> None:  # noqa: ARG002
-        announce()
-
-    def on_end(self, event: Any) -> None:
-        """Do nothing."""
-
-
-event.register("numba:compile", _Listener())
