@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
     "planner.system": """lazy_imports errors arrays results files machine processes threads signs progress_reports
-        progress compiling jit limits workers""",
+        progress compiling readable jit limits workers""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
         saturation value_ranges value_encoder value_scope numeric_encoding numeric_compiler compilation writer
@@ -32,7 +32,7 @@ ROOMS = {
     "planner.search.ranking": """transition_normal_form digits mutexes linear_invariants variable_clusters
         state_ranking""",
     "planner.search.symmetry": "automorphisms canonical_states",
-    "planner.search": """distances search_space rules sorted_space numbering forward_search backward_search
+    "planner.search": """distances search_space rules sorted_space numbering met_states forward_search backward_search
         relaxation successor_generator state_registry ranked_index compiled_search""",
     "planner.costtogo": """watched_states trial_search number_values load cost_to_go table astar cache verification
         first_answer sweep goals orbit_table table_file on_demand portfolio""",
@@ -42,8 +42,9 @@ ROOMS = {
     "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model
         weighted_choice human mixture spread belief influence_kernels trust_rules user_code action_names signals""",
     "assist.person": """leaf_bounds observation_model pomdp known_goals visiting_robot policy lazy_policy archive
-        problem_arrays belief_filter reached_goals dynamics joint_belief rounding action_values policy_iteration qmdp
-        solution_cache alpha_vectors upper_hull convex_bound hsvi search memory_needed further_beliefs solver""",
+        problem_arrays belief_filter belief_update reached_goals dynamics joint_belief rounding action_values
+        policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi
+        search memory_needed further_beliefs solver""",
     "assist.learning": """log_steps log_json log_files log comparison intervals advice_log advice_rules advice_model
         advice_fit replay observations joint_states evidence likelihood choosing profiles maximum_likelihood
         logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit goals model_comparison

@@ -17,7 +17,7 @@ from ..people.belief import ImpossibleObservationError
 from ..people.decision import NOTHING
 from ..people.goals import goal_shares
 from ..people.spread import Spread
-from ..person.belief_filter import update
+from ..person.belief_update import update_belief
 from ..person.joint_belief import JointBelief, same_suggestions
 from ..person.observation_model import ObservationModel
 from ..team.hidden_states import expected_answers
@@ -61,7 +61,7 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
         record.earlier, team.belief[record.place] = earlier, record.joint.belief
         return record.joint.erred > 1 / 2
     with suppress(ImpossibleObservationError):  # in a model without lapses; the action says nothing about the person
-        update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
+        update_belief(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
     return not choices.optimal[choices.of_goals(np.array([row]))[:, 0], step.slot].any()
 
 

@@ -1,8 +1,8 @@
-"""One step of many people, compiled: their choices, their tasks, their trust, and the robot's belief.
+"""One step of many people: their choices, their tasks, their trust, and the robot's belief.
 
-The equations are those of `assist.people.decision` and `assist.people.belief`, applied to one person at a time instead
-of whole arrays. So unnecessary work is skipped: without a suggestion trust does not change, and a choice is informative
-about beta only.
+The equations are those of `assist.people.decision` and `assist.people.belief`. `act_readable` applies them to arrays.
+`act_compiled` gives the same bits, one person at a time. So it skips what is unnecessary: without a suggestion trust
+does not change, and a choice is informative about beta only. `act` is the readable one first.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.jit import njit
+from planner.system.readable import ReadableFirst
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import update_trust, weigh_by_influence
 from .belief_filter import update
+from .belief_update import in_order, updated, without_reached
 from .problem_arrays import ProblemArrays
 from .reached_goals import exclude_reached
 
@@ -104,7 +106,7 @@ class Minds(NamedTuple):
 
 
 @njit(nogil=True)
-def act(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
+def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
     """Let the people of some rows, all of one model, act once."""
     p = np.empty(m.chosen.shape[1])
     after = np.empty(people.belief.shape[1:])
@@ -164,3 +166,78 @@ def _draw(p: Floats, count: int, lapse: float, uniform: float) -> int:
             if remaining < 0.0:
                 break
     return last
+
+
+def act_readable(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
+    """Let the people of some rows, all of one model, act once: the definition in numpy."""
+    x, robot = people.x[rows], people.robot[rows]
+    done = m.goal[m.afterstate[x, robot]]
+    stay = rows[done]
+    people.x[stay], people.slot[stay] = m.afterstate[x[done], robot[done]], NOTHING
+    people.cost[stay], people.erred[stay] = 0.0, False
+    rows, x, robot = rows[~done], x[~done], robot[~done]
+    if not len(rows):
+        return
+    theta, who = people.theta[rows], people.who[rows]
+    acting, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
+    counts, slots = m.counts[acting, None], np.arange(m.chosen.shape[1])
+    applicable, suggested = slots < counts, slots == suggestion[:, None]
+    p = np.where(applicable, minds.p[who, acting], 0.0)
+
+    # The influence of a suggestion (equation 6). One after which no action would be possible is ignored.
+    its = in_order(np.where(suggested, p, 0.0))
+    possible = (suggestion >= 0) & (theta * its + (1.0 - theta) * in_order(np.where(suggested, 0.0, p)) > 0.0)
+    weight = np.where(suggested, theta[:, None], 1.0 - theta[:, None])
+    p = np.where(possible[:, None], p * weight, p)
+
+    # The first slot whose cumulative probability exceeds a uniform number; rounding must not select an impossible one.
+    chance = np.where(applicable, (1.0 - minds.lapse) * p / in_order(p)[:, None] + minds.lapse / counts, 0.0)
+    remaining = np.subtract.accumulate(np.column_stack([people.uniform[rows, 0], chance]), axis=1)[:, 1:]
+    exceeded = remaining < 0.0
+    last = chance.shape[1] - 1 - (chance[:, ::-1] > 0.0).argmax(axis=1)
+    slot = np.where(exceeded.any(axis=1), exceeded.argmax(axis=1), last)
+
+    y = m.targets[acting, slot]
+    people.slot[rows], people.cost[rows] = slot, m.costs[acting, slot]
+    people.erred[rows] = ~minds.optimal[acting, slot]
+    advised = np.flatnonzero(suggestion >= 0)
+    _trust(advised, rows, x, robot, slot == suggestion, people, minds, m)
+    if len(people.belief):
+        after = updated(people.belief[rows], x, robot, slot, m)
+        on = np.flatnonzero(~m.goal[y])
+        if after.shape[1] > m.chosen.shape[2]:
+            after[on] = without_reached(after[on], y[on], m)
+        people.belief[rows] = after
+    people.x[rows] = y
+
+
+def _trust(
+    advised: NDArray[np.int64], rows: NDArray[np.int64], x: NDArray[np.int64], robot: NDArray[np.int64],
+    followed: NDArray[np.bool_], people: PeopleArrays, minds: Minds, m: ProblemArrays,
+) -> None:  # fmt: skip
+    """Update theta of the people who got a suggestion, given by their places in `rows`."""
+    rows, x, robot = rows[advised], x[advised], robot[advised]
+    theta, seen = people.theta[rows], people.seen[rows]
+    if minds.on_grid:
+        each = int(np.argmin(np.append(np.diff(m.theta) > 0, False))) + 1  # thetas repeat for each count of outcomes
+        t = seen * each + np.searchsorted(m.theta[:each], theta)
+        answers = followed[advised]
+        low = np.where(answers, m.followed_low[x, robot, t], m.low[x, robot, t])
+        up = np.where(answers, m.followed_weight[x, robot, t], m.weight[x, robot, t])
+        after = low + (people.uniform[rows, 1] < up)
+        people.theta[rows], people.seen[rows] = m.theta[after], after // each
+        return
+    who = people.who[rows]
+    before, expected = minds.value[who, x], minds.value[who, m.targets[x, m.suggested[x, robot]]]
+    gain = np.subtract(expected, before, out=np.zeros(len(rows)), where=before != expected)
+    if minds.eta != 0.0:
+        people.theta[rows] = np.where(gain == 0.0, theta, np.clip(theta + minds.eta * gain, 0.0, 1.0))
+
+
+def _work(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, _: ProblemArrays) -> float:
+    """Return the work of `act_readable`, in nanoseconds."""
+    cells = people.belief[0].size if len(people.belief) else 0
+    return 300_000 + len(rows) * 20 * (cells + minds.p.shape[2])
+
+
+act = ReadableFirst(act_readable, act_compiled, _work)

@@ -16,10 +16,10 @@ from __future__ import annotations
 import copy
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,8 +29,9 @@ from ..grounding.task import Task
 from ..search.distances import UNREACHED
 from ..search.kernels import packed_successors
 from ..search.kernels.packed_successors import PackedOperators
-from ..search.state_registry import StateRegistry
-from ..search.successor_generator import expanded, packed_operators
+from ..search.met_states import StateRegistry
+from ..search.sorted_space import Successors, TooLargeError
+from ..search.successor_generator import Expanded, expanded, packed_operators
 from ..states.packing import Ints, Packing, Words, holds
 from ..states.state_space import Transitions, joined, state_numbers
 from ..system.limits import NO_LIMITS, LimitError, Limits
@@ -39,7 +40,12 @@ from ..system.threads import on_threads
 from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
 from .cache import Cache
 from .cost_to_go import optimal_plan
-from .orbit_table import OrbitTable
+
+if TYPE_CHECKING:
+    from .orbit_table import OrbitTable
+
+FEW_TESTS = 1 << 28
+"""Tests of conditions that are done with numpy, in about a second, before compiled code takes over."""
 
 
 class OnDemand:
@@ -89,7 +95,7 @@ class OnDemand:
         self._jobs = jobs or processors()
         self._limits = limits
         self._search: str | None = None
-        self._met = StateRegistry(self.packing.words)
+        self._met, self._tests = StateRegistry(self.packing.words, few=True), 0
         self.initial = int(self._meet(self.packing.pack([derived(task, task.initial)]))[0])
 
     def __len__(self) -> int:
@@ -99,6 +105,23 @@ class OnDemand:
     @cached_property
     def _operators(self) -> PackedOperators:
         return packed_operators(self.task, self.packing) if self.orbits is None else self.orbits.index.operators
+
+    @cached_property
+    def _successors(self) -> Successors | None:
+        """The transition function in numpy; None if the task is too large for it, or orbits have a compiled one."""
+        try:
+            return Successors.of(self.task, self.packing) if self.orbits is None else None
+        except TooLargeError:
+            return None
+
+    def _expanded(self, rows: Words) -> Iterator[Expanded]:
+        """Yield the numbers of actions of states, shape (n, words), the actions and the successors, in parts."""
+        own = self._successors if self._tests <= FEW_TESTS else None
+        if own is None:
+            yield from expanded(self._operators, rows)
+        else:
+            self._tests += len(rows) * own.mask.size + 50_000  # what a call takes in any case
+            yield own.expanded(rows)
 
     @cached_property
     def _counting(self) -> OnDemand:
@@ -126,7 +149,9 @@ class OnDemand:
         if not whole or array.ndim != 2 or array.shape[1] != len(sizes) or not ((array >= 0) & (array < sizes)).all():
             raise ValueError(f"expected values of shape (N, {len(sizes)}), each one of its variable's values")
         states = self.packing.pack(array)
-        if self.task.axioms:
+        if self.task.axioms and self._successors is not None:
+            self._successors.derive(states)
+        elif self.task.axioms:
             packed_successors.derive(self._operators.axioms, self._operators.again, states)
         return self._meet(states)
 
@@ -143,7 +168,7 @@ class OnDemand:
 
     def choices(self, states: ArrayLike) -> Transitions:
         """Return the transitions of states, shape (N,), as compressed rows; their successors are numbered."""
-        parts = expanded(self._operators, self._rows(states))
+        parts = self._expanded(self._rows(states))
         return joined((counts, actions, self._meet(after)) for counts, actions, after in parts)
 
     def lookup(self, states: ArrayLike, progress: Callable[[int], None] | None = None) -> NDArray[np.float64]:
@@ -326,7 +351,7 @@ class OnDemand:
             )
         found = {row.tobytes(): price}
         for action in plan:
-            _, actions, after = next(expanded(self._operators, row))
+            _, actions, after = next(self._expanded(row))
             applicable = [self.task.actions[number] for number in actions.tolist()]
             slot = applicable.index(action)
             row = after[[slot]]

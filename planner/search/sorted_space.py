@@ -51,8 +51,8 @@ def keys(states: Words) -> Keys:
     return np.ascontiguousarray(states, dtype=">u8").view(f"S{8 * states.shape[1]}")[:, 0]
 
 
-class _Operators(NamedTuple):
-    """The possible operators of a task, in the order of their actions.
+class Successors(NamedTuple):
+    """The transition function of a small task: its possible operators, in the order of their actions, and its axioms.
 
     The masks have the shape (operators, words), those of the effects (rules, operators, words). An operator with fewer
     rules than others is filled up with rules that change nothing.
@@ -65,9 +65,11 @@ class _Operators(NamedTuple):
     """Mask and bits of the condition of each rule."""
     keep: Words
     value: Words
+    axioms: Sequence[tuple[list[Rule], bool]]
 
     @classmethod
-    def of(cls, task: Task, packing: Packing) -> _Operators:
+    def of(cls, task: Task, packing: Packing) -> Successors:
+        """Return that of a task; a `TooLargeError` says that it is not small."""
         order = possible_operators(task)
         rules = [grouped(task.operators[number].effects, packing) for number in order]
         shape = max(map(len, rules), default=0), len(order), packing.words
@@ -81,13 +83,14 @@ class _Operators(NamedTuple):
         needed = [packing.condition(task.operators[number].preconditions) for number in order]
         each = np.array(needed, dtype=np.uint64).reshape(len(order), 2, packing.words)
         action = np.array([task.operators[number].action for number in order], dtype=np.int32)
-        return cls(action, each[:, 0], each[:, 1], (when, bits), ~cleared, value)
+        axioms = list(axiom_stages(task, packing))
+        return cls(action, each[:, 0], each[:, 1], (when, bits), ~cleared, value, axioms)
 
     def applicable(self, states: Words) -> tuple[Ints, Ints]:
         """Return the states and the operators of all transitions of states, by state and then by action."""
         found = []
         size = max(1, TESTS_AT_A_TIME // max(1, len(self.action)))
-        for begin in range(0, len(states), size):
+        for begin in range(0, max(1, len(states)), size):
             block = states[begin : begin + size]
             met = np.ones((len(block), len(self.action)), dtype=bool)
             for word in np.flatnonzero(self.mask.any(axis=0)):
@@ -101,8 +104,14 @@ class _Operators(NamedTuple):
         first[1:] = (actions[1:] != actions[:-1]) | (sources[1:] != sources[:-1])
         return sources[first], operators[first]
 
+    def expanded(self, states: Words) -> tuple[NDArray[np.int32], NDArray[np.int32], Words]:
+        """Return the number of actions of each state, the actions and the packed successors, as compiled code does."""
+        sources, operators = self.applicable(states)
+        counts = np.bincount(sources, minlength=len(states)).astype(np.int32)
+        return counts, self.action[operators], self.apply(states[sources], operators)
+
     def apply(self, states: Words, operators: Ints) -> Words:
-        """Return the successors of states, shape (n, words), each by one operator, without derived variables."""
+        """Return the successors of states, shape (n, words), each by one operator."""
         after = states.copy()
         for mask, bits, keep, value in zip(*self.condition, self.keep, self.value, strict=True):
             changed = after & keep[operators] | value[operators]
@@ -110,20 +119,20 @@ class _Operators(NamedTuple):
                 met = ((states & mask[operators]) == bits[operators]).all(axis=1)
                 changed = np.where(met[:, None], changed, after)
             after = changed
+        self.derive(after)
         return after
 
-
-def derive(stages: Sequence[tuple[list[Rule], bool]], states: Words) -> None:
-    """Set the derived variables of packed states, shape (n, words), stage by stage to the least fixed point."""
-    for rules, cyclic in stages:
-        changed = True
-        while changed:
-            changed = False
-            for _, (mask, bits, cleared, value) in rules:
-                met = holds(states, mask, bits)
-                after = states[met] & ~cleared | value
-                changed |= cyclic and bool((after != states[met]).any())
-                states[met] = after
+    def derive(self, states: Words) -> None:
+        """Set the derived variables of packed states, shape (n, words), stage by stage to the least fixed point."""
+        for rules, cyclic in self.axioms:
+            changed = True
+            while changed:
+                changed = False
+                for _, (mask, bits, cleared, value) in rules:
+                    met = holds(states, mask, bits)
+                    after = states[met] & ~cleared | value
+                    changed |= cyclic and bool((after != states[met]).any())
+                    states[met] = after
 
 
 @dataclass(frozen=True)
@@ -183,10 +192,9 @@ class SortedSpace:
     def __init__(self, task: Task, budget: Budget, most_states: int = MOST_STATES) -> None:
         self._packing, self._budget, self._most = Packing.of(task), budget, most_states
         self._sizes = np.array(task.sizes, dtype=np.int64)
-        self._operators = _Operators.of(task, self._packing)
-        self._axioms = list(axiom_stages(task, self._packing))
+        self._operators = Successors.of(task, self._packing)
         start = self._packing.pack([task.initial])
-        derive(self._axioms, start)
+        self._operators.derive(start)
         self._layers, self._known, self._number_of = [start], keys(start), np.zeros(1, dtype=np.int32)
         # Of each layer: number of actions of each state, operators, targets.
         self._found: list[tuple[Ints, Ints, NDArray[np.int32]]] = []
@@ -220,7 +228,6 @@ class SortedSpace:
         sources, operators = self._operators.applicable(block)
         self._budget.check_memory(self.nbytes + 32 * self._packing.words * len(sources))
         after = self._operators.apply(block[sources], operators)
-        derive(self._axioms, after)
         return np.bincount(sources, minlength=len(block)), operators, after
 
     def add(self, expanded: tuple[Ints, Ints, Words]) -> list[Words]:

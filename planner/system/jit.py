@@ -76,7 +76,7 @@ class Compiled:
         with _loading:
             if "_dispatcher" in vars(self):  # another thread was first
                 return vars(self)["_dispatcher"]
-            dispatcher = _numba().njit(cache=True, **self._options)(self.__wrapped__)  # type: ignore[attr-defined]
+            dispatcher = _numba().njit(cache=True, **self._options)(self.__wrapped__)
             if not _numba().config.DISABLE_JIT:
                 files = dispatcher._cache._cache_file
                 files._source_stamp = stamp(self.__module__)
@@ -95,7 +95,29 @@ class Compiled:
 
     def __reduce__(self) -> str:
         """Let it be sent to other processes by its name."""
-        return self.__qualname__  # type: ignore[attr-defined,no-any-return]
+        return str(self.__qualname__)
+
+
+class Intrinsic:
+    """A function of numba's `intrinsic`, which is made when compiled code first needs it."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        functools.update_wrapper(self, function)  # type: ignore[arg-type]
+
+    @cached_property
+    def _numba_type_(self) -> Any:
+        numba = _numba()
+        from numba.core.registry import cpu_target
+
+        with _loading:
+            made = numba.extending.intrinsic(self.__wrapped__)  # type: ignore[attr-defined]
+            cpu_target.typing_context.refresh()  # which makes it known
+            return cpu_target.typing_context.resolve_value_type(made)
+
+
+def intrinsic(function: Callable[..., Any]) -> Any:
+    """Return an intrinsic of numba, whose code is that which the given function returns."""
+    return Intrinsic(function)
 
 
 def njit(*, fastmath: bool | set[str] = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
+from ...system.jit import intrinsic
 
 
 @intrinsic
 def fetch_or(typing: Any, array: Any, place: Any, bits: Any) -> Any:  # noqa: ARG001
     """Execute `array[place] |= bits` atomically; return the previous word."""
+    from numba import types  # here and below, since these functions run when others are compiled
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -28,6 +26,7 @@ def fetch_or(typing: Any, array: Any, place: Any, bits: Any) -> Any:  # noqa: AR
 @intrinsic
 def fetch_min(typing: Any, array: Any, place: Any, value: Any) -> Any:  # noqa: ARG001
     """Execute `array[place] = min(array[place], value)` atomically; return the previous entry."""
+    from numba import types
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -41,6 +40,9 @@ def fetch_min(typing: Any, array: Any, place: Any, value: Any) -> Any:  # noqa: 
 @intrinsic
 def prefetch(typing: Any, array: Any, place: Any) -> Any:  # noqa: ARG001
     """Start to load an entry into the cache, without waiting."""
+    from llvmlite import ir
+    from numba import types
+    from numba.core import cgutils
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -57,6 +59,8 @@ def prefetch(typing: Any, array: Any, place: Any) -> Any:  # noqa: ARG001
 @intrinsic
 def lowest_bit(typing: Any, word: Any) -> Any:  # noqa: ARG001
     """Return the position of the lowest set bit of a nonzero word."""
+    from llvmlite import ir
+    from numba import types
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))

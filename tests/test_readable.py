@@ -1,0 +1,110 @@
+"""Where a function has a readable and a compiled definition, they give the same bits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from assist.people.belief import ImpossibleObservationError
+from assist.person.belief_filter import update
+from assist.person.belief_update import updated, without_reached
+from assist.person.dynamics import Minds, PeopleArrays, act_compiled, act_readable
+from assist.person.problem_arrays import ProblemArrays, read_only
+from assist.person.reached_goals import exclude_reached
+from planner.system.readable import ReadableFirst
+
+
+def problem(rng: np.random.Generator, goals: int, *, answers: bool, lapse: float) -> ProblemArrays:
+    """Return a problem of random numbers, in the shapes of a real one: some choices and suggestions are impossible."""
+    states, slots, robots, betas, thetas = 5, 4, 3, 2, 4
+    n = goals * states
+    counts = rng.integers(1, slots + 1, n)
+    first = np.arange(n) // states * states  # of the same goal
+    chosen = rng.random((n, slots, betas)) * (np.arange(slots) < counts[:, None])[:, :, None]
+    chosen[rng.random(chosen.shape) < 0.2] = 0.0
+    chosen[:, 0] += 1e-3
+    chosen /= chosen.sum(axis=1, keepdims=True)
+    suggested = np.column_stack([np.full(n, -1), *(rng.integers(-1, counts) for _ in range(robots - 1))])
+    afterstate = np.where(suggested < 0, first[:, None] + rng.integers(0, states, (n, robots)), np.arange(n)[:, None])
+    afterstate[:, 0] = np.arange(n)
+    p = np.take_along_axis(chosen, np.maximum(suggested, 0)[:, :, None], axis=1)
+    tables = [rng.integers(0, thetas - 1, (n, robots, thetas)) for _ in range(2)]
+    weights = [rng.choice([0.0, 0.25, 1.0, rng.random()], (n, robots, thetas)) for _ in range(2)]
+    goal = rng.random(n) < 0.2
+    arrays = {
+        "counts": counts, "targets": first[:, None] + rng.integers(0, states, (n, slots)),
+        "costs": rng.random((n, slots)), "goal": goal, "final": goal, "robot_actions": np.full(n, robots),
+        "suggested": suggested, "afterstate": afterstate, "robot_costs": rng.random((n, robots)), "chosen": chosen,
+        "unsuggested": np.maximum(0.0, 1.0 - p), "low": tables[0], "weight": weights[0],
+        "followed_low": tables[answers], "followed_weight": weights[answers],
+        "theta": np.array([0.0, 0.3, 0.9, 1.0]),
+    }  # fmt: skip
+    return ProblemArrays(
+        **{name: read_only(array) for name, array in arrays.items()}, uses_answer=answers, gamma=0.99, lapse=lapse
+    )
+
+
+def beliefs(rng: np.random.Generator, people: int, goals: int, m: ProblemArrays) -> np.ndarray:
+    found = rng.random((people, goals * m.chosen.shape[2], len(m.theta)))
+    found[rng.random(found.shape) < 0.2] = 0.0
+    found[:, 0, 0] += 1e-9
+    return found / found.sum(axis=(1, 2), keepdims=True)
+
+
+SEEDS, GOALS = st.integers(0, 10**6), st.sampled_from([1, 3])
+LAPSES = st.sampled_from([0.0, 0.001, 0.3])
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, GOALS, st.booleans(), LAPSES, st.booleans(), st.sampled_from([0, 1, 2, 50]))
+def test_a_step_of_people(seed: int, goals: int, answers: bool, lapse: float, on_grid: bool, believed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m, people = problem(rng, goals, answers=answers, lapse=max(lapse, 1e-6)), max(1, believed)
+    p = rng.random((3, len(m.counts), m.chosen.shape[1])) * (rng.random((3, len(m.counts), 1)) < 0.9) + 1e-6
+    value = rng.choice([0.0, -1.0, -np.inf, -2.5], (3, len(m.counts)))
+    minds = Minds(p, value, read_only(rng.random(p.shape[1:]) < 0.5), float(rng.choice([0.0, 0.2])), lapse, on_grid)
+    states = rng.integers(0, len(m.counts), people)
+    first = PeopleArrays(
+        states, rng.integers(0, 3, people), rng.integers(0, 3, people), rng.choice(m.theta, people),
+        np.zeros(people, dtype=np.int64), rng.random((people, 2)),
+        beliefs(rng, people, goals, m) if believed else np.empty((0, 1, 1)),
+        np.full(people, -1), np.zeros(people), np.zeros(people, dtype=bool),
+    )  # fmt: skip
+    rows = np.flatnonzero(rng.random(people) < 0.8)
+    both = [PeopleArrays(*(array.copy() for array in first)) for _ in range(2)]
+    act_readable(rows, both[0], minds, m)
+    act_compiled(rows, both[1], minds, m)
+    for name, one, other in zip(first._fields, *both, strict=True):
+        np.testing.assert_array_equal(one, other, err_msg=name)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, GOALS, st.booleans(), LAPSES, st.sampled_from([0, 1, 2, 40]))
+def test_a_belief_after_a_choice(seed: int, goals: int, answers: bool, lapse: float, people: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = problem(rng, goals, answers=answers, lapse=lapse)
+    before, x = beliefs(rng, people, goals, m), rng.integers(0, len(m.counts), people)
+    robot = rng.integers(0, 3, people)
+    slot = rng.integers(0, m.counts[m.afterstate[x, robot]])
+    single, work, impossible = before.copy(), np.empty(before.shape[1:]), 0
+    for i in range(people):
+        try:
+            update(single[i], work, int(x[i]), int(robot[i]), int(slot[i]), m)
+        except ImpossibleObservationError:
+            impossible += 1
+    if impossible:
+        with pytest.raises(ImpossibleObservationError):
+            updated(before, x, robot, slot, m)
+        return
+    np.testing.assert_array_equal(updated(before, x, robot, slot, m), single)
+    after = without_reached(single, x, m)
+    for i in range(people):
+        exclude_reached(single[i], int(x[i]), m)
+    np.testing.assert_array_equal(after, single)
+
+
+def test_the_compiled_definition_takes_over_after_enough_work() -> None:
+    doubled = ReadableFirst(lambda _: "readable", lambda _: "compiled", lambda work: work)
+    assert [doubled(doubled.enough // 2) for _ in range(5)] == ["readable"] * 3 + ["compiled"] * 2
