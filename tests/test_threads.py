@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from conftest import KITTING
 
-from planner.search.state_registry import StateRegistry, _Growing
+from planner.search.met_states import GrowingArray, StateRegistry
 from planner.system import threads
 from planner.system.threads import on_threads
 
@@ -103,7 +103,7 @@ def test_ctrl_c_leaves_no_thread_at_work(when: str) -> None:
 
 
 def test_rows_that_somebody_looks_at_stay_where_they_are() -> None:
-    growing = _Growing(np.int64, 2)
+    growing = GrowingArray(np.int64, 2)
     growing.append(0, np.ones((3, 2), dtype=np.int64))
     address = growing.rows.ctypes.data
     looked_at = growing.rows[:3]
@@ -112,7 +112,7 @@ def test_rows_that_somebody_looks_at_stay_where_they_are() -> None:
     assert looked_at.base is not growing.rows
     assert looked_at.tolist() == [[1, 1]] * 3
     assert growing.trimmed(4).tolist() == [[1, 1]] * 3 + [[7, 7]]
-    growing = _Growing(np.int64)
+    growing = GrowingArray(np.int64)
     before = id(growing.rows)
     growing.append(0, np.arange(1 << 16))
     assert id(growing.rows) == before  # no copy is made: the array itself has grown

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..grounding.semantics import derived
 from ..grounding.task import Task
-from ..search.state_registry import StateRegistry
+from ..search.met_states import StateRegistry
 from ..search.successor_generator import expanded, packed_operators
 from ..states.packing import Ints, Packing, holds
 
