@@ -105,32 +105,25 @@ class AdviceModel:
 
     def likelihood(self, log: AdviceLog) -> tuple[Floats, Floats]:
         """Return the likelihood of each answer at each node, shape (N, K), and the log weights of the nodes, (K,)."""
-        answers, known = self._answers(log)
-        found = np.repeat(known[:, None], self.nodes, axis=1)
-        self._filled(answers, log, found)
+        found = np.empty((len(log), self.nodes))
+        self._filled(log, found)
         return found, np.log(quadrature(self.nodes)[1])
 
-    def _answers(self, log: AdviceLog) -> tuple[Answers, Floats]:
-        """Return the answers as compiled code reads them, and the likelihood of those that do not depend on theta."""
+    def _filled(self, log: AdviceLog, found: Floats) -> Floats:
+        """Return people's log likelihoods, and fill in those of their answers at each node."""
         own, c = self.parameters, log.confidence
-        advised = log.advice_confidence * own.get("advised", 0.0)
         if self.base == "A":
-            shift = np.where(log.agrees, 1.0, -1.0) * (own["b0"] + own["b1"] * c) + advised
-            depends = np.ones(len(log), dtype=bool)
+            shift, depends = (
+                np.where(log.agrees, 1.0, -1.0) * (own["b0"] + own["b1"] * c),
+                np.ones(len(log), dtype=bool),
+            )
         else:
-            shift = np.where(log.agrees, own["a0"] + own["a1"] * c, -own["b1"] * c) + advised
-            depends = ~log.agrees
-        odds = np.exp(np.clip(-shift, -MOST_LOG_ODDS, MOST_LOG_ODDS))
-        same = LAPSE + (1 - 2 * LAPSE) / (1 + odds)
-        known = np.where(depends, 1.0, np.where(log.follows, same, 1 - same))
-        return Answers(log.first, log.sequence, log.follows, depends, odds), known
-
-    def _filled(self, answers: Answers, log: AdviceLog, found: Floats) -> Floats:
-        """Return people's log likelihoods of the answers that depend on theta, and fill in those at each node."""
-        own = self.parameters
+            shift, depends = np.where(log.agrees, own["a0"] + own["a1"] * c, -own["b1"] * c), ~log.agrees
+        shift = shift + log.advice_confidence * own.get("advised", 0.0)
         points, weights = quadrature(self.nodes)
         start = np.clip(expit(own["mu"] + own["sigma"] * points), LEAST, 1 - LEAST)
         moves = self.rule.moves(log, *self.values[len(BASES[self.base]) :])
+        answers = Answers(log.first, log.sequence, log.follows, depends, shift)
         return _likelihood(found, answers, moves, self.rule.from_start, start, weights)
 
     def predictions(self, log: AdviceLog) -> Floats:
@@ -150,9 +143,7 @@ class AdviceModel:
 
     def log_likelihoods(self, log: AdviceLog) -> Floats:
         """Return the log probability of each person's answers: the sums of `predictions`, in the order of the log."""
-        answers, known = self._answers(log)
-        found = self._filled(answers, log, np.empty((0, self.nodes)))
-        return found + np.add.reduceat(np.log(known), np.flatnonzero(log.first))
+        return self._filled(log, np.empty((0, self.nodes)))
 
     def log_likelihood(self, log: AdviceLog) -> float:
         """Return the log probability of all answers."""
@@ -173,14 +164,14 @@ class AdviceModel:
 class Answers(NamedTuple):
     """People's answers as compiled code reads them: arrays of shape (N,).
 
-    `depends` marks those that depend on theta. Their log-odds are logit(theta) minus the logarithm of `odds`.
+    `depends` marks those that depend on theta, whose log-odds are logit(theta) + `shift`; those of others are `shift`.
     """
 
     first: NDArray[np.bool_]
     sequence: NDArray[np.int64]
     follows: NDArray[np.bool_]
     depends: NDArray[np.bool_]
-    odds: Floats
+    shift: Floats
 
 
 @njit(error_model="numpy")
@@ -196,29 +187,35 @@ def _likelihood(
     nodes, count = len(start), len(answers.first)
     theta, product = np.empty((answers.sequence.max() + 1, nodes)), weights.copy()
     p, logs, totals = np.empty(nodes), np.zeros(nodes), np.empty(answers.first.sum())
-    person, heard = -1, 0
+    person, heard, of_all, log_of_all = -1, 0, 1.0, 0.0
     for i in range(count):
         if answers.first[i]:
             person += 1
-            product[:], theta[:], logs[:], heard = weights, start, 0.0, 0
+            product[:], theta[:], logs[:] = weights, start, 0.0
+            heard, of_all, log_of_all = 0, 1.0, 0.0
         a = answers.sequence[i]
+        odds = math.exp(min(max(-answers.shift[i], -MOST_LOG_ODDS), MOST_LOG_ODDS))
+        low, slope = (LAPSE, 1.0 - 2.0 * LAPSE) if answers.follows[i] else (1.0 - LAPSE, 2.0 * LAPSE - 1.0)
         if answers.depends[i]:
-            low, slope = (LAPSE, 1.0 - 2.0 * LAPSE) if answers.follows[i] else (1.0 - LAPSE, 2.0 * LAPSE - 1.0)
-            odds = answers.odds[i]
             for k in range(nodes):
                 p[k] = low + slope * theta[a, k] / (theta[a, k] + (1.0 - theta[a, k]) * odds)
                 product[k] *= p[k]
-            if len(found):
-                found[i] = p
-            heard += 1
-            if heard % TOGETHER == 0:
-                logs += np.log(product)
-                product[:] = 1.0
+        else:
+            same = LAPSE + (1.0 - 2.0 * LAPSE) / (1.0 + odds)
+            p[:] = same if answers.follows[i] else 1.0 - same
+            of_all *= p[0]
+        if len(found):
+            found[i] = p
         if i + 1 == count or answers.first[i + 1]:
             highest = logs.max()
             if heard >= TOGETHER:
                 product *= np.exp(logs - highest)
-            totals[person] = math.log(product.sum()) + highest
+            totals[person] = math.log(product.sum()) + highest + math.log(of_all) + log_of_all
+        heard += 1
+        if heard % TOGETHER == 0:
+            logs += np.log(product)
+            log_of_all += math.log(of_all)
+            product[:], of_all = 1.0, 1.0
         top, top_one, bottom, bottom_one = moves[i]
         if top != 1.0 or top_one != 0.0 or bottom != 0.0 or bottom_one != 1.0:
             source = start if from_start else theta[a]
