@@ -217,6 +217,29 @@ def test_a_flood_of_joins_is_stopped_and_who_has_joined_goes_on(tiny: Table, tmp
         assert web.ask("GET", "/api/study").json()["taken"] == 6
 
 
+def test_nobody_fills_the_disk_with_actions_and_whoever_does_can_withdraw(tiny: Table, tmp_path: Path) -> None:
+    """A script that takes and puts back a box all day; the others act as before."""
+    web = Web(tiny, tmp_path)
+    with web.client:
+        now = [0.0]
+        web.service.events = Allowance(rate=1.0, burst=20, clock=lambda: now[0])
+        ann, eve = (web.come(name).json()["person"] for name in ("ann", "eve"))
+        for name in (ann, eve):
+            for stage in ("consent", "instructions"):
+                web.onward(name, stage)
+
+        def acts(name: str, number: int) -> int:
+            action = ("(fetch box-a)", "(return box-a)")[number % 2]
+            return int(web.ask("POST", f"/api/people/{name}/actions", name, json={"action": action}).status_code)
+
+        assert [acts(eve, number) for number in range(20)] == [200] * 17 + [429] * 3
+        assert acts(ann, 0) == 200
+        now[0] = 2.5
+        assert [acts(eve, number) for number in (1, 0, 1)] == [200, 200, 429]
+        assert web.ask("POST", f"/api/study/participants/{eve}/withdraw", eve).status_code == 200
+        assert acts(ann, 1) == 200
+
+
 def test_a_body_that_does_not_arrive_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(request_limits, "SLOWEST", 0.05)
     sent: list[Any] = []

@@ -22,9 +22,11 @@ from assist.reports.html_page import html_page
 from assist.reports.userstudy_report import write_report
 from assist.reports.userstudy_summary import summarise
 from assist.texts import AbsentError, InapplicableError
+from assist.texts.refusals import BusyError
 from assist.userstudy.cohort import Cohort
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import JOURNAL, REPORT, StudySession
+from assist.userstudy.study_events import StudyEvent
 from assist.userstudy.tables import tables
 from planner import Table
 
@@ -323,3 +325,50 @@ def test_a_report_that_is_being_written_has_nothing_of_who_withdraws_meanwhile(
     assert len(calls) == 2
     assert b"words about ann" in content(session.folder / REPORT)
     assert b"words about eve" not in content(session.folder)
+
+
+def test_a_flood_of_withdrawals_leaves_others_their_turn_and_all_are_removed(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each removal reads the whole journal; while others have their turn, a page is told to ask again."""
+    session, now = opened(), [100.0]
+    parts = [Part(session, f"P-{name}") for name in ("EVE234", "EVE235", "EVE236", "ANN234")]
+    for part in parts:
+        part.come()
+        answers(part)
+
+    def ticks() -> float:
+        now[0] += 4.0  # so that each removal is a long one
+        return now[0]
+
+    monkeypatch.setattr(session, "_clock", ticks)
+    outcomes = session.report([StudyEvent("withdrew", part.name, id="asked") for part in parts[:3]])
+    assert [isinstance(one, BusyError) for one in outcomes] == [False, True, True]
+    assert b"words of P-EVE234" not in content(session.folder)
+    assert session.fault() is not None
+    with pytest.raises(BusyError):  # others have their turn
+        parts[1].report("withdrew", id="asked")
+    assert parts[3].kind == "thanks"
+    for part in parts[1:3]:
+        now[0] += 600.0
+        part.report("withdrew", id="asked")
+        assert f"words of {part.name}".encode() not in content(session.folder)
+    assert session.fault() is None
+    assert b"words of P-ANN234" in content(session.folder)
+
+
+def test_withdrawals_that_wait_are_removed_when_the_study_is_opened(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, now = opened(), [100.0]
+    parts = [Part(session, f"P-EVE{n}") for n in range(234, 238)]
+    for part in parts:
+        part.come()
+        answers(part)
+    monkeypatch.setattr(session, "_clock", lambda: now.append(now[-1] + 4.0) or now[-1])
+    session.report([StudyEvent("withdrew", part.name) for part in parts])
+    assert b"words of P-EVE237" in content(session.folder)
+    session.close()
+    monkeypatch.setattr("assist.userstudy.session.LONG", -1.0)
+    session = opened()
+    assert b"words of P-EVE" not in content(session.folder)

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from conftest import KITTING
 from disks import full, sealed, small
 from networks import conducted, running
+from serving import TINY, served
 from test_cases_networks import Line, has_done, says
 from test_cases_withdrawal import answers
 from test_event_store import content
@@ -128,6 +129,25 @@ def test_a_folder_that_cannot_be_written_is_said_in_one_line(tmp_path: Path, stu
             assert refused.stderr.count("\n") == 1, refused.stderr
             assert "Read-only file system" in refused.stderr
             assert str(data) in refused.stderr
+
+
+@pytest.mark.parametrize("study", [False, True], ids=["team", "study"])
+def test_a_second_service_on_one_folder_is_refused_in_one_line_and_disturbs_nobody(tmp_path: Path, study: bool) -> None:
+    folder, file = tmp_path / "data", written(tmp_path / "study.toml")
+    words: list[Any] = ["--study", file] if study else ["--humans", 2]
+    with served(*words, "--data", folder, instance=None if study else TINY) as first:
+        own: list[Any] = words if study else [TINY, *words]
+        again = CliRunner().invoke(main, ["serve", *map(str, own), "--data", str(folder), "--port", "0"])
+        assert (again.exit_code, again.stderr.count("\n")) == (2, 1), again.output
+        assert "the folder is in use by a running session; expected another folder" in again.stderr
+        assert first.ask("GET", "/api/health").json()["ready"]
+        body = {"id": "a visit"}
+        answer = (
+            first.ask("POST", "/api/study/seats", "everybody", json=body)
+            if study
+            else first.ask("POST", "/api/people/person-1/actions", json={"action": "(fetch box-a)"})
+        )
+        assert answer.status_code == 200
 
 
 def test_a_study_whose_folder_cannot_be_written_any_more_can_be_reported(tiny: Table, tmp_path: Path) -> None:

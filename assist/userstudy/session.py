@@ -30,6 +30,7 @@ from ..person.policy import Policy
 from ..team.policies import UserPolicy
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
+from ..texts.refusals import BusyError
 from .cohort import Cohort
 from .plan import UserStudy
 
@@ -41,6 +42,9 @@ JOURNAL, PLAN, EXPORT, REPORT = "journal.sqlite", "study.toml", "user-study.zip"
 
 WITHDRAWN = "withdrew"
 """The reason that remains of a withdrawal."""
+
+LONG = 3.0
+"""Seconds of removals, each of which concerns the whole journal, after which other participants have their turn."""
 
 RETRY = 10.0
 """Seconds between two attempts to remove what was withdrawn, each of which may take as long as opening the study."""
@@ -68,6 +72,7 @@ class StudySession(Session):
         self.study = study
         # Whether something withdrawn could not be removed, and when that was last tried.
         self._remains, self._tried = False, 0.0
+        self._rests = 0.0  # until when others have their turn after long removals
         self._policies = {one.name: _policy(study, one.policy) for one in study.conditions}
         # Solved once for all teams with the same setting.
         self._solved: list[tuple[Setting, dict[str, Any]]] = []
@@ -82,7 +87,8 @@ class StudySession(Session):
             with atomic(self._plan) as path:
                 shutil.copyfile(study.file, path)
         try:
-            self._remove_withdrawn()
+            while self._remove_withdrawn():
+                self._rests = 0.0  # nobody waits yet
         except Exception:
             logging.getLogger(__name__).exception("what was withdrawn could not be removed; it will be tried again")
 
@@ -117,7 +123,8 @@ class StudySession(Session):
     def report(self, events: Sequence[Event]) -> list[Outcome]:
         """Apply events as `Session.report` does; a withdrawal succeeds when the participant's records are removed.
 
-        A withdrawal whose records cannot be removed now is recorded, but its outcome is the error.
+        A withdrawal whose records cannot be removed now is recorded, but its outcome is the error; it is `BusyError` if
+        removals for others have taken long, so that these do not stop the study.
         """
         with self.lock:
             outcomes = super().report(events)
@@ -125,23 +132,39 @@ class StudySession(Session):
             if not withdrawals and not (self._remains and self._clock() >= self._tried + RETRY):
                 return outcomes
             try:
-                self._remove_withdrawn()
-            except Exception as error:
+                left = self._remove_withdrawn()
+                late = BusyError("busy", n=len(left))
+                errors: list[Exception | None] = [late if event.person in left else None for event in events]
+            except Exception as fault:
                 logging.getLogger(__name__).exception("what was withdrawn could not be removed; it will be tried again")
-                for place in withdrawals:
-                    if not isinstance(outcomes[place], Exception):
-                        outcomes[place] = error
+                errors = [fault] * len(events)
+            for place in withdrawals:
+                error = errors[place]
+                if error is not None and not isinstance(outcomes[place], Exception):
+                    outcomes[place] = error
             return outcomes
 
-    def _remove_withdrawn(self) -> None:
-        """Remove the records of those who withdrew, and what was made from them; does nothing if nothing is left."""
+    def _remove_withdrawn(self) -> list[str]:
+        """Remove the records of those who withdrew, and what was made from them; return whose are left for later.
+
+        After `LONG` seconds of removals, the study goes on for as long as they have taken.
+        """
         again, self._remains, self._tried = self._remains, True, self._clock()
-        for code in self.cohort.withdrawn():
+        left = list(self.cohort.withdrawn())
+        if self._tried < self._rests:
+            return left
+        for code in tuple(left):
             self._remove(code, code, WITHDRAWN)
+            left.remove(code)
+            if self._clock() > self._tried + LONG:
+                break
         if again:
             self._remove_derived()
         self._store.purge()
-        self._remains = False
+        self._remains = bool(left)
+        spent = self._clock() - self._tried
+        self._rests = self._clock() + spent if spent > LONG else 0.0
+        return left
 
     def _remove(self, person: str, label: str, reason: str) -> Tombstone:
         self._remove_derived()  # first: if it fails, nothing is removed, and all of it is tried again

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import urlencode
 
 from ...live.events import Event
-from ...texts.refusals import AbsentError, ForbiddenError, FullError, InapplicableError, InvalidError
+from ...texts.refusals import AbsentError, ForbiddenError, FullError, InapplicableError, InvalidError, ThrottledError
 from ...userstudy.codes import identifier, spelled
 from ...userstudy.cohort import Cohort
 from ...userstudy.participants import HERE
@@ -89,7 +89,8 @@ class StudyService(Service):
         self._held: StudySession = session
         self._look_every = look_every
         self.guesses = Allowance(rate=1 / 30, burst=20)  # withdrawal codes that each network address may try
-        self.arrivals = Allowance(rate=1.0, burst=300)  # new participants of each address, such as a waiting room
+        self.arrivals = Allowance(rate=0.1, burst=300)  # new participants of each address, such as a waiting room
+        self.events = Allowance(rate=1.0, burst=1000)  # what each participant does, all of which is saved
         self._came_from: dict[str, str] = {}  # network addresses of participants, since the service began
         self._arriving = asyncio.Lock()
         self._heard: dict[str, float] = {}  # when a participant who is not connected was last heard of
@@ -235,7 +236,12 @@ class StudyService(Service):
         ------
         FullError
             Too many participants of the address have not begun a task.
+        ThrottledError
+            The participant has done more for a long time than anybody does by hand. Whoever wants to withdraw can.
         """
+        theirs = isinstance(event, Event) and event.kind in ("visited", "onward", "acted", "returned")
+        if theirs and not self.rehearsal and self.events.wait(str(event.person)):
+            raise ThrottledError("many")
         arrives = isinstance(event, Event) and event.kind in ("visited", "returned", "onward")
         if self.study.per_address is None or not arrives:
             return await super().report(event)
