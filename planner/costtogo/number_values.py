@@ -39,7 +39,7 @@ MOST_STATES = 1_000_000
 """States that are enumerated in all trials of an instance."""
 MOST_SEARCHED = 300_000
 """States that the search for a cheapest plan meets within one trial."""
-MOST_OPERATORS = 30_000
+MOST_OPERATORS = 15_000
 """No trial is made that is expected to have more operators, since it would take minutes to ground."""
 TRIAL_SECONDS = 120.0
 """Longest processor time to ground one trial. To reach it is an error."""
