@@ -1,5 +1,6 @@
 """Numeric and durative PDDL of other people: how much of it is compiled, grounded and solved, and whether costs agree.
 
+    NUMERIC_PDDL=FOLDER python bench/numeric_pddl.py --refusals [--record FILE]
     NUMERIC_PDDL=FOLDER python bench/numeric_pddl.py [NAME...] [--out FILE] [--seconds 30] [--search 30] [--direct 20]
         [--record FILE]
 
@@ -8,7 +9,8 @@ name, repository, domain and problem. Each pair runs in a process of its own. It
 of processor time, so that the outcome does not depend on the load of the machine. An optimal plan is searched, and a
 direct search over the original meaning (`tests/direct_search.py`) answers, each within its own limit. A plan must
 replay in that meaning with the same cost, and where both searches end, their costs must agree. A difference is a
-violation: it is printed, and the exit code is 1. Pairs that --out has already are not run again.
+violation: it is printed, and the exit code is 1. Pairs that --out has already are not run again. With --refusals the
+files are only read, and what is refused is counted by kind.
 """
 
 from __future__ import annotations
@@ -40,11 +42,20 @@ KINDS = (
     ("object fluents", r"object fluent|functions give numbers"),
     ("a duration that is free", r"\?duration"), ("no bound is proven", r"without a limit|no proven limit"),
     ("too many values or combinations", r"values|combinations|objects"), ("a metric that falls", r"metric"),
-    ("costs that are too large", r"units"), ("a fault of the file", r""),
+    ("costs that are too large", r"units"),
+    ("a hyphen without blanks", r"before and after the hyphen"),
+    ("one name for two objects", r"is defined twice|is declared twice"),
+    ("an unknown name", r"unknown (?:predicate|object|type)|no such function|is written for domain"),
+    ("wrong arguments", r"argument of the wrong type|takes \d+ arguments?, not"),
+    ("parentheses", r"is missing between|is not closed|that it closes|is not within \(define"),
+    ("no goal", r"has no \(:goal"), ("unknown words", r"is not expected here|unknown requirement"),
+    ("another fault of the file", r""),
 )  # fmt: skip
 """Kinds of refusals, and words in the message of each."""
+FAULTS = tuple(kind for kind, _ in KINDS[KINDS.index(("costs that are too large", r"units")) + 1 :])
+"""Kinds of faults that the files have by themselves."""
 LEFT_OUT = ("PDDL+", "continuous effects", "timed initial literals", "preferences", "constraints", "maximize",
-            "object fluents", "a fault of the file")  # fmt: skip
+            "object fluents", *FAULTS)  # fmt: skip
 """Kinds that no planner for one person who acts in sequence can answer, which are left out of the shares."""
 
 
@@ -147,11 +158,12 @@ OUTCOMES = {
 @click.option("--seconds", default=30.0, show_default=True, help="Processor seconds of compiling and grounding.")
 @click.option("--search", default=30.0, show_default=True, help="Seconds of the search.")
 @click.option("--direct", default=20.0, show_default=True, help="Processor seconds of the direct search.")
+@click.option("--refusals", is_flag=True, help="Only read the files, and count what is refused.")
 @click.option("--one", type=click.Path(path_type=Path), hidden=True)
 @record_option
 def main(
-    names: tuple[str, ...], out: Path | None, seconds: float, search: float, direct: float, one: Path | None,
-    record: Path | None,
+    names: tuple[str, ...], out: Path | None, seconds: float, search: float, direct: float, refusals: bool,
+    one: Path | None, record: Path | None,
 ) -> None:  # fmt: skip
     """Compile, ground and solve public numeric and durative pairs."""
     if one is not None:
@@ -162,6 +174,9 @@ def main(
     if not place:
         raise click.UsageError("NUMERIC_PDDL names no folder of pairs")
     folders = sorted(path.parent for path in Path(place).glob("*/p.pddl"))
+    if refusals:
+        write_record(record, REFUSALS, refused(folders, Path(place) / "pairs.txt"))
+        return
     rows = [json.loads(line) for line in out.read_text().splitlines()] if out is not None and out.exists() else []
     done = {row["pair"] for row in rows}
     for folder in [each for each in folders if each.name not in done and (not names or each.name in names)]:
@@ -184,6 +199,30 @@ def main(
                 stream.write(json.dumps(row) + "\n")
     write_record(record, COLUMNS, summary(rows, Path(place) / "pairs.txt"))
     sys.exit(any(row["violation"] for row in rows))
+
+
+REFUSALS: Columns = {
+    "what": cell("what"), "pairs": cell("pairs", ","), "repositories": cell("repositories", ","),
+}  # fmt: skip
+
+
+def refused(folders: list[Path], listed: Path) -> list[dict[str, Any]]:
+    """Read all pairs, print what is refused, and return the numbers of pairs and of repositories by kind."""
+    from planner import PDDLError, instance
+    from planner.pddl.reader import read
+
+    repositories = dict(line.split("\t")[:2] for line in listed.read_text().splitlines())
+    groups: dict[str, list[str]] = {}
+    for folder in folders:
+        what = "read"
+        try:
+            read(instance(folder / "p.pddl", folder / "domain.pddl"))
+        except PDDLError as error:
+            what = kind_of(error.message)
+            print(f"{folder.name}: {what}: {error}")
+        groups.setdefault(what, []).append(repositories[folder.name])
+    rows = [*sorted(groups.items(), key=lambda each: -len(each[1])), ("all", [*repositories.values()])]
+    return [{"what": what, "pairs": len(found), "repositories": len(set(found))} for what, found in rows]
 
 
 def summary(rows: list[dict[str, Any]], listed: Path) -> list[dict[str, Any]]:

@@ -200,6 +200,14 @@ def test_a_study_runs(files: Instance, tmp_path: Path) -> None:
     rows = [json.loads(line) for line in (tmp_path / "out" / "episodes.jsonl").read_text().splitlines()]
     assert len(rows) == 2 * 2 * 2
     assert all(cost >= 5.1 - 1e-9 for row in rows for cost in row["costs"])
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    times = {cell["policy"]: cell["cost_per_person"]["mean"] for cell in summary["cells"]}
+    assert times["none"] == pytest.approx(np.mean([row["costs"] for row in rows if row["policy"] == "none"]))
+    saved = summary["headline"]["costs_vs_none"]["mean"]
+    assert saved == pytest.approx(100 * (1 - times["attention"] / times["none"]))
+    report = (tmp_path / "out" / "report.md").read_text()
+    assert "| cost per person |" in report
+    assert "costs against none" in report
 
 
 def test_a_live_session_and_its_reasons(mixing: Table, tmp_path: Path) -> None:
@@ -367,7 +375,14 @@ def test_a_decimal_cost_gives_the_people_of_its_fraction(tmp_path_factory: Any, 
 
 
 @pytest.mark.long
-def test_two_people_in_a_browser(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "first", "before", "after"),
+    [
+        ("stock/refill", ["(pick bolt bin-bolt tray-1)"], "parts = 4 of 6", "parts = 3 of 6"),
+        ("timed/two-parts", ["(walk bench dock)", "(recharge)"], "charge = 1 of 2", "charge = 2 of 2"),
+    ],
+)
+def test_two_people_in_a_browser(tmp_path: Path, name: str, first: list[str], before: str, after: str) -> None:
     """One clicks on buttons, one has the keyboard alone; both finish the order, and the log has the file's actions."""
     sync_api = pytest.importorskip("playwright.sync_api")
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -382,7 +397,7 @@ def test_two_people_in_a_browser(tmp_path: Path) -> None:
         def takes(self, action: str) -> None:
             self.page.click(f'#actions button:text-is("{self.artist.say(action)}")')
 
-    table = shipped("stock/refill")
+    table = shipped(name)
     options = ("--humans", 2, "--beta", 0.1, 0.6, "--c-suggest", 0.05, "--c-move", 0.01, "--data", tmp_path)
     with sync_api.sync_playwright() as playwright, served(*options, instance=table.task.instance.problem) as desk:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
@@ -393,9 +408,10 @@ def test_two_people_in_a_browser(tmp_path: Path) -> None:
             for kind, context, person in zip((Pressing, Typing), contexts, desk.links, strict=True)
         ]
         for seat in seats:
-            assert "parts = 4 of 6" in seat.page.text_content("svg.ka")
-            seat.do("(pick bolt bin-bolt tray-1)")
-            assert "parts = 3 of 6" in seat.page.text_content("svg.ka")
+            assert before in seat.page.text_content("svg.ka")
+            for action in first:
+                seat.do(action)
+            assert after in seat.page.text_content("svg.ka")
             seat.finish()
             seat.has_no_faults()
         rows = [json.loads(line) for line in desk.ask("GET", "/api/log").text.splitlines()]

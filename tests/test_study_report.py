@@ -45,7 +45,7 @@ def test_the_summary_is_computed_over_pools(small_study: tuple[Study, Path, dict
         if (c["condition"], c["humans"], c["policy"]) == ("first", 2, "reactive")
     ]  # fmt: skip
     part = own[(own["humans"] == 2) & (own["policy"] == "reactive")]
-    for column in ("human_actions_per_person", "interventions", "moves"):
+    for column in ("human_actions_per_person", "cost_per_person", "interventions", "moves"):
         assert cell[column]["mean"] == pytest.approx(part[column].mean())
         assert cell[column]["sd"] == pytest.approx(part[column].std())
         assert cell[column]["n"] == len(part) == 12

@@ -236,16 +236,20 @@ def _effects(study: Study, summary: Record) -> str:
 
 
 def _team_sizes(found: Found, summary: Record) -> str:
+    priced = "costs" in found.compared
+
     def measured(cell: Record) -> list[object]:
-        actions, interventions, moves = (cell[column] for column in MEASURES.values())
+        actions, costs, interventions, moves = (cell[column] for column in MEASURES.values())
         return [
             cell["humans"], cell["policy"], with_deviation(actions), f"{actions['median']:.1f}",
-            with_deviation(interventions), with_deviation(moves), f"{cell['cut_off']} of {cell['episodes']}",
+            *[with_deviation(costs)] * priced, with_deviation(interventions), with_deviation(moves),
+            f"{cell['cut_off']} of {cell['episodes']}",
         ]  # fmt: skip
 
     cells = [cell for cell in summary["cells"] if cell["condition"] == found.main["condition"]]
     cells.sort(key=lambda cell: [cell[column] for column in (*COLUMNS, "instance", "humans")])
-    head = ["K", "policy", "human actions per person", "median", "interventions", "moves", "cut off"]
+    head = ["K", "policy", "human actions per person", "median", *["cost per person"] * priced, "interventions",
+            "moves", "cut off"]  # fmt: skip
     return _by_arm(head, cells, measured)
 
 

@@ -27,7 +27,8 @@ ARM = ("condition", "setting", "prior", "population", "instance")
 """Fields that the episodes of an arm share."""
 
 MEASURES = {
-    "actions": "human_actions_per_person", "interventions": "interventions", "moves": "moves",
+    "actions": "human_actions_per_person", "costs": "cost_per_person", "interventions": "interventions",
+    "moves": "moves",
 }  # fmt: skip
 ENDS = ("finished_percent", "cut_off")
 """How episodes end: percentage of people who finish, and share of episodes in which somebody does not."""
@@ -55,6 +56,9 @@ class Found:
         One row for each arm, policy, team size and pool: the mean over its episodes of each of `MEASURES` and `ENDS`.
     main : dict
         The arms of the headline and the figures: the first condition with its first setting, prior and population.
+    compared : tuple of str
+        Measures in which policies are compared: costs, which are people's time where they are durations, where they are
+        not the numbers of actions.
     """
 
     def __init__(self, study: Study, episodes: pd.DataFrame) -> None:
@@ -64,6 +68,8 @@ class Found:
         measured = episodes.groupby(keys, observed=True)[columns].mean()
         pools = measured.rename(columns={column: name for name, column in MEASURES.items()}).reset_index()
         self.pools = pools.astype(dict.fromkeys((*ARM, "policy"), str))
+        priced = bool((pools["costs"] != pools["actions"]).any())
+        self.compared = ("actions", *["costs"] * priced, "interventions")
         first = study.conditions[0]
         self.main = {
             "condition": first.name, "setting": first.settings[0][0], "prior": first.priors[0],
@@ -167,7 +173,7 @@ class Found:
         focus = self.study.focus
         others = [name for name in self.study.conditions[0].policies if name != focus]
         found = {}
-        for measure in ("actions", "interventions"):
+        for measure in self.compared:
             for other in others:
                 estimate = saving(pools, measure, focus, other)
                 if math.isfinite(estimate.value):
@@ -207,7 +213,7 @@ class Found:
                 part = pools if humans is None else pools[pools["humans"] == humans]
                 for policy in dict.fromkeys(own["policy"]):
                     for against in [name for name in BASELINES if name in present and policy not in BASELINES]:
-                        for measure in ("actions", "interventions"):
+                        for measure in self.compared:
                             named = {
                                 "humans": None if humans is None else int(humans), "policy": policy,
                                 "against": against, "measure": measure,
@@ -236,7 +242,7 @@ class Found:
         for arm, own in self.arms(condition=self.main["condition"]):
             sizes = sorted(own["humans"].unique())
             for against in [name for name in BASELINES if name in set(own["policy"]) and name != focus]:
-                for measure in ("actions", "interventions"):
+                for measure in self.compared:
                     ends = [
                         paired(own[own["humans"] == size], measure, focus, against) for size in (sizes[0], sizes[-1])
                     ]
