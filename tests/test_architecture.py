@@ -41,10 +41,10 @@ ROOMS = {
     "assist.texts": "typed_toml catalogue refusals",
     "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model
         weighted_choice human mixture spread belief influence_kernels trust_rules user_code action_names signals""",
-    "assist.person": """leaf_bounds observation_model pomdp known_goals visiting_robot policy lazy_policy archive
-        problem_arrays belief_filter belief_update reached_goals dynamics joint_belief rounding action_values
-        policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi
-        search memory_needed further_beliefs solver""",
+    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp known_goals visiting_robot policy
+        lazy_policy archive problem_arrays belief_filter belief_update reached_goals dynamics joint_belief rounding
+        action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
+        memory_needed further_beliefs solver""",
     "assist.learning": """log_steps log_json log_files log comparison intervals advice_log advice_rules advice_model
         advice_fit replay observations joint_states evidence likelihood choosing profiles maximum_likelihood
         logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit goals model_comparison

@@ -20,6 +20,7 @@ from ..people.spread import Spread
 from ..person.belief_update import update_belief
 from ..person.joint_belief import JointBelief, same_suggestions
 from ..person.observation_model import ObservationModel
+from ..person.ties import first_best
 from ..team.hidden_states import expected_answers
 from ..team.questions import answered, likelihood_of
 from ..team.settings import Setting
@@ -185,7 +186,7 @@ def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.
     q = team.answers_about(worth_of_actions, int(team.model[k]), np.array([k]))[0]
     saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0]) - extra
     beta, theta = policy.pomdp.grid.spreads(belief)
-    follow = _follow(team, k, robot or 1 + int(q[1:].argmax()))
+    follow = _follow(team, k, robot or 1 + int(first_best(q[1:])))
     steps = team.records[k].steps
     answered = [step for step in steps if step.suggestion is not None and step.action is not None]
     return Reason(

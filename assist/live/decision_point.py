@@ -23,6 +23,7 @@ from ..people.decision import Floats, same_cost
 from ..people.goals import goal_shares
 from ..person.joint_belief import JointBelief, is_certain
 from ..person.policy import Policy
+from ..person.ties import first_best
 from ..team.hidden_states import expected_answers
 from ..team.state import by_model, worth_of_actions
 from ..texts.refusals import InapplicableError
@@ -292,7 +293,7 @@ class DecisionPoint:
         """Return the prospect of one robot action, or of the best suggestion for 0."""
         part = self._at(place)[1]
         q = self._values(part.policy, np.array([place]))[0]
-        robot = robot or (1 + int(q[1:].argmax()) if len(q) > 1 else 0)
+        robot = robot or (1 + int(first_best(q[1:])) if len(q) > 1 else 0)
         return self._of_action(place, q, robot)
 
     def _of_action(self, place: int, q: Floats, robot: int) -> Prospect:
@@ -328,7 +329,7 @@ class DecisionPoint:
             values = self._values(self.parts[number].policy, mine)
             for place, q in zip(mine.tolist(), values, strict=True):
                 if len(q) > 1 and np.isfinite(q[1:].max()):
-                    found[place] = self._of_action(place, q, 1 + int(q[1:].argmax()))
+                    found[place] = self._of_action(place, q, 1 + int(first_best(q[1:])))
         return dict(sorted(found.items()))
 
 

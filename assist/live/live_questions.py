@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..person.policy import Policy
+from ..person.ties import NEAR, first_best
 from ..team.questions import Questions, worth_of_knowing
 from ..team.settings import Setting
 from .advice import Question
@@ -50,7 +51,7 @@ class LiveQuestions:
         working = int((team.present & ~team.ended).sum())
         attention = min(1.0, self._setting.robot_count / max(1, working))
         found = [self._of(team, team.records[k], attention) for k in np.flatnonzero(active).tolist()]
-        return max((one for one in found if one is not None), key=lambda one: one.worth, default=None)
+        return _worth_most(found)
 
     def _of(self, team: Roster, record: RosterEntry, attention: float) -> Question | None:
         """Return the best question to one person; it is cached while nothing changes."""
@@ -58,8 +59,7 @@ class LiveQuestions:
         known = self._known.get(record.place)
         if known is None or known[0] != key:
             asked = [self._about_goal(team, record, attention), self._about_action(team, record)]
-            best = max((one for one in asked if one is not None), key=lambda one: one.worth, default=None)
-            self._known[record.place] = known = key, best
+            self._known[record.place] = known = key, _worth_most(asked)
         return known[1]
 
     def _about_goal(self, team: Roster, record: RosterEntry, attention: float) -> Question | None:
@@ -67,7 +67,7 @@ class LiveQuestions:
         if part.choices.goal_count == 1 or part.choices.goals is None or "goal" in record.asked:
             return None
         goal, worth = self._goals.best_of(part.policy, team.joint(record.place), attention)
-        return Question(record.name, list(part.choices.goals)[goal], (), worth) if worth > 0 else None
+        return Question(record.name, list(part.choices.goals)[goal], (), worth) if worth > NEAR else None
 
     def _about_action(self, team: Roster, record: RosterEntry, *, least: float = 0.01) -> Question | None:
         if record.joint is None or len(record.joint.x) == 1 or "action" in record.asked:
@@ -76,7 +76,13 @@ class LiveQuestions:
         if part.choices.goal_count == 1 and worth_of_knowing(part.policy, record.joint) <= self._cost:
             return None  # an answer is worth no more than to know all
         worth, chances = worth_of_asking(team, record, self._setting)
-        if worth <= self._cost:
+        if worth <= self._cost + NEAR:
             return None
         likely = sorted((name for name, share in chances.items() if share >= least), key=lambda name: -chances[name])
         return Question(record.name, None, tuple(likely), worth - self._cost)
+
+
+def _worth_most(questions: Sequence[Question | None]) -> Question | None:
+    """Return the question that is worth most, the first of those that are worth the same; None if there is none."""
+    found = [one for one in questions if one is not None]
+    return found[int(first_best(np.array([one.worth for one in found])))] if found else None

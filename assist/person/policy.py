@@ -18,6 +18,7 @@ from planner import CostToGo
 from ..people.choices import Choices
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
+from .ties import first_best
 from .visiting_robot import VisitingRobot
 
 Ints = NDArray[np.int64]
@@ -63,7 +64,7 @@ class Policy:
 
     def choose(self, x: Ints, belief: Floats) -> Ints:
         """Return the best robot action for each person, shape (N,). Ties favour 0, doing nothing."""
-        return np.asarray(self.q_values(x, belief).argmax(axis=1))
+        return first_best(self.q_values(x, belief))
 
     def prepare(self) -> Any:
         """Solve now what would otherwise be solved on first use."""

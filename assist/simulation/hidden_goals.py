@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..people.goals import drawn_goals, given_likeliest
+from ..person.ties import NEAR, first_best
 from ..team.questions import Questions, answered
 from ..team.state import by_model
 from .common_random_numbers import CommonRandomNumbers
@@ -97,8 +98,8 @@ class HiddenGoals:
         wrong = np.zeros(x.shape, dtype=bool)
         if questions.error:
             wrong[teams] = self.random_numbers.draw(7, teams)[..., :] < questions.error
-        person = worth[teams].argmax(axis=1)
-        asks = worth[teams, person] > 0
+        person = first_best(worth[teams])
+        asks = worth[teams, person] > NEAR
         for team, k in zip(teams[asks].tolist(), person[asks].tolist(), strict=True):
             goal, yes = int(about[team, k]), bool((self.goal[team, k] == about[team, k]) != wrong[team, k])
             belief[team, k] = answered(belief[team, k], goal, self.pool.goals, yes, questions.error)

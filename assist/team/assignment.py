@@ -2,8 +2,9 @@
 
 The worth of an assignment is the sum of the worths of its pairs of robot and person. Where all places are equally far
 from each other, the best assignment serves the people with the largest worths, and a robot that is with one of them
-stays. Elsewhere, or if robots differ, it is a matching of maximum weight (`scipy.optimize.linear_sum_assignment`). One
-of different robots may come to a person with whom another one stays without a task: that one makes room (`placed`).
+stays. Elsewhere, or if robots differ, it is a matching of maximum weight (`scipy.optimize.linear_sum_assignment`). Of
+equal ones it is that whose first robots go to the first people. One of different robots may come to a person with whom
+another one stays without a task: that one makes room (`placed`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..person.ties import NEAR, ranked
 from .state import BASE, NOBODY, TeamState
 
 Ints = NDArray[np.int64]
@@ -53,8 +55,8 @@ def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints
     teams, robots, people = worth.shape
     each = worth.max(axis=1)
     served = np.zeros((teams, people), dtype=bool)
-    first = np.argsort(-each, axis=1, kind="stable")[:, :robots]
-    enough = (np.take_along_axis(each, first, axis=1) > 0) & (np.arange(first.shape[1]) < free.sum(axis=1)[:, None])
+    first = ranked(each)[:, :robots]
+    enough = (np.take_along_axis(each, first, axis=1) > NEAR) & (np.arange(first.shape[1]) < free.sum(axis=1)[:, None])
     np.put_along_axis(served, first, enough, axis=1)
 
     staying = free & (location != BASE) & np.take_along_axis(served, location.clip(0), axis=1)
@@ -67,7 +69,7 @@ def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints
     waiting, idle = served & (owner == NOBODY), free & ~staying
     # Those who are at the base go first, then those with whose person they would be worth least: they cost the same.
     there = np.take_along_axis(worth, location.clip(0)[:, :, None], axis=2)[:, :, 0].clip(np.finfo(float).min)
-    order = np.where(idle, np.where(location == BASE, -np.inf, there), np.inf).argsort(axis=1, kind="stable")
+    order = ranked(np.where(idle, np.where(location == BASE, np.inf, -there), -np.inf))
     rank = np.empty_like(order)
     np.put_along_axis(rank, order, np.arange(robots)[None], axis=1)
     going = idle & (rank < waiting.sum(axis=1)[:, None])
@@ -80,10 +82,12 @@ def _matched(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
     from scipy.optimize import linear_sum_assignment  # slow to import, and rarely needed
 
     person = np.full(location.shape, NOBODY)
-    for n in np.flatnonzero((worth > 0).any(axis=(1, 2))).tolist():
+    number = np.arange(worth.shape[1])[:, None]
+    lower = NEAR * np.arange(worth.shape[2]) * (1 - number / len(number))
+    for n in np.flatnonzero((worth > NEAR).any(axis=(1, 2))).tolist():
         gain = worth[n].clip(0)
-        robots, people = linear_sum_assignment(gain, maximize=True)
-        good = gain[robots, people] > 0
+        robots, people = linear_sum_assignment(gain - lower, maximize=True)
+        good = gain[robots, people] > NEAR
         person[n, robots[good]] = people[good]
         _stay_rather_than_swap(person[n], location[n], free[n], gain)
     return person
@@ -99,7 +103,7 @@ def _stay_rather_than_swap(person: Ints, location: Ints, free: NDArray[np.bool_]
     while idle:
         m = idle.pop()
         for other in np.flatnonzero((person == location[m]) & (location != location[m])).tolist():
-            if gain[m, location[m]] < gain[other, location[m]]:
+            if gain[m, location[m]] < gain[other, location[m]] - NEAR:
                 continue
             person[m], person[other] = location[m], NOBODY
             if location[other] != BASE:

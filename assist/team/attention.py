@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..person.policy import Policy
+from ..person.ties import NEAR, first_best
 from .assignment import assigned
 from .extra_costs import scores_of_each
 from .state import BASE, NOBODY, TeamAction, TeamState
@@ -84,8 +85,8 @@ class AttentionSwitching:
         if team.is_joint:
             return team.act(assigned(team, score), robot)
         teams = np.arange(len(team.x))
-        best = score.argmax(axis=1)
-        return team.act(np.where(score[teams, best] > 0, best, NOBODY), robot)
+        best = first_best(score)
+        return team.act(np.where(score[teams, best] > NEAR, best, NOBODY), robot)
 
     def scores(self, team: TeamState) -> tuple[NDArray[np.int64], Floats]:
         """Return each person's robot action, shape (N, K), and its score, shape (N, K), or (N, M, K) with M robots.
@@ -96,7 +97,7 @@ class AttentionSwitching:
         reference = self.reference(team, q)
         if team.extra is not None:
             return scores_of_each(team, q, reference)
-        robot = q.argmax(axis=2)
+        robot = first_best(q)
         worth = np.take_along_axis(q, robot[:, :, None], axis=2)[:, :, 0]  # faster than a maximum over so few entries
         # People who are not active score minus infinity.
         score = np.subtract(worth, reference, out=np.full(team.x.shape, -np.inf), where=team.active)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
+from ..person.ties import first_best
 from .state import TeamState
 
 
@@ -42,7 +43,12 @@ def scores_of_each(team: TeamState, q: Floats, reference: Floats) -> tuple[NDArr
     robot, score : int and float arrays, shape (N, M, K)
     """
     each = q[:, None] - extra_costs_of(team, q.shape[2])
-    robot = each.argmax(axis=3)
+    robot = first_best(each)
     useful = team.active[:, None] & (robot > 0)
-    score = np.subtract(each.max(axis=3), reference[:, None], out=np.full(robot.shape, -np.inf), where=useful)
+    score = np.subtract(
+        np.take_along_axis(each, robot[..., None], axis=3)[..., 0],
+        reference[:, None],
+        out=np.full(robot.shape, -np.inf),
+        where=useful,
+    )
     return robot, score - team.to()

@@ -21,6 +21,7 @@ from ..people.goals import acting_belief
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
+from ..person.ties import NEAR, first_best
 from .assignment import assigned
 from .attention_subproblem import AttentionSubproblem, backwards
 from .by_policy import ByPolicy
@@ -63,14 +64,15 @@ def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, stayin
         there = np.nonzero(team.location != BASE)
         own = (*there, team.location[there])
         worth = going.copy()
-        worth[own] = np.maximum(going[own], staying[there])
+        # Robots stay where that is worth as much as to go elsewhere.
+        worth[own] = np.maximum(going[own], staying[there] + 2 * NEAR)
         person = assigned(team, worth)
-        stays = (staying[there] >= going[own]) & (person[there] == team.location[there])
+        stays = (staying[there] >= going[own] - NEAR) & (person[there] == team.location[there])
         person[there] = np.where(stays, NOBODY, person[there])
         return team.act(person, robot)
     teams = np.arange(len(team.x))
-    best = going.argmax(axis=1)
-    return team.act(np.where(going[teams, best] > np.maximum(staying, 0), best, NOBODY), robot)
+    best = first_best(going)
+    return team.act(np.where(going[teams, best] > np.maximum(staying, 0) + NEAR, best, NOBODY), robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,10 +210,10 @@ class Priority:
         if q.shape[2] > 2 and differ:
             extra = extra_costs_of(team, q.shape[2] - 1)[..., 1:]
             each = gain[:, None, :, 2:] - extra
-            robot = np.where(team.active[:, None], each.argmax(axis=3) + 1, 0)
+            robot = np.where(team.active[:, None], first_best(each) + 1, 0)
             going, lowest = each.max(axis=3), extra.min(axis=3)
         elif q.shape[2] > 2:
-            robot = np.where(team.active, gain[:, :, 2:].argmax(axis=2) + 1, 0)
+            robot = np.where(team.active, first_best(gain[:, :, 2:]) + 1, 0)
             best = gain[:, :, 2:].max(axis=2)
             going[:] = best[:, None] if team.is_joint else best
         active = team.active[:, None] if team.is_joint else team.active

@@ -18,6 +18,7 @@ from ..people.decision import Floats
 from ..person.joint_belief import JointBelief
 from ..person.policy import Policy
 from ..person.qmdp import QMDP, evaluate, qmdp
+from ..person.ties import first_best
 from .by_policy import ByPolicy
 from .hidden_states import expected_answers
 from .state import worth_of_actions
@@ -109,7 +110,7 @@ class Questions:
         likelihood = np.where(asked, 1 - self.error, self.error)  # of yes: the question, the goal
         yes, no = ((each[:, None] * chance).max(axis=2) for chance in (likelihood, 1 - likelihood))
         worth = (yes + no - each.max(axis=1, keepdims=True)) * attention[:, None] - self.cost
-        goal = worth.argmax(axis=1)
+        goal = first_best(worth)
         return goal, worth[np.arange(len(each)), goal]
 
 

@@ -28,6 +28,7 @@ from ..people.decision import NOTHING, Floats
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays, read_only
+from ..person.ties import NEAR, first_best, ranked
 from .assignment import placed
 from .by_policy import ByPolicy
 from .hidden_states import HiddenTeamState
@@ -160,7 +161,7 @@ class Rollout:
         loss[n, 1, person[n, m]] = gained[n, m] - instead[n, m]
         loss[team.active.sum(axis=1) > self.options.people] = np.inf
         flat = loss.reshape(N, -1)
-        order = np.argsort(flat, axis=1, kind="stable")[:, : self.options.alternatives]
+        order = ranked(-flat)[:, : self.options.alternatives]
         simulated = np.take_along_axis(flat, order, axis=1) <= self.near
         each, above_all = np.arange(N), 1 + 2 * np.abs(worth[np.isfinite(worth)]).sum()  # to send a robot to a person
         for place, (omits, k) in enumerate(zip(*np.divmod(order.T, K), strict=True)):
@@ -190,9 +191,9 @@ class Rollout:
                 squares[part] += (ahead**2).sum(axis=2)
             mean = total / done
             error = np.sqrt((squares / done - mean**2).clip(0) / done)
-            alive[:, 1:] &= (mean > (batch if share < 1 else self.options.errors) * error)[:, 1:]
+            alive[:, 1:] &= (mean > (batch if share < 1 else self.options.errors) * error + NEAR)[:, 1:]
             alive[:, 0] = alive[:, 1:].any(axis=1)
-        return np.asarray(np.where(alive, mean, 0.0).argmax(axis=1))
+        return first_best(np.where(alive, mean, 0.0))
 
     def _parts(self, alive: Bools, size: int, people: int, at_once: int = 30_000) -> list[Ints]:
         """Divide the teams with alternatives that are left into parts with about `at_once` people on all paths."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..people.arguments import number
 from ..people.decision import Floats
 from ..person.policy import Policy
+from ..person.ties import NEAR
 from .priority import Priority, to_the_best
 from .state import TeamAction, TeamState
 from .travel import Travel
@@ -98,12 +99,12 @@ def _zero(prices: Floats, advantage: Floats) -> tuple[Floats, NDArray[np.int64]]
 
     Beyond the prices at both ends, the advantage is assumed to fall by as much as the price rises.
     """
-    worth = advantage >= 0
+    worth = advantage > NEAR
     last = len(prices) - 1 - worth[..., ::-1].argmax(axis=-1)
     last = np.where(worth.any(axis=-1), last, 0)
     after = np.minimum(last + 1, len(prices) - 1)
     here, there = (np.take_along_axis(advantage, at[..., None], axis=-1)[..., 0] for at in (last, after))
-    inside = (here >= 0) & (after > last)
+    inside = (here > NEAR) & (after > last)
     share = np.zeros_like(here)
     share[inside] = here[inside] / (here[inside] - there[inside])
     return np.where(inside, prices[last] + share * (prices[after] - prices[last]), prices[last] + here), last
