@@ -351,12 +351,8 @@ def bound_of(case: Case, pool: Pool) -> tuple[float, TeamBound, float]:
 
 def alone(travel: Travel) -> list[Travel]:
     """Return, for each station, the travel of a team of one from the nearest other station."""
-    ways = []
-    for k in range(len(travel)):
-        least = np.delete(travel.distance[:, k], k).min()
-        steps = int(travel.entry_steps[k])
-        ways.append(Travel(np.array([[0, least], [least, 0]]), np.array([[0, steps], [steps, 0]]), travel.c_move))
-    return ways
+    nearest = [np.delete(travel.distance[:, k], k).min() for k in range(len(travel))]
+    return [replace(travel, distance=np.array([[0, least], [least, 0]])) for least in nearest]
 
 
 def policies_of(case: Case, whole: Pool, pool: Pool, found: TeamBound) -> Iterator[tuple[str, Pool, TeamPolicy]]:
@@ -390,7 +386,7 @@ def compared(
     last = math.ceil(math.log(BEYOND * (1 - gamma)) / math.log(gamma)) + max(case.joins)
     limited = replace(pool, setting=replace(pool.setting, max_steps=last))
     dearest = max(float(one.pomdp.model.choices.costs.max() + one.pomdp.robot_costs.max()) for one in pool.policies)
-    dearest += way.c_move * float(way.distance.max())
+    dearest += float(way.c_move.max()) * float(way.distance.max())
     for episodes in EPISODES if math.isfinite(pool.policies[0].size) else EPISODES_ON_PART:
         run = simulate(
             limited, policy, humans=list(case.team), episodes=episodes, seed=case.number + episodes, travel=way,

@@ -156,7 +156,7 @@ def written_out(people: list[AssistPOMDP], travel: Travel) -> JointProblem:
             begin.append(begin[-1] + len(chances))
         first.append(len(person))
     return JointProblem(
-        people[0].gamma, travel.c_move * travel.distance, np.array(first), np.array(person), np.array(reward),
+        people[0].gamma, travel.c_move[0] * travel.distance, np.array(first), np.array(person), np.array(reward),
         np.array(low), np.array(high), np.array(weight), np.array(begin), np.concatenate(target),
         np.concatenate(chance),
     )  # fmt: skip

@@ -18,14 +18,15 @@ from assist.team.travel import Travel
 def state(
     pool: Pool, x: list[int], *, erred: list[bool] | None = None, location: int = BASE, travel: Travel | None = None
 ) -> TeamState:
-    """Return the state of one team of the pool's first people."""
+    """Return the state of one team of the pool's first people, with all robots at one place."""
     people = np.arange(len(x))[None]
     choices, model = pool.choices(0), pool.model[people]
     at = np.array([x])
     prior = np.array([policy.pomdp.prior for policy in pool.policies])[model]
     return TeamState(
-        0, at, ~choices.goal[at], np.array([erred or [False] * len(x)]), np.array([location]), model, prior,
-        pool.policies, travel or pool.setting.travel(len(x)),
+        0, at, ~choices.goal[at], np.array([erred or [False] * len(x)]),
+        np.full((1, len(pool.setting.robots)), location), model, prior, pool.policies,
+        travel or pool.setting.travel(len(x)), fleet=pool.setting.fleet,
     )  # fmt: skip
 
 

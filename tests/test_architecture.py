@@ -49,8 +49,8 @@ ROOMS = {
         advice_fit replay observations joint_states evidence likelihood choosing profiles maximum_likelihood
         logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit goals model_comparison
         rule_families trust_log posterior_sample influence_population rule_search trust_fit rule_comparison""",
-    "assist.team": """policy_names by_policy robots travel travel_of_each state extra_costs hidden_states action_check
-        settings plain_setting setting_table assignment attention attention_never questions time_expansion
+    "assist.team": """policy_names by_policy robots travel state hidden_states action_check settings
+        plain_setting setting_table assignment attention attention_never questions time_expansion
         subproblem_frontier attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",

@@ -69,7 +69,9 @@ def test_step_by_step_it_is_what_is_simulated(tiny: Table, policy: str, setting:
         advice = desk.recommend()
         if desk.robot != before:
             assert desk.robot is not None
-            there_at = step + travel.steps[home if before is None else int(before), int(desk.robot)]
+            there_at = step + int(
+                travel.steps_between(*np.array([[0], [home if before is None else int(before)], [int(desk.robot)]]))[0]
+            )
         for row in (row for row in trace if row["step"] == step):
             name = str(row["place"])
             known = desk.person(name)

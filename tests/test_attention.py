@@ -34,7 +34,7 @@ def random_state(pool: Pool, seed: int, robots: int, *, equally_far: bool, trave
     rng, choices = np.random.default_rng(seed), pool.choices(0)
     distance = rng.choice([0.1, 0.5, 2.0], (PEOPLE + 1, PEOPLE + 1)) * (1 - np.eye(PEOPLE + 1))
     travel = Travel.of(
-        PEOPLE, c_move=float(rng.choice([0.0, 0.05])), distance=None if equally_far else distance,
+        PEOPLE, c_move=np.full(robots, rng.choice([0.0, 0.05])), distance=None if equally_far else distance,
         travel_time=travel_time,
     )  # fmt: skip
     x = rng.integers(len(choices), size=(TEAMS, PEOPLE))
@@ -44,14 +44,14 @@ def random_state(pool: Pool, seed: int, robots: int, *, equally_far: bool, trave
     location = np.array([rng.choice([BASE, *range(PEOPLE)], robots, replace=False) for _ in range(TEAMS)])
     return TeamState(
         0, x, ~choices.goal[x] & (rng.random(x.shape) < 0.8), rng.random(x.shape) < 0.6,
-        location[:, 0] if robots == 1 else location, model, belief, pool.policies, travel,
+        location, model, belief, pool.policies, travel,
     )  # fmt: skip
 
 
 def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, robot: np.ndarray) -> None:
     """Check that robots serve people with the largest total worth, shape (N, M, K), and make these robot actions."""
-    person, made = (each.reshape(TEAMS, -1) for each in (action.person, action.robot))
-    location = team.location.reshape(TEAMS, -1)
+    person, made, number = action.person, action.robot, np.arange(team.robots)
+    steps = team.travel.steps_between(number, team.location, person)
     for n, own in enumerate(worth):
         gains = np.where(own > 0, own, 0.0)
         pairs = [(m, k) for m, k in enumerate(person[n]) if k != NOBODY]
@@ -63,7 +63,7 @@ def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, robot: np.nd
         )
         assert sum(own[m, k] for m, k in pairs) == pytest.approx(best, abs=1e-9)
         for m, k in enumerate(person[n]):
-            there = k != NOBODY and team.travel.steps[location[n, m], k] == 0
+            there = k != NOBODY and steps[n, m] == 0
             assert made[n, m] == (robot[n, k] if there else 0)
 
 
@@ -76,21 +76,14 @@ teams = {"seed": st.integers(0, 10**6), "robots": st.integers(1, 3), "equally_fa
 def test_reactive_assistance_as_defined(people: Pool, robots: int, **options: Any) -> None:
     team = random_state(people, robots=robots, **options)
     choices, far = people.choices(0), team.travel.distance
-    action, person = Reactive()(team), []
+    action = Reactive()(team)
     robot = np.zeros(team.x.shape, dtype=np.int64)
     for n, k in np.argwhere(team.erred & team.active):
         offered = people.policies[people.model[k]].pomdp.suggested[team.x[n, k]]
         optimal = [r for r, slot in enumerate(offered) if slot >= 0 and choices.optimal[team.x[n, k], slot]]
         robot[n, k] = optimal[0] if optimal else 0
     for n in range(TEAMS):
-        wanted = np.flatnonzero(robot[n]).tolist()
-        if robots == 1:
-            person.append(int(team.location[n]) if team.location[n] in wanted else (wanted or [NOBODY])[0])
-        else:
-            assert np.sum(action.person[n] != NOBODY) == min(robots, len(wanted))
-    if robots == 1:
-        assert action.person.tolist() == person
-        return
+        assert np.sum(action.person[n] != NOBODY) == min(robots, np.count_nonzero(robot[n]))
     near = np.where(robot[:, None] > 0, 1 + far.max() - far[team.location][:, :, :-1], -np.inf)
     is_best(team, action, near, robot)
 
@@ -102,7 +95,6 @@ def test_attention_switching_as_defined(people: Pool, robots: int, never: bool, 
     team = random_state(people, robots=robots, **options)
     switching = AttentionAgainstNever.of(people.policies) if never else AttentionSwitching()
     assert team.belief is not None
-    location = team.location.reshape(TEAMS, -1)
     score, best = np.full((TEAMS, robots, PEOPLE), -np.inf), np.zeros(team.x.shape, dtype=np.int64)
     for n, k in np.argwhere(team.active):
         policy, x, belief = people.policies[people.model[k]], team.x[n, k], team.belief[n, k]
@@ -111,10 +103,10 @@ def test_attention_switching_as_defined(people: Pool, robots: int, never: bool, 
         alone = evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))[x]
         reference = (alone * belief).sum() if never else q[0]
         if best[n, k]:
-            score[n, :, k] = q.max() - reference - team.travel.c_move * team.travel.distance[location[n], k]
+            score[n, :, k] = q.max() - reference - team.travel.c_move * team.travel.distance[team.location[n], k]
     robot, found = switching.scores(team)
-    np.testing.assert_array_equal(robot[team.active], best[team.active])
-    np.testing.assert_allclose(found.reshape(score.shape), score, atol=1e-9)
+    np.testing.assert_array_equal(robot.swapaxes(1, 2)[team.active], best[team.active][:, None].repeat(robots, axis=1))
+    np.testing.assert_allclose(found, score, atol=1e-9)
     is_best(team, switching(team), score, best)
 
 

@@ -373,12 +373,11 @@ def no_array(team):
 
 @pytest.mark.parametrize("robots", [1, 2])
 def test_what_a_policy_of_ones_own_should_return_is_said(robots: int, tiny: Table, tmp_path: Path) -> None:
-    """A policy of the tutorial is for one robot. Every wrong return is one line with the place and the right shape."""
+    """A policy may leave out the axis of a single robot. Each wrong return is one line: the place, the right shape."""
     (tmp_path / "own.py").write_text(WRONG)
     pool = Pool.sample(tiny, 3, seed=1, setting=Setting(robots=robots))
-    shape = "(20,)" if robots == 1 else "(20, 2)"
-    each = "each of 20 teams" + " and 2 robots" * (robots == 2)
-    arrays = f"two int arrays of shape {shape}, an entry for each {'team' if robots == 1 else 'robot of each team'}"
+    shape, each = f"(20, {robots})", f"each of 20 teams and {robots} robot" + "s" * (robots == 2)
+    arrays = f"two int arrays of shape {shape}, an entry for each robot of each team"
     person = f"expected whole numbers, shape {shape}, one for {each}, -1 for a robot that stays"
     for name, words in {
         "one_for_all": person if robots > 1 else None,

@@ -54,7 +54,7 @@ def test_fifty_settings_have_all_features() -> None:
         lambda case: case.setting.travel_time > 0, lambda case: case.distance is not None,
         lambda case: case.task == "delivery/one-parcel", lambda case: case.setting.knowledge == "exact",
         lambda case: case.setting.knowledge == "own", lambda case: case.setting.suggestions == "all",
-        lambda case: case.setting.trust != "paper", lambda case: case.setting.robot_count > 1,
+        lambda case: case.setting.trust != "paper", lambda case: len(case.setting.robots) > 1,
         lambda case: case.goals > 1, lambda case: case.goals > 1 and case.late,
     ):  # fmt: skip
         assert sum(bool(has(case)) for case in cases) >= 3

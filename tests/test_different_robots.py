@@ -36,11 +36,10 @@ from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.plain_setting import plain_setting
 from assist.team.policy_names import POLICIES
-from assist.team.robots import ExtraCosts, Robot, best_robots, each_alone, extra_costs
+from assist.team.robots import Robot
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
 from assist.team.travel import Travel
-from assist.team.travel_of_each import TravelOfEach
 from planner import sweep
 from planner.system.errors import InputFileError
 
@@ -67,9 +66,9 @@ kinds_of_robots = st.builds(
 @given(robot=kinds_of_robots, count=st.integers(1, 4), execute=st.booleans())
 def test_robots_that_are_alike_are_a_number_of_robots(robot: Robot, count: int, execute: bool) -> None:
     setting = Setting(execute=execute, robots=(robot,) * count)
-    assert setting == replace(Setting(execute=execute), robots=count, **robot.as_dict())
-    assert best_robots(setting) is setting
-    assert extra_costs(setting) is None
+    assert setting.fleet == replace(Setting(execute=execute), robots=count, **robot.as_dict()).fleet
+    assert set(setting.fleet.robots) == {replace(setting.fleet.best, c_execute=setting.fleet.robots[0].c_execute)}
+    assert not setting.fleet.extra.any()
 
 
 @settings(max_examples=60, deadline=None)
@@ -77,15 +76,18 @@ def test_robots_that_are_alike_are_a_number_of_robots(robot: Robot, count: int, 
 def test_the_best_robot_is_nowhere_worse(robots: tuple[Robot, ...]) -> None:
     setting = Setting(robots=robots)
     assert Setting(**json.loads(json.dumps(plain_setting(setting)))) == setting
-    least, travel = best_robots(setting), setting.travel(3, FAR)
-    assert least.robots == len(robots)
-    for each, way in zip(each_alone(setting), travel.each if setting.differ else [travel] * len(robots), strict=True):
-        assert least.execute or not each.execute
-        assert least.c_suggest <= each.c_suggest
-        assert not each.execute or least.c_execute <= each.c_execute
-        assert travel.c_move <= way.c_move == each.c_move
-        assert (travel.steps <= way.steps).all()
-        np.testing.assert_array_equal(way.steps, each.travel(3, FAR).steps)
+    best, travel = vars(setting.fleet.best), setting.travel(3, FAR)
+    place = np.arange(4)
+    ways = travel.steps_between(np.arange(len(robots))[:, None, None], place[:, None], place)
+    nearest = ways.min(axis=0, initial=9)[:, :3].min(axis=0, where=place[:, None] != place[:3], initial=9)
+    assert (travel.entry_steps == nearest).all()
+    for one, way in zip(setting.fleet.robots, ways, strict=True):
+        each = vars(one)
+        assert best["execute"] or not each["execute"]
+        assert all(best[name] <= each[name] for name in ("c_suggest", "c_move", "travel_time"))
+        assert not each["execute"] or best["c_execute"] <= each["c_execute"]
+        alone = replace(setting, robots=(one,)).travel(3, FAR)
+        np.testing.assert_array_equal(way[:, :3], alone.steps_from(place[:, None])[:, 0])
 
 
 @pytest.mark.parametrize(
@@ -103,7 +105,6 @@ def test_robots_without_a_difference_act_like_alike_ones(
     """An execution has another cost for one of them, and none executes actions."""
     two = replace(pool, setting=replace(pool.setting, travel_time=travel_time, robots=2))
     same = replace(two, setting=replace(two.setting, robots=(Robot(c_execute=9.0), Robot())))
-    assert same.setting.differ
     episodes = 3 if name == "rollout" else 12
     found = [
         simulate(one, name, humans=3, episodes=episodes, seed=3, travel=one.setting.travel(3, distance))
@@ -118,7 +119,7 @@ def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndar
     """Travel at different costs, where robots are, which may choose, and what each is worth to each person."""
     count = draw(st.integers(2, 3))
     moves = [draw(st.sampled_from([0.0, 0.25, 0.5])) for _ in range(count)]
-    travel = TravelOfEach.of_each([Travel.of(3, c_move=c_move, distance=FAR) for c_move in moves])
+    travel = Travel.of(3, c_move=moves, distance=FAR)
     places = draw(st.permutations([0, 1, 2]))
     at = [place if draw(st.booleans()) else BASE for place in places[:count]]
     free = [draw(st.booleans()) or place == BASE for place in at]
@@ -132,9 +133,8 @@ def test_the_assignment_of_different_robots_is_the_best_of_all(
     found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     travel, location, free, worth = found
-    nobody, robots = np.zeros((1, 3), dtype=np.int64), location.shape[1]
-    extra = ExtraCosts(np.zeros(robots), np.zeros(robots))
-    team = TeamState(0, nobody, nobody == 0, nobody > 0, location, nobody, None, [], travel, free=free, extra=extra)
+    nobody = np.zeros((1, 3), dtype=np.int64)
+    team = TeamState(0, nobody, nobody == 0, nobody > 0, location, nobody, None, [], travel, free=free)
     net = worth - team.to()
     person = assigned(team, net)
     check(team, TeamAction(person, np.zeros_like(person)))
@@ -201,7 +201,7 @@ def test_each_robot_has_its_own_speed() -> None:
     away: list[list[bool]] = []
 
     def act(team: TeamState) -> TeamAction:
-        away.append((~team.may_choose()[0]).tolist())
+        away.append((~team.free[0]).tolist())
         person = np.full(team.location.shape, NOBODY)
         if team.step == 0:
             person[:] = [0, 1]
@@ -228,7 +228,7 @@ def test_a_robot_without_a_task_makes_room_for_a_better_one() -> None:
     assert found.moves[0] == 2
     team = replace(
         state(pool, [pool.choices(0).initial], travel=pool.setting.travel(1)),
-        location=np.array([[0, BASE]]), extra=extra_costs(pool.setting),
+        location=np.array([[0, BASE]]),
     )  # fmt: skip
     assert pool.policy("priority")(team).person.tolist() == [[NOBODY, 0]]
     with pytest.raises(PolicyError, match="lets two robots be with one person"):
@@ -243,10 +243,7 @@ def test_a_robot_without_a_task_makes_room_for_a_better_one() -> None:
 def test_suggestions_are_made_by_the_robot_for_which_they_cost_least() -> None:
     """Everybody is equally far, so that the cheap robot serves whoever needs one."""
     pool = people((Robot(c_suggest=0.5), Robot(c_suggest=0.01)), size=1)
-    team = replace(
-        state(pool, [pool.choices(0).initial], travel=pool.setting.travel(1)),
-        location=np.full((1, 2), BASE), extra=extra_costs(pool.setting),
-    )  # fmt: skip
+    team = state(pool, [pool.choices(0).initial])
     for name in ("attention", "priority", "whittle"):
         action = pool.policy(name)(team)
         assert action.person.tolist() == [[NOBODY, 0]], name
@@ -290,15 +287,13 @@ def test_a_robot_pays_at_most_for_the_action_that_is_worth_most(
     def total(price: list[float]) -> float:
         attention, suggestion, execution = price
         of_each = (
-            attention + max(0.0, suggestion - one.c_suggest, execution - one.c_execute if one.execute else 0.0)
-            for one in each_alone(setting)
+            attention + max(0.0, suggestion - one["c_suggest"], execution - one["c_execute"] if one["execute"] else 0.0)
+            for one in map(vars, setting.fleet.robots)
         )
         return sum(of_each)
 
-    extra = extra_costs(setting)
-    assert extra is not None
     assert paid(np.array(price)[:, None], setting) == pytest.approx(total(list(price)))
-    found = supply(np.array(price)[:, None], extra)[:, 0]
+    found = supply(np.array(price)[:, None], setting.fleet.extra)[:, 0]
     for row in range(3):
         more = [one + 1e-4 * (number == row) for number, one in enumerate(price)]
         assert found[row] == pytest.approx((total(more) - total(list(price))) / 1e-4, abs=1e-6)
@@ -312,8 +307,9 @@ def test_prices_of_actions_bring_the_bound_closer_to_the_joint_optimum() -> None
     pool = known_people(setting)
     options = BoundOptions(price_episodes=300)
     bound = upper_bound(pool, window=6, gap=1e-3, options=options)
-    without = upper_bound(replace(pool, setting=best_robots(setting)), window=6, gap=1e-3, options=options)
-    best = joint_optimum(pool, each_alone(setting))
+    best_robots = replace(setting, robots=(setting.fleet.best,) * 2)
+    without = upper_bound(replace(pool, setting=best_robots), window=6, gap=1e-3, options=options)
+    best = joint_optimum(pool, setting.fleet.robots)
     assert best <= bound.proven < (best + without.proven) / 2
     mean, error = relaxed_value(bound, episodes=2000)
     assert bound.proven == pytest.approx(mean, abs=4 * error + 0.01)
@@ -325,8 +321,8 @@ def test_prices_of_actions_bring_the_bound_closer_to_the_joint_optimum() -> None
         ((), r"robots \[\]: expected one or more"),
         (("two",), "robot 1: 'two'; expected a Robot"),
         (({"c_sugest": 1},), "robot 1: 'c_sugest' is unknown; .*c_suggest"),
-        ((Robot(), Robot(c_suggest=-1.0)), "robot 2: c_suggest -1: expected a number from 0"),
-        ((Robot(execute="yes"),), "robot 1: execute 'yes': expected True or False"),
+        ((Robot(), {"c_suggest": -1.0}), "robot 2: c_suggest -1: expected a number from 0"),
+        (({"execute": "yes"},), "robot 1: execute 'yes': expected True or False"),
     ],
 )
 def test_robots_that_cannot_be(robots: Any, message: str) -> None:
@@ -334,10 +330,12 @@ def test_robots_that_cannot_be(robots: Any, message: str) -> None:
         Setting(robots=robots)
 
 
-def test_where_robots_have_to_be_alike() -> None:
-    pool = people((Robot(execute=True), Robot()))
-    with pytest.raises(ValueError, match="joined: c_suggest is"):
-        Pool.joined([pool, people((Robot(execute=True), Robot()), c_suggest=0.1)])
+def test_in_joined_pools_robots_differ_by_the_same_costs() -> None:
+    one, other = people((Robot(c_suggest=0.2), Robot())), people((Robot(c_suggest=0.2), Robot()), c_suggest=0.1)
+    with pytest.raises(ValueError, match="joined: actions of each robot cost more"):
+        Pool.joined([one, other])
+    alike = Pool.joined([people((Robot(),) * 2), people((Robot(),) * 2, c_suggest=0.1)])
+    assert {policy.pomdp.robot_costs.max() for policy in alike.policies} == {0.05, 0.1}
 
 
 LIST = "[{execute = true, c_execute = 0.1}, {c_suggest = 0.2}]"
@@ -385,7 +383,7 @@ def known_people(setting: Setting) -> Pool:
     return replace(pool, policies=(qmdp(replace(pomdp, prior=prior)),))
 
 
-def joint_optimum(pool: Pool, robots: tuple[Setting, ...]) -> float:
+def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
     """Return the optimal value of robots that differ, by value iteration over all joint states of two known people."""
     pomdp, choices = pool.policies[0].pomdp, pool.choices(0)
     (known,) = np.flatnonzero(pomdp.prior)
@@ -454,7 +452,7 @@ def test_the_bound_is_not_below_the_joint_optimum(robots: tuple[Robot, ...], exe
         execute=execute,
     )  # fmt: skip
     pool = known_people(setting)
-    best = joint_optimum(pool, each_alone(setting))
+    best = joint_optimum(pool, setting.fleet.robots)
     bound = upper_bound(pool, window=3, gap=1e-3, options=BoundOptions(price_episodes=50))
     assert bound.proven >= best - 1e-6
     for name in ("attention", "priority", "whittle"):

@@ -414,11 +414,11 @@ def test_arrays_of_the_caller_stay_their_own(tiny: Table) -> None:
     human = Human(1.0, 0.5, 0.0, h)
     q = perceived_cost(choices, h)
     model = HumanModel(choices, q)
-    travel = Travel(distance, np.zeros((3, 3), dtype=np.int64), 0.5)
+    travel = Travel(distance, np.array([0.5]), np.zeros(1))
     before = human.h[0], model.q[0, 0], travel.distance[0, 1]
     h += 1
     q += 1
     distance += 1
     assert (human.h[0], model.q[0, 0], travel.distance[0, 1]) == before
-    for array in (human.h, model.q, travel.distance, travel.steps):
+    for array in (human.h, model.q, travel.distance, travel.c_move):
         assert not array.flags.writeable

@@ -129,7 +129,7 @@ def tree(pool: Pool, tail: list[Floats], depth: int, x: tuple[int, ...], beliefs
     robots = [(k, r) for k in range(2) if not goal[k] for r in range(1, people[k].robot_actions[x[k]])]
     for person, robot in [(NOBODY, 0), *robots]:
         to = at if person == NOBODY else person
-        value = -travel.c_move * float(travel.distance[at, to])
+        value = -float(travel.c_move[0]) * float(travel.distance[at, to])
         parts = []
         for k, (p, y, belief) in enumerate(zip(people, x, beliefs, strict=True)):
             if goal[k]:

@@ -56,9 +56,8 @@ def test_step_by_step_they_do_what_is_simulated(tiny: Table, policy: str, more: 
         advice = desk.recommend_all()
         for number, (here, there) in enumerate(zip(before, desk.robots, strict=True)):
             if here != there:
-                arrivals[number] = (
-                    step + travel.of_robot(number).steps[3 if here is None else int(here), int(there or 0)]
-                )
+                way = np.array([[number], [3 if here is None else int(here)], [int(there or 0)]])
+                arrivals[number] = step + int(travel.steps_between(*way)[0])
         for row in (row for row in trace if row["step"] == step):
             name = str(row["place"])
             assert desk.person(name).suggestion == row["suggestion"]

@@ -422,7 +422,7 @@ class Busy:
         person = (self.rng.random(team.active.shape) * team.active).argmax(axis=1)
         x = team.x[np.arange(len(person)), person]
         count = team.policies[0].pomdp.robot_actions[x]
-        return TeamAction(person, (self.rng.random(len(x)) * count).astype(int))
+        return TeamAction(person[:, None], (self.rng.random(len(x)) * count).astype(int)[:, None])
 
 
 def test_episodes_in_which_the_robot_works_as_well_are_replayed() -> None:

@@ -95,7 +95,7 @@ def test_it_is_shown_in_notebooks_drawn_and_pickled(found: PolicyComparison) -> 
 
 def test_a_users_policy_and_one_episode(pool: Pool) -> None:
     def stays(state: TeamState) -> TeamAction:
-        return TeamAction(np.zeros(len(state.location), dtype=np.int64), np.full(len(state.location), -1))
+        return TeamAction(np.zeros(state.location.shape, dtype=np.int64), np.full(state.location.shape, -1))
 
     with pytest.raises(ValueError, match="two policies are called 'stays'"):
         compare(pool, [stays, stays], humans=2)

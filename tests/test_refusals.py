@@ -174,12 +174,16 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     "trust above 1": (lambda _: Human(1.0, 1.5, 0.0, np.zeros(2)), ValueError, "theta from 0 to 1"),
     # Teams.
     "distances of a line": (
-        lambda _: Travel(np.zeros((2, 3)), np.zeros((2, 3), dtype=np.int64), 1.0),
+        lambda _: Travel(np.zeros((2, 3)), np.ones(1), np.zeros(1)),
         ValueError, "distance, shape (2, 3): expected a square, one row for each place and base",
     ),
-    "steps backwards": (
-        lambda _: Travel(np.zeros((2, 2)), np.array([[0, -1], [0, 0]]), 1.0),
-        ValueError, "steps: expected one number of 0 or more for each distance",
+    "ways back in time": (
+        lambda _: Travel(np.zeros((2, 2)), np.ones(2), np.array([0.0, -1.0])),
+        ValueError, "travel_time -1: expected a number from 0",
+    ),
+    "ways of another team's robots": (
+        lambda g: simulate(g.pool, "none", humans=2, episodes=1, seed=0, travel=Travel.of(2, c_move=[0.1, 0.2])),
+        ValueError, "travel of 2 robots: expected that of 1",
     ),
     "gone before they come": (lambda _: Schedule.of(2, joins=3, leaves=2), ValueError, "join at step 0 or later and"),
     "ways of others": (
@@ -191,13 +195,13 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "the policy has said that it uses no beliefs",
     ),
     "actions of floats": (
-        lambda g: check(state(g.pool, [0, 0]), TeamAction(np.zeros(1), np.zeros(1, dtype=np.int64))),
+        lambda g: check(state(g.pool, [0, 0]), TeamAction(np.zeros((1, 1)), np.zeros((1, 1), dtype=np.int64))),
         PolicyError, "step 0: the policy ",
     ),
     "speaks on its way": (
         lambda g: check(
             state(g.pool, [0, 0], travel=Travel.of(2, travel_time=2.0)),
-            TeamAction(np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64)),
+            TeamAction(np.zeros((1, 1), dtype=np.int64), np.ones((1, 1), dtype=np.int64)),
         ),
         PolicyError, "speaks to a person before the robot has arrived",
     ),
@@ -401,7 +405,7 @@ def test_an_environment_draws_nothing_unless_asked_to(pool: Pool) -> None:
     vector = TeamVectorEnv(pool, 2)
     vector.reset(seed=1)
     for numbers in ([0], [0, 10**6], [0, -1]):
-        with pytest.raises(ValueError, match="actions: expected 2 numbers from 0 to"):
+        with pytest.raises(ValueError, match=r"actions: expected numbers from 0 to 6 in an array of shape \(2,\)"):
             vector.step(np.array(numbers))
 
 

@@ -29,9 +29,8 @@ def of(table: Table | Choices | Goals, **setting: Any) -> Pool:
 
 
 def start(pool: Pool) -> TeamState:
-    """Return the first state of the pool's people, with the axis of robots if there are several."""
-    one, robots = state(pool, [pool.choices(k).initial for k in TEAM]), pool.setting.robot_count
-    return one if robots == 1 else replace(one, location=one.location[:, None].repeat(robots, axis=1))
+    """Return the first state of the pool's people."""
+    return state(pool, [pool.choices(k).initial for k in TEAM])
 
 
 def two_goals(table: Table) -> Goals:

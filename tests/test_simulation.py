@@ -210,8 +210,8 @@ def test_laws_of_every_episode(pool: Pool, seed: int, humans: int, name: str) ->
     def watched(team: TeamState) -> TeamAction:
         seen.append(team)
         action = inner(team)
-        goes = np.flatnonzero(action.person != NOBODY)
-        assert team.active[goes, action.person[goes]].all()
+        goes = np.nonzero(action.person != NOBODY)
+        assert team.active[goes[0], action.person[goes]].all()
         return action
 
     watched.uses_belief = inner.uses_belief  # type: ignore[attr-defined]
@@ -297,7 +297,9 @@ def test_in_the_models_world_the_belief_is_right_on_average(pool: Pool) -> None:
 def test_travel_by_hand() -> None:
     far = [[0, 2, 1], [2, 0, 0.5], [1, 0.5, 0]]
     travel = Travel.of(2, c_move=0.4, travel_time=1.5, distance=far)
-    assert travel.steps.tolist() == [[0, 3, 2], [3, 0, 1], [2, 1, 0]]
+    one, place = np.zeros(1, dtype=np.int64), np.arange(3)
+    assert travel.steps_between(one, place[:, None], place).tolist() == [[0, 3, 2], [3, 0, 1], [2, 1, 0]]
+    assert travel.steps_from(place[:, None]).tolist() == [[[0, 3]], [[3, 0]], [[2, 1]]]
     assert travel.entry.tolist() == pytest.approx([0.4, 0.2])
     assert travel.entry_steps.tolist() == [2, 1]
     for wrong in ([[0, 1], [1, 0]], [[0, 2, 1], [2, 0, -1], [1, 1, 0]], [[1, 2, 1], [2, 0, 1], [1, 1, 0]]):
@@ -339,7 +341,7 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
 
     def watched(team: TeamState) -> TeamAction:
         action = inner(team)
-        decided.append((team.step, int(team.location[0]), int(action.person[0]), int(action.robot[0])))
+        decided.append((team.step, int(team.location[0, 0]), int(action.person[0, 0]), int(action.robot[0, 0])))
         return action
 
     watched.uses_belief = getattr(inner, "uses_belief", True)  # type: ignore[attr-defined]
@@ -358,9 +360,9 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
         assert joins[person] <= step < joins[person] + stays[person]
         moved = location != person
         moves += moved
-        busy_until = step + travel.steps[location, person]
+        busy_until = step + int(travel.steps_between(np.array(0), np.array(location), np.array(person)))
         assert robot == 0 or busy_until == step
-        expected = travel.c_move * travel.distance[location, person] + 0.5 * (robot > 0)
+        expected = travel.c_move[0] * travel.distance[location, person] + 0.5 * (robot > 0)
         assert paid.pop((step, person)) == pytest.approx(expected, abs=1e-9)
     assert episode.moves == moves
     assert all(rest == pytest.approx(0, abs=1e-9) for rest in paid.values())

@@ -37,7 +37,7 @@ def oops(team):
 
 
 def elsewhere(team):
-    return TeamAction(np.full(len(team.x), 7), np.zeros(len(team.x), dtype=int))
+    return TeamAction(np.full(team.location.shape, 7), np.zeros(team.location.shape, dtype=int))
 
 
 def none(team):
@@ -46,7 +46,7 @@ def none(team):
 
 def silent(team):
     assert team.belief is None
-    return TeamAction(np.full(len(team.x), NOBODY), np.zeros(len(team.x), dtype=int))
+    return TeamAction(np.full(team.location.shape, NOBODY), np.zeros(team.location.shape, dtype=int))
 
 
 silent.uses_belief = False

@@ -1,6 +1,6 @@
 """Prices of actions in a bound for robots that differ, in addition to the price of their attention.
 
-In people's problems every robot has the best ability and the lowest costs of any (`best_robots`). Prices of
+In people's problems every robot has the best ability and the lowest costs of any (`team.robots`). Prices of
 suggestions and of executions account for it that not every robot of the team has them. Let e_m(a) be what an action of
 class a costs robot m more than the best robot: infinite if it cannot execute.
 
@@ -28,14 +28,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..people.decision import Floats
-from ..team.robots import ExtraCosts, extra_costs
+from ..team.robots import EXECUTION, SUGGESTION
 from ..team.settings import Setting
 
 
-def needed(setting: Setting) -> ExtraCosts | None:
+def needed(setting: Setting) -> Floats | None:
     """Return what actions of each robot cost more, if prices of actions can lower a bound; otherwise None."""
-    extra = extra_costs(setting)
-    return extra if extra is not None and (extra.suggesting.any() or extra.executing.any()) else None
+    return setting.fleet.extra if setting.fleet.costs_differ else None
 
 
 def paid(price: Floats, setting: Setting) -> float:
@@ -48,25 +47,23 @@ def paid(price: Floats, setting: Setting) -> float:
     setting : Setting
     """
     discount = setting.gamma ** np.arange(price.shape[-1])
-    attention = setting.robot_count * float(np.atleast_2d(price)[0] @ discount)
+    attention = len(setting.robots) * float(np.atleast_2d(price)[0] @ discount)
     if price.ndim == 1:
         return attention
-    extra = extra_costs(setting)
-    assert extra is not None
-    return attention + float(np.maximum(*_worth(price, extra)).clip(0).sum(axis=0) @ discount)
+    return attention + float(np.maximum(*_worth(price, setting.fleet.extra)).clip(0).sum(axis=0) @ discount)
 
 
-def supply(price: Floats, extra: ExtraCosts) -> Floats:
+def supply(price: Floats, extra: Floats) -> Floats:
     """Return how many robots attend, suggest and execute at most if prices rise slightly, shape (3, W).
 
     These are the derivatives of what robots pay, as in `paid`, in the prices of each step.
     """
     suggesting, executing = _worth(price, extra)
-    every = np.full(price.shape[1], len(extra.suggesting))
+    every = np.full(price.shape[1], len(extra))
     suggest, execute = suggesting >= executing.clip(0), executing >= suggesting.clip(0)
     return np.array([every, suggest.sum(axis=0), execute.sum(axis=0)], dtype=float)
 
 
-def _worth(price: Floats, extra: ExtraCosts) -> tuple[Floats, Floats]:
+def _worth(price: Floats, extra: Floats) -> tuple[Floats, Floats]:
     """Return the price of each action minus what it costs each robot more, both of shape (M, W)."""
-    return price[1] - extra.suggesting[:, None], price[2] - extra.executing[:, None]
+    return price[1] - extra[:, SUGGESTION, None], price[2] - extra[:, EXECUTION, None]

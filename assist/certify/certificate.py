@@ -15,7 +15,6 @@ from ..people.decision import Floats
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.policies import prepare
-from ..team.robots import extra_costs
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 
@@ -104,9 +103,8 @@ class Simulated:
         self._pool = replace(pool, setting=replace(pool.setting, max_steps=self._end))
         self._policy = self._pool.policy(policy, travel) if isinstance(policy, str) else policy
         self._team, self._travel, self._seed = team, travel, seed
-        most = max(one.c_move for one in travel.each) * float(travel.distance.max())
-        if (extra := extra_costs(pool.setting)) is not None:
-            most += float(max(extra.suggesting.max(), extra.executing[np.isfinite(extra.executing)].max(initial=0)))
+        extra = pool.setting.fleet.extra
+        most = float(travel.c_move.max()) * float(travel.distance.max()) + float(extra[np.isfinite(extra)].max())
         dearest = max(max(1.0, p.dearest) + float(p.pomdp.robot_costs.max()) for p in pool.policies) + most
         self._rest = dearest * gamma**self._end / (1 - gamma)
         self.parts: list[Floats] = []

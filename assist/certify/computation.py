@@ -25,7 +25,6 @@ from ..person.policy import Policy
 from ..person.solver import Solution, solve
 from ..simulation.pool import Pool
 from ..team.attention_subproblem import AttentionSubproblem
-from ..team.robots import ExtraCosts
 from ..team.travel import Travel
 from .action_prices import needed, paid
 from .options import BoundOptions
@@ -148,13 +147,13 @@ class Computation:
         return steps, kinds, self.optimised(kinds, steps, 0.4)
 
     @cached_property
-    def extra(self) -> ExtraCosts | None:
+    def extra(self) -> Floats | None:
         """What actions of robots that differ cost more if these have prices: on whole tasks without sample paths."""
         return None if self.paths or self.needs_outer else needed(self.pool.setting)
 
     def needs_prices(self, steps: int) -> bool:
         """Return whether prices of some steps can lower the bound; otherwise robots never have to choose."""
-        return steps > 0 and (len(self.team) > self.pool.setting.robot_count or self.extra is not None)
+        return steps > 0 and (len(self.team) > len(self.pool.setting.robots) or self.extra is not None)
 
     def optimised(self, kinds: list[SubproblemKind], steps: int, share: float) -> Floats:
         """Return prices that are optimised until a share of the time for people's problems has passed."""
@@ -162,7 +161,7 @@ class Computation:
             return np.zeros(0)
         return search(
             kinds, steps, rounds=self.options.price_rounds, episodes=self.options.price_episodes, seed=self.seed,
-            deadline=self.start + share * self.for_people, tell=self.tell, robots=self.pool.setting.robot_count,
+            deadline=self.start + share * self.for_people, tell=self.tell, robots=len(self.pool.setting.robots),
             extra=self.extra,
         )  # fmt: skip
 

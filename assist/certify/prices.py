@@ -26,7 +26,6 @@ from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
 from ..team.attention_subproblem import AttentionSubproblem, backwards
-from ..team.robots import ExtraCosts, best_robots
 from ..team.state import TeamAction, TeamState
 from ..team.time_expansion import HERE, TimeExpansion
 from ..team.travel import Travel
@@ -125,11 +124,12 @@ class SubproblemKind:
                 number[0, team.step] += np.sum((robot > 0) | (visits.layout.position[team.x[:, 0]] > HERE))
                 for count, done in zip(number[1:], acted, strict=True):
                     count[team.step] += np.sum(done[team.x[:, 0], robot])
-            return TeamAction(np.zeros_like(robot), robot)
+            return team.act(np.zeros_like(robot), robot[:, None])
 
         human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
         # Travel is part of the subproblem, so that the simulation has none. A person's problem has one robot.
-        setting = replace(best_robots(self.pool.setting), c_move=0.0, travel_time=0.0, max_steps=steps, robots=1)
+        robot = replace(self.pool.setting.fleet.best, c_move=0.0, travel_time=0.0)
+        setting = replace(self.pool.setting, max_steps=steps, robots=(robot,))
         pool = Pool(setting, (human,), (policy(0, np.arange(1)),), np.zeros(1, dtype=np.int64))
         run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
         return number.reshape(price.shape) / episodes, run.discounted_return
@@ -206,7 +206,7 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5,
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
     steps = np.arange(math.ceil(plans * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)
-    return max(math.ceil(2 * shortest), int((working > at_work * pool.setting.robot_count).sum()))
+    return max(math.ceil(2 * shortest), int((working > at_work * len(pool.setting.robots)).sum()))
 
 
 def search(
@@ -219,7 +219,7 @@ def search(
     deadline: float,
     tell: Progress,
     robots: int = 1,
-    extra: ExtraCosts | None = None,
+    extra: Floats | None = None,
 ) -> Floats:
     """Optimise prices by a stochastic subgradient method, until `rounds` rounds are done or the deadline has passed.
 
@@ -239,7 +239,7 @@ def search(
         Receives progress reports.
     robots : int
         Number of robots of the team.
-    extra : ExtraCosts, optional
+    extra : float array, shape (M, 2), optional
         What actions of robots that differ cost more. If given, actions have prices, too (`certify.action_prices`).
 
     Returns

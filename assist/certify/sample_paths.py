@@ -56,7 +56,7 @@ def sampled(run: Computation, relaxed: Relaxation, together: int) -> SampledBoun
     with suppress(OutOfTimeError):
         team = InformationRelaxation(
             _belief_nodes(relaxed), relaxed.price, together, left, run.workers, run.options.relaxation,
-            run.pool.setting.robot_count,
+            len(run.pool.setting.robots),
         )  # fmt: skip
         return team.sampled(run.paths, run.seed)
     return None

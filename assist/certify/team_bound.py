@@ -129,7 +129,7 @@ class TeamBound(Result):
         """
         if len(self.price):
             self.pool.choices(self.team[0]).require_one_goal("the policy at a bound's prices")
-        without = 0.0 if 1 < len(self.team) <= self.pool.setting.robot_count else None
+        without = 0.0 if 1 < len(self.team) <= len(self.pool.setting.robots) else None
         return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else without)
 
     def certify(
@@ -237,7 +237,7 @@ def upper_bound(
     recorder = sample_paths.recorder(run, kinds, price, together) if run.paths and not run.needs_outer else None
     relaxed, sampled = run.relaxed(kinds, price, start + run.for_people, recorder), None
     try:
-        if run.paths and len(members) > pool.setting.robot_count:  # otherwise no robot ever has to choose
+        if run.paths and len(members) > len(pool.setting.robots):  # otherwise no robot ever has to choose
             relaxed = sample_paths.without_prices(run, relaxed, recorder)
             sampled = sample_paths.sampled(run, relaxed, together)
     except KeyboardInterrupt as error:

@@ -103,7 +103,7 @@ def bound(
                 f"{c.policy}: the mean is more than three standard errors above the bound, which no policy's value "
                 "exceeds; more --episodes"
             )
-    if samples and len(found.team) > made.pool.setting.robot_count:
+    if samples and len(found.team) > len(made.pool.setting.robots):
         show_samples(found)
 
 

@@ -26,7 +26,6 @@ from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.model_group import World
 from ..simulation.pool import Pool
-from ..team.extra_costs import extra_costs_of
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 from .rendering import EnvironmentPicture
@@ -52,54 +51,59 @@ class _Desk:
         self.teams = Teams(pool, teams, humans, distance=distance, world=world, filters=filters)
         self.sight = Sight(self.teams, beliefs=beliefs)
         self.actions = 1 + humans * self.sight.robots
+        robots = len(self.teams.fleet)
+        self.axis = () if robots == 1 else (robots,)  # of actions: that of one robot is a number, without an axis
 
     def spaces(self) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Space[Any]]:
         """Return the observation space and the action space of one team."""
         spaces, sight, humans = gymnasium.spaces, self.sight, self.teams.x.shape[1]
-        robots = self.teams.pool.setting.robot_count
+        robots = len(self.teams.fleet)
         seen: dict[str, gymnasium.spaces.Space[Any]] = {
-            "action_mask": spaces.MultiBinary(self.actions if robots == 1 else [robots, self.actions]),
+            "action_mask": spaces.MultiBinary([*self.axis, self.actions]),
             "active": spaces.MultiBinary(humans),
             "alone": spaces.Box(0.0, 1.0, (humans, sight.robots), np.float32),
             "cost_to_go": spaces.Box(0.0, sight.largest, (humans,), np.float32),
             "erred": spaces.MultiBinary(humans),
-            "free": spaces.Discrete(2) if robots == 1 else spaces.MultiDiscrete([2] * robots),
-            "location": spaces.Discrete(humans + 1) if robots == 1 else spaces.MultiDiscrete([humans + 1] * robots),
+            "free": spaces.MultiBinary(robots),
+            "location": spaces.MultiDiscrete([humans + 1] * robots),
             "model": spaces.MultiDiscrete([sight.models] * humans),
             "state": spaces.MultiDiscrete([sight.states] * humans),
         }
         if sight.beliefs:
             seen["belief"] = spaces.Box(0.0, 1.0, (humans, *sight.hidden), np.float32)
         one = spaces.Discrete(self.actions)
-        return spaces.Dict(seen), one if robots == 1 else spaces.MultiDiscrete([self.actions] * robots)
+        return spaces.Dict(seen), spaces.MultiDiscrete([self.actions] * robots) if self.axis else one
 
     def mask(self) -> NDArray[np.int8]:
-        """Return the mask of possible actions, shape (N, actions), or (N, M, actions) with M robots.
+        """Return the mask of possible actions of each robot, shape (N, M, actions).
 
         Action 0 (do nothing) is always possible. It is the only one while the robot is under way.
         """
         teams = self.teams
-        possible = self.sight.mask() * ~teams.finished[:, :, None]
-        if teams.location.ndim > 1:
-            possible = np.repeat(possible[:, None], teams.location.shape[1], axis=1)
+        possible = np.repeat((self.sight.mask() * ~teams.finished[:, :, None])[:, None], len(teams.fleet), axis=1)
         possible[..., 1:] *= (teams.travel.steps_from(teams.location) == 0)[..., None]  # the robot acts on arrival
-        if teams.extra is not None:
-            possible *= np.isfinite(extra_costs_of(teams.state(), self.sight.robots))  # not all can execute
+        able = np.isfinite(teams.state().extra_costs(self.sight.robots))  # not all can execute
+        possible *= able[:, teams.fleet.kinds[1]]
         possible *= teams.reachable()[..., None]
         flat = possible.reshape(*possible.shape[:-2], -1).astype(np.int8)
         return np.concatenate([np.ones((*flat.shape[:-1], 1), dtype=np.int8), flat], axis=-1)
 
+    def shown_mask(self) -> NDArray[np.int8]:
+        """Return the mask for the action space, shape (N, actions) for one robot, otherwise (N, M, actions)."""
+        mask = self.mask()
+        return mask.reshape(len(mask), *self.axis, -1)
+
     def observe(self) -> Observation:
         """Return the observation of all teams; the first axis of each array is the team, N."""
         return {
-            "action_mask": self.mask(),
-            "free": self.teams.free().astype(np.int64),
+            "action_mask": self.shown_mask(),
+            "free": self.teams.free().astype(np.int8),
             "location": self.teams.location + 1,
             **self.sight.seen(),
         }
 
     def decode(self, numbers: NDArray[np.int64]) -> TeamAction:
-        """Return the team actions that numbers of shape (N,), or (N, M) with M robots, stand for.
+        """Return the team actions that numbers of shape (N, M) stand for.
 
         0 does nothing; 1 + k R + r sends the robot to person k and does robot action r there.
         """
@@ -108,8 +112,9 @@ class _Desk:
         return TeamAction(np.where(stays, NOBODY, person), np.where(stays, 0, robot))
 
     def encode(self, action: TeamAction) -> NDArray[np.int64]:
-        """Return the numbers of team actions; the inverse of `decode`."""
-        return np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.robot)
+        """Return the numbers of team actions as in the action space, shape (N,) for one robot, otherwise (N, M)."""
+        numbers = np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.robot)
+        return numbers.reshape(len(numbers), *self.axis)
 
     def step(
         self, rows: NDArray[np.int64], numbers: NDArray[np.int64], draws: CommonRandomNumbers
@@ -118,7 +123,7 @@ class _Desk:
 
         Returns
         -------
-        illegal : bool array, shape (N,), or (N, M) with M robots
+        illegal : bool array, shape (N, M)
             Whether the action was impossible and did nothing.
         done : pair of int arrays, shape (N, K)
             The robot action on each person, and the slot of each person's action.
@@ -127,8 +132,7 @@ class _Desk:
         """
         teams = self.teams
         illegal = np.take_along_axis(self.mask(), numbers[..., None], axis=-1)[..., 0] == 0
-        if numbers.ndim > 1:
-            illegal |= teams.collisions(self.decode(np.where(illegal, 0, numbers)).person)
+        illegal |= teams.collisions(self.decode(np.where(illegal, 0, numbers)).person)
         moved = np.zeros(numbers.shape, dtype=bool)
         moved[rows] = ~illegal[rows]
         robot, way = teams.send(self.decode(np.where(moved, numbers, 0)))
@@ -148,9 +152,10 @@ class TeamEnv(gymnasium.Env):
     does nothing and sets `info["illegal"]`. The reward is minus the cost of the step, in cost units, undiscounted. An
     episode terminates when all people have finished and is truncated after `setting.max_steps` steps.
 
-    With M robots, M > 1 (`setting.robots`), an action is M such numbers, one for each robot. `location`, `free`,
-    `action_mask` and `illegal` then have an entry for each robot. A robot that is sent to a person with whom another
-    one is, or to whom one with a lower number goes, stays where it is. If robots differ, one without a task makes room.
+    With M robots, M > 1 (`setting.robots`), an action is M such numbers, one for each robot, and `action_mask` has the
+    shape (M, actions). `location`, `free` and `illegal` always have the shape (M,). A robot that is sent to a person
+    with whom another one is at work, or to whom one with a lower number goes, stays where it is; one without a task
+    makes room.
 
     After `reset(seed=s)` the episodes are episodes 0, 1, ... of `simulate(pool, ..., humans=K, episodes=n, seed=s)`,
     with the same random numbers. The same actions therefore have the same outcome. The first `reset(seed=s)` draws the
@@ -229,9 +234,9 @@ class TeamEnv(gymnasium.Env):
         return self._desk.actions
 
     def encode(self, action: TeamAction) -> Any:
-        """Return the number of a team policy's action, or an array of M numbers."""
+        """Return the number of a team policy's action, or an array of M > 1 numbers."""
         numbers = self._desk.encode(action)[0]
-        return numbers if numbers.ndim else int(numbers)
+        return numbers if self._desk.axis else int(numbers)
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the mask of possible actions, shape (actions,), or (M * actions,): the interface of MaskablePPO."""
@@ -278,12 +283,11 @@ class TeamEnv(gymnasium.Env):
         if self._draws is None:
             raise gymnasium.error.ResetNeeded("step: expected reset before it")
         teams = self._desk.teams
-        robots = teams.pool.setting.robot_count
-        number = np.array([int(action)]) if robots == 1 else np.asarray(action, dtype=np.int64)[None]
-        if number.shape != teams.location.shape or not ((number >= 0) & (number < self._desk.actions)).all():
-            each = "" if robots == 1 else f", for each of {robots} robots"
+        number, robots = np.asarray(action, dtype=np.int64), len(teams.fleet)
+        if number.size != robots or not ((number >= 0) & (number < self._desk.actions)).all():
+            each = f", for each of {robots} robots" * (robots > 1)
             raise ValueError(f"action {action}: expected 0 to {self._desk.actions - 1}{each}")
-        before = teams.x[0].copy()
+        number, before = number.reshape(1, robots), teams.x[0].copy()
         illegal, (robot, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number, self._draws)
         if self.render_mode is not None:
             self._remember(before, robot[0], slot[0])
@@ -297,8 +301,7 @@ class TeamEnv(gymnasium.Env):
     def _info(self, illegal: NDArray[np.bool_]) -> dict[str, Any]:
         teams = self._desk.teams
         return {
-            "action_mask": self._desk.mask()[0], "illegal": illegal if illegal.ndim else bool(illegal),
-            "episode_number": self._episode,
+            "action_mask": self._desk.shown_mask()[0], "illegal": illegal, "episode_number": self._episode,
             "people": teams.people[0].copy(), "steps": int(teams.clock[0]),
         }  # fmt: skip
 
@@ -329,7 +332,7 @@ class TeamEnv(gymnasium.Env):
         if self._stage is None:
             self._stage = EnvironmentPicture(self._instance)
         teams = self._desk.teams
-        there = np.where(teams.free()[0], teams.location[0], BASE).reshape(-1).tolist()
+        there = np.where(teams.free()[0], teams.location[0], BASE).tolist()
         return self._stage.draw(
             self._seen, teams.finished[0], there, int(teams.clock[0]), as_svg=self.render_mode == "svg"
         )
@@ -427,16 +430,19 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
             raise gymnasium.error.ResetNeeded("step: expected reset before it")
         numbers = np.asarray(actions, dtype=np.int64)
         teams, ended = self._desk.teams, self._ended
-        if numbers.shape != teams.location.shape or (numbers < 0).any() or (numbers >= self._desk.actions).any():
-            each = "" if numbers.ndim == teams.location.ndim == 1 else f" in an array of shape {teams.location.shape}"
-            raise ValueError(f"actions: expected {self.num_envs} numbers from 0 to {self._desk.actions - 1}{each}")
-        illegal, _, reward = self._desk.step(np.flatnonzero(~ended), numbers, self._draws)
+        shape = (self.num_envs, *self._desk.axis)
+        if numbers.shape != shape or (numbers < 0).any() or (numbers >= self._desk.actions).any():
+            raise ValueError(
+                f"actions: expected numbers from 0 to {self._desk.actions - 1} in an array of shape {shape}"
+            )
+        each = numbers.reshape(teams.location.shape)
+        illegal, _, reward = self._desk.step(np.flatnonzero(~ended), each, self._draws)
         if ended.any():
             self._begin(np.flatnonzero(ended), self._draws)
         terminated = np.logical_and.reduce(teams.finished, axis=1)
         truncated = ~terminated & (teams.clock >= self.pool.setting.max_steps)
         self._ended = terminated | truncated
-        seen, info = self._observed(illegal & ~(ended if illegal.ndim == 1 else ended[:, None]))
+        seen, info = self._observed(illegal & ~ended[:, None])
         return seen, np.where(ended, 0.0, reward), terminated, truncated, info
 
     def _observed(self, illegal: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:

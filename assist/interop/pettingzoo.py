@@ -25,8 +25,8 @@ class RobotsEnv(pettingzoo.ParallelEnv):
 
     An agent's action is a number as in `TeamEnv`, for its robot. Its observation is that of the team, with the mask of
     its own actions. In `location` and `free`, its own entry is the first, and the others follow in their order. A robot
-    that is sent to a person with whom another one is, or to whom one with a lower number goes, stays where it is; its
-    `info["illegal"]` says so. If robots differ, one without a task makes room. Every agent receives the team's reward.
+    that is sent to a person with whom another one is at work, or to whom one with a lower number goes, stays where it
+    is; its `info["illegal"]` says so. One without a task makes room. Every agent receives the team's reward.
     All terminate when all people have finished, and are truncated after `setting.max_steps` steps.
 
     Parameters
@@ -53,7 +53,7 @@ class RobotsEnv(pettingzoo.ParallelEnv):
     def __init__(self, instance: str | Path | Pool, humans: int = 2, **options: Any) -> None:
         self._env = TeamEnv(instance, humans, **options)
         self.render_mode = self._env.render_mode
-        self._robots, self._robot_actions = self.pool.setting.robot_count, self._env.actions
+        self._robots, self._robot_actions = len(self.pool.setting.robots), self._env.actions
         self.possible_agents = [f"robot_{number}" for number in range(self._robots)]
         self.agents: list[str] = []
         self.observation_spaces = {agent: self._space() for agent in self.possible_agents}
@@ -65,8 +65,6 @@ class RobotsEnv(pettingzoo.ParallelEnv):
             {
                 **self._env.observation_space.spaces,
                 "action_mask": spaces.MultiBinary(self._robot_actions),
-                "free": spaces.MultiBinary(self._robots),
-                "location": spaces.MultiDiscrete([self._env.team.x.shape[1] + 1] * self._robots),
             }
         )
 
@@ -120,7 +118,7 @@ class RobotsEnv(pettingzoo.ParallelEnv):
         if not self.agents:
             return {}, {}, {}, {}, {}
         numbers = np.array([int(actions[agent]) for agent in self.agents])
-        seen, reward, terminated, truncated, info = self._env.step(numbers if self._robots > 1 else numbers[0])
+        seen, reward, terminated, truncated, info = self._env.step(numbers)
         agents = self.agents
         if terminated or truncated:
             self.agents = []
@@ -129,7 +127,7 @@ class RobotsEnv(pettingzoo.ParallelEnv):
 
     def _each(self, seen: dict[str, Any]) -> dict[str, Any]:
         mask = seen["action_mask"].reshape(self._robots, -1)
-        there, free = np.ravel(seen["location"]), np.ravel(seen["free"]).astype(np.int8)
+        there, free = seen["location"], seen["free"]
         found = {}
         for number, agent in enumerate(self.possible_agents):
             own = [number, *(other for other in range(self._robots) if other != number)]
@@ -138,7 +136,7 @@ class RobotsEnv(pettingzoo.ParallelEnv):
         return found
 
     def _informed(self, info: dict[str, Any]) -> dict[str, Any]:
-        mask, illegal = info["action_mask"].reshape(self._robots, -1), np.ravel(info["illegal"]).tolist()
+        mask, illegal = info["action_mask"].reshape(self._robots, -1), info["illegal"].tolist()
         return {
             agent: {**info, "action_mask": mask[number], "illegal": illegal[number]}
             for number, agent in enumerate(self.possible_agents)

@@ -24,8 +24,6 @@ from ..simulation.common_random_numbers import from_the_prior
 from ..simulation.model_group import ModelGroup, World
 from ..simulation.pool import MAX_ENUMERATED, Pool
 from ..team.assignment import placed
-from ..team.extra_costs import extra_costs_of
-from ..team.robots import extra_costs
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
 
@@ -95,8 +93,8 @@ class Teams:
         As in `TeamState`; `people` are indices into the pool.
     belief : float array, shape (N, K, B, T), or None
         The belief over (beta, theta) of each person; None without `filters`.
-    location, busy_until : int arrays, shape (N,), or (N, M) with M robots, M > 1
-        Where the robot is or is going, and the step of its arrival.
+    location, busy_until : int arrays, shape (N, M)
+        Where each robot is or is going, and the step of its arrival.
     clock : int array, shape (N,)
         Number of steps of the episode so far.
 
@@ -121,7 +119,7 @@ class Teams:
             policy.require_enumerated("pool")
             policy.pomdp.model.choices.require_one_goal("an environment")
         self.pool, self.on_grid = pool, world == "model"
-        self.travel, self.extra = pool.setting.travel(places, distance), extra_costs(pool.setting)
+        self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
         self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}
         self._row = np.sum([group.row for group in self.groups.values()], axis=0)
         choices = [pool.choices(number) for number in range(len(pool.people))]
@@ -134,8 +132,8 @@ class Teams:
         self.beta, self.theta, self.seen = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=np.int64)
         self.finished, self.erred = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
         self.belief = np.zeros((*shape, *self._prior.shape[1:])) if filters else None
-        robots, self.clock = pool.setting.robot_count, np.zeros(teams, dtype=np.int64)
-        self.location, self.busy_until = np.zeros((2, teams, *([robots] if robots > 1 else [])), dtype=np.int64)
+        self.clock = np.zeros(teams, dtype=np.int64)
+        self.location, self.busy_until = np.zeros((2, teams, len(self.fleet)), dtype=np.int64)
 
     def begin(self, rows: NDArray[np.int64], people: NDArray[np.int64], draw: Callable[[], Floats]) -> None:
         """Begin an episode in some teams.
@@ -161,19 +159,18 @@ class Teams:
             _, self.who[rows], self.beta[rows], self.theta[rows] = from_the_prior(pomdps, self.model[rows], draw())
 
     def free(self) -> NDArray[np.bool_]:
-        """Return which robots are not under way, in the shape of `location`."""
-        return self.busy_until <= (self.clock if self.busy_until.ndim == 1 else self.clock[:, None])
+        """Return which robots are not under way, shape (N, M)."""
+        return self.busy_until <= self.clock[:, None]
 
     def reachable(self) -> NDArray[np.bool_]:
-        """Return to which people each robot may be sent, shape (N, K), or (N, M, K) with M robots.
+        """Return to which people each robot may be sent, shape (N, M, K).
 
         No person to whom another robot is under way, and none while the robot itself is.
         """
         free = self.free()
         going = np.repeat(free[..., None], self.x.shape[1], axis=-1)
-        if free.ndim > 1:
-            teams, robots = np.nonzero(~free)
-            going[teams, :, self.location[teams, robots]] = False
+        teams, robots = np.nonzero(~free)
+        going[teams, :, self.location[teams, robots]] = False
         return going
 
     def state(self) -> TeamState:
@@ -181,38 +178,36 @@ class Teams:
         return TeamState(
             step=int(self.clock.max()), x=self.x, active=~self.finished, erred=self.erred, location=self.location,
             model=self.model, belief=self.belief, policies=self.pool.policies, travel=self.travel,
-            free=self.free() if self.location.ndim > 1 else None, extra=self.extra,
+            free=self.free(), fleet=self.fleet,
         )  # fmt: skip
 
     def send(self, action: TeamAction) -> tuple[NDArray[np.int64], Floats]:
         """Send the robots; return their action on each person and the costs, both of shape (N, K).
 
-        They are the costs of moving and, if robots differ, what an action of each costs more, in cost units.
+        They are the costs of moving and what an action of each robot costs more than one of the best, in cost units.
         """
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
-        sent = np.nonzero(action.person != NOBODY)
-        rows, to, origin = sent[0], action.person[sent], self.location[sent]
-        number, does = self.state().robot_numbers()[sent], action.robot[sent]
+        rows, number = sent = np.nonzero(action.person != NOBODY)
+        to, origin, does = action.person[sent], self.location[sent], action.robot[sent]
         robot[rows, to] = does
         charged[rows, to] = self.travel.costs_between(number, origin, to)
         self.busy_until[sent] = self.clock[rows] + self.travel.steps_between(number, origin, to)
-        if self.extra is not None:
-            charged[rows, to] += extra_costs_of(self.state(), int(does.max(initial=0)) + 1)[rows, number, to, does]
-            self.location[:] = placed(self.location, action.person)
-        self.location[sent] = to
+        self.location[:] = placed(self.location, action.person)
+        for model, at in by_model(self.model[rows, to], np.flatnonzero(does > 0), len(self.pool.policies)):
+            x, suggested = self.x[rows[at], to[at]], self.pool.policies[model].pomdp.suggested
+            charged[rows[at], to[at]] += self.fleet.extra_of(number[at], suggested[x, does[at]] == NOTHING)
         return robot, charged
 
     def collisions(self, person: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which of several robots are sent to where another one is or goes, shape (N, M).
+        """Return which robots are sent to where another one goes or stays with its task, shape (N, M).
 
-        Of two robots that are sent to a person, the first one goes there. A robot that is not sent stays, so that
-        no other can come to its place; but if robots differ, it makes room for another one.
+        Of two robots that are sent to a person, the first one goes there. A robot that is not sent makes room.
         """
         refused = np.zeros(person.shape, dtype=bool)
         while True:
             after = np.where((person == NOBODY) | refused, self.location, person)
             moves = after != self.location
-            stays = ~moves if self.extra is None else ~moves & (person != NOBODY) & ~refused
+            stays = ~moves & (person != NOBODY) & ~refused
             same = (after[:, :, None] == after[:, None]) & (after != BASE)[:, :, None]
             before = np.tri(person.shape[1], k=-1, dtype=bool)  # [m, l]: l is before m
             wrong = moves & (same & (before & moves[:, None] | stays[:, None])).any(axis=2)

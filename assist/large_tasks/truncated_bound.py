@@ -77,7 +77,6 @@ from ..person.memory_needed import first_bounds_bytes, require_room
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import initial_upper_bounds, value_iteration
 from ..team.attention_subproblem import AttentionSubproblem
-from ..team.robots import best_robots
 from ..team.settings import Setting
 from ..team.time_expansion import AWAY, HERE
 from .backups import bellman_backup
@@ -385,7 +384,7 @@ class _Person:
         """
         known, setting, human, until = self.known, self.setting, self.human, self.until
         by_cost = self.chooses is boltzmann and (human is None or mistaken_about_states(human))
-        if not (by_cost and isinstance(known, Table)) or best_robots(setting).execute:
+        if not (by_cost and isinstance(known, Table)) or setting.fleet.executes:
             return None
         left = until - time.perf_counter()
         share = 0.6  # of the time left; the rest is for the values with observed theta
@@ -397,7 +396,7 @@ class _Person:
         best_only = setting.considered_suggestions == "optimal" and self.among is None
         found = compliance_bounds(
             known, human, Grid.regular(self.prior).beta, breadth_first(known, region.states, most), gamma=setting.gamma,
-            c_suggest=best_robots(setting).c_suggest, lapse=setting.lapse, optimal=best_only,
+            c_suggest=setting.fleet.least("c_suggest"), lapse=setting.lapse, optimal=best_only,
             deadline=until if until == math.inf else until - (1 - share) * left,
         )  # fmt: skip
         return found.at(region.states)

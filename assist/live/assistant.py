@@ -38,7 +38,7 @@ from ..people.mixture import Mixture, advice_takers
 from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..team.plain_setting import plain_setting
-from ..team.robots import Robot, best_robots
+from ..team.robots import Robot, robots_of
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy
 from ..team.travel import Travel
@@ -97,8 +97,8 @@ class Assistant:
     distance : array, shape (P + 1, P + 1), optional
         Distances between the places of P people, in the order in which they join, and the base, which is last; by
         default 1 between any two.
-    robots : int or sequence of Robot, optional
-        Number of robots, or each of them if they differ; by default as in the setting, 1. They have numbers from 1.
+    robots : sequence of Robot, or int, optional
+        The robots, or only their number; by default as in the setting, 1. They have numbers from 1.
 
     Raises
     ------
@@ -121,8 +121,8 @@ class Assistant:
             raise TypeError(f"people {people!r}: expected a list of names")
         self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
         if robots is not None:
-            self.setting = replace(self.setting, robots=robots)
-        if best_robots(self.setting).execute:
+            self.setting = replace(self.setting, robots=robots_of(robots))
+        if self.setting.fleet.executes:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy
         if policy == "rollout":

@@ -96,7 +96,7 @@ class Course:
         for task in self.tasks.values():
             require_usable(task, self.desk.setting, self.desk.population)
         self.count, self.paused = 0, False
-        self._nothing = (NOTHING,) * self.desk.setting.robot_count
+        self._nothing = (NOTHING,) * len(self.desk.setting.robots)
         self.advices = self._nothing
         self.fault: str | None = None
         self.present: set[str] = set()

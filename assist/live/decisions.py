@@ -19,7 +19,7 @@ from ..person.policy import Policy
 from ..team.action_check import check
 from ..team.policies import named, prepare
 from ..team.policy_names import POLICIES
-from ..team.robots import extra_costs
+from ..team.robots import SUGGESTION
 from ..team.settings import Setting
 from ..team.state import NOBODY, Ask, TeamPolicy, TeamState
 from .advice import Advice, Question
@@ -91,8 +91,7 @@ class Decisions:
 
     def _extra(self, number: int) -> float:
         """Return what a suggestion by a robot costs more than in people's problems."""
-        extra = extra_costs(self._setting)
-        return 0.0 if extra is None else float(extra.suggesting[number])
+        return float(self._setting.fleet.extra[number, SUGGESTION])
 
     def decide(self, step: int) -> tuple[Advice, ...]:
         """Return what each robot does next; `step` is the number of decisions before.
@@ -104,7 +103,7 @@ class Decisions:
         active, question = self._team.present & ~self._team.ended & (self._team.robot == 0), None
         if not all(places.under_way) and active.any():
             active, question = self._asking(active)
-        points = [self.point(number, question) for number in range(self._setting.robot_count)]
+        points = [self.point(number, question) for number in range(len(places.at))]
         advice = [Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all) for point in points]
         for number, location in enumerate(places.at):
             if places.under_way[number]:
@@ -118,7 +117,7 @@ class Decisions:
         team = self._as_policies_see_it(active, step)
         action = self.team_policy()(team)
         check(team, action)
-        chosen = zip(action.person.reshape(-1).tolist(), action.robot.reshape(-1).tolist(), strict=True)
+        chosen = zip(action.person[0].tolist(), action.robot[0].tolist(), strict=True)
         for number, (k, robot) in enumerate(chosen):
             if k != NOBODY:
                 advice[number] = self._sent(number, k, robot, points[number])
@@ -146,12 +145,11 @@ class Decisions:
         return advice.explained_by(partial(point.suggested, k, robot, arrived=there))
 
     def _as_policies_see_it(self, active: NDArray[np.bool_], step: int) -> TeamState:
-        t, several = self._team, self._setting.robot_count > 1
-        location = np.array([self._places.at] if several else self._places.at)
+        t = self._team
         return _LiveTeam(
-            step, t.x[None], active[None], t.erred[None], location, t.model[None], t.belief[None],
+            step, t.x[None], active[None], t.erred[None], np.array([self._places.at]), t.model[None], t.belief[None],
             [part.policy for part in t.parts], self._places.travel, t,
-            free=~np.array([self._places.under_way]) if several else None, extra=extra_costs(self._setting),
+            free=~np.array([self._places.under_way]), fleet=self._setting.fleet,
         )  # fmt: skip
 
     def team_policy(self) -> TeamPolicy:

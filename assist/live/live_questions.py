@@ -49,7 +49,7 @@ class LiveQuestions:
             The people who may be asked.
         """
         working = int((team.present & ~team.ended).sum())
-        attention = min(1.0, self._setting.robot_count / max(1, working))
+        attention = min(1.0, len(self._setting.robots) / max(1, working))
         found = [self._of(team, team.records[k], attention) for k in np.flatnonzero(active).tolist()]
         return _worth_most(found)
 

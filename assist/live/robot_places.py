@@ -38,7 +38,7 @@ class RobotPlaces:
         self._setting = setting
         self.distance: Floats | None = None if distance is None else np.array(distance, dtype=float)
         self.travel = setting.travel(max(1, people if self.distance is None else len(self.distance) - 1), self.distance)
-        self.at, self.under_way = [BASE] * setting.robot_count, [False] * setting.robot_count
+        self.at, self.under_way = [BASE] * len(setting.robots), [False] * len(setting.robots)
 
     def number(self, robot: int) -> int:
         """Return the index of a robot, whose number counts from 1.
@@ -77,28 +77,26 @@ class RobotPlaces:
 
     def cost(self, number: int, origin: int) -> Floats:
         """Return what it costs a robot to move from a place to each place, in cost units, shape (P + 1,)."""
-        travel = self.travel.of_robot(number)
-        costs: Floats = travel.c_move * travel.distance[origin]
-        return costs
+        return np.asarray(self.travel.c_move[number] * self.travel.distance[origin])
 
     def takes_time(self, number: int, place: int) -> bool:
         """Return whether a robot that is sent to a place arrives in a later step."""
-        return bool(self.travel.of_robot(number).steps[self.at[number], place] > 0)
+        one, origin, to = np.array([[number], [self.at[number]], [place]])
+        return bool(self.travel.steps_between(one, origin, to)[0] > 0)
 
     def put(self, number: int, place: int, *, under_way: bool = False) -> None:
         """Record where a robot is, or to which place it is under way."""
         self.at[number], self.under_way[number] = place, under_way
 
     def make_room(self, sent: ArrayLike) -> None:
-        """Move robots without a task away from places to which others are sent, if robots differ.
+        """Move robots without a task away from places to which others are sent.
 
         Parameters
         ----------
-        sent : int array, shape (R,)
+        sent : int array, shape (M,)
             The place to which each robot is sent, or NOBODY.
         """
-        if self._setting.differ:
-            self.at = placed(np.array([self.at]), np.reshape(sent, (1, -1)))[0].tolist()
+        self.at = placed(np.array([self.at]), np.reshape(sent, (1, -1)))[0].tolist()
 
     def stop_for_absent(self, present: NDArray[np.bool_]) -> None:
         """Let robots under way to people who have left be there, because their positions are unknown."""

@@ -14,6 +14,7 @@ from ..people.human import Population
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..team.hidden_states import HiddenTeamState
+from ..team.robots import SUGGESTION
 from ..team.settings import Setting
 from ..team.state import TeamState
 from .decision_point import DecisionPoint
@@ -59,15 +60,14 @@ class TraceReasons:
         # The models of people who are not active may have no problem in this step, and none is looked at.
         model, own = np.unique(np.where(team.active[row], team.model[row], team.model[row, place]), return_inverse=True)
         parts = [self._part(team, one) for one in model.tolist()]
-        way = team.travel.of_robot(number)
-        here = int(team.location.reshape(len(team.x), -1)[row, number])
+        here, travel = int(team.location[row, number]), team.travel
         count, joint = len(names), team.joint if isinstance(team, HiddenTeamState) else [None] * team.x.size
         known = {k: one for k, one in enumerate(joint[row * count : (row + 1) * count]) if one is not None}
         point = DecisionPoint(
             tuple(names), tuple(self._problem(int(model[one])) for one in own), parts, team.x[row], own,
             np.zeros(count, dtype=np.int64), team.active[row], ~team.active[row], team.erred[row], team.belief[row],
-            known, {}, here, way.c_move * way.distance[here], rule,
-            0.0 if team.extra is None else float(team.extra.suggesting[number]),
+            known, {}, here, travel.c_move[number] * travel.distance[here], rule,
+            float(team.fleet.extra[number, SUGGESTION]),
         )  # fmt: skip
         found = point.suggested(place, robot, arrived=True)
         plain = {name: part for name, part in found.as_dict().items() if part is not None}

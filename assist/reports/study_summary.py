@@ -231,8 +231,9 @@ class Found:
             *arm, policy = _texts(key)
             labels = dict(zip(ARM, arm, strict=True))
             setting = self._setting(labels)
-            if policy in WEIGHING and not interventions and steps and not setting.differ:
-                found.append({**labels, "policy": policy, "c_suggest": setting.c_suggest})
+            costs = set(setting.fleet.each("c_suggest").tolist())
+            if policy in WEIGHING and not interventions and steps and len(costs) == 1:
+                found.append({**labels, "policy": policy, "c_suggest": costs.pop()})
         return found
 
     def decline(self) -> list[dict[str, Any]]:

@@ -15,7 +15,6 @@ from ..people.human import Population
 from ..people.memory import choices_of
 from ..people.mixture import Mixture
 from ..person.memory_needed import ONE_FOR_ALL, policy_bytes, require_room
-from ..team.robots import best_robots
 from ..team.settings import Setting
 
 
@@ -70,7 +69,7 @@ def _choices(
     offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
     if goals > 1:  # what is offered for one goal is offered for all
         offered = np.logical_or.reduce(offered.reshape(goals, -1, offered.shape[1]))
-    robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + best_robots(setting).execute)
+    robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.fleet.executes)
     one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
     _require_room_for_policies(one, len(choices), models, memory_limit_mb, goals)
     return choices

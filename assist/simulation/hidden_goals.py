@@ -90,7 +90,7 @@ class HiddenGoals:
             The people who were asked.
         """
         teams = np.flatnonzero(active.any(axis=1))
-        attention = np.minimum(1, self.pool.setting.robot_count / np.maximum(1, active.sum(axis=1)))
+        attention = np.minimum(1, len(self.pool.setting.robots) / np.maximum(1, active.sum(axis=1)))
         about, worth = np.zeros(x.shape, dtype=np.int64), np.full(x.shape, -np.inf)
         for model, rows in by_model(self.model.reshape(-1), np.flatnonzero(active), len(self.pool.policies)):
             at = np.unravel_index(rows, x.shape)

@@ -27,7 +27,6 @@ from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from ..team.policies import named
-from ..team.robots import best_robots
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
@@ -193,7 +192,7 @@ class Pool(Result):
             raise ValueError("people with weights of terms: expected one goal")
         needed = {
             "weights": population.weights or prior.weights,
-            "execute": best_robots(setting).execute,
+            "execute": setting.fleet.executes,
             "solver": solver != qmdp,
             "questions about goals": isinstance(table, Goals) and setting.c_ask is not None,
             "observation": isinstance(table, Goals) and setting.observation is not None,

@@ -12,7 +12,6 @@ from ..people.decision import NOTHING, Floats
 from ..person.dynamics import PeopleArrays
 from ..team.action_check import check
 from ..team.assignment import placed
-from ..team.robots import extra_costs
 from ..team.state import BASE, NOBODY, PolicyError, TeamAction, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
@@ -92,9 +91,9 @@ class Run:
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]
         self.erred = np.zeros(shape, dtype=bool)
-        self.robots, self.extra = pool.setting.robot_count, extra_costs(pool.setting)
-        self.location = np.full((len(numbers), self.robots), BASE, dtype=np.int64)
-        self.busy_until = np.zeros((len(numbers), self.robots), dtype=np.int64)
+        self.fleet, robots = pool.setting.fleet, len(pool.setting.robots)
+        self.location = np.full((len(numbers), robots), BASE, dtype=np.int64)
+        self.busy_until = np.zeros((len(numbers), robots), dtype=np.int64)
         self.belief: Floats | None = None
         uses_belief = getattr(policy, "uses_belief", True)
         if uses_belief or self.keeps_beliefs:
@@ -197,9 +196,8 @@ class Run:
             belief = belief.take(free, axis=0)  # faster than by an index
         team = TeamState(
             step=step, x=visible[every], active=active[every], erred=self.erred[every],
-            location=self.location[every] if self.robots > 1 else self.location[every, 0], model=view.model[every],
-            belief=belief, policies=view.policies,
-            travel=self.travel, free=arrived[every] if self.robots > 1 else None, extra=self.extra,
+            location=self.location[every], model=view.model[every],
+            belief=belief, policies=view.policies, travel=self.travel, free=arrived[every], fleet=self.fleet,
         )  # fmt: skip
         if self.observed is not None:
             team = self.observed.as_known(team, np.arange(len(self.x))[every])
@@ -209,24 +207,21 @@ class Run:
         except PolicyError as error:
             raise PolicyError(f"{getattr(self.policy, 'place', self.name)}: {error}") from None
         self.decided(team, action, free)
-        person, does = (array.reshape(len(free), self.robots) for array in (action.person, action.robot))
-        rows, number = np.nonzero(person != NOBODY)
-        teams, to, does = free[rows], person[rows, number], does[rows, number]
+        rows, number = np.nonzero(action.person != NOBODY)
+        teams, to, does = free[rows], action.person[rows, number], action.robot[rows, number]
         origin = self.location[teams, number]
         charged[teams, to] += self.travel.costs_between(number, origin, to)
         self.busy_until[teams, number] = step + self.travel.steps_between(number, origin, to)
         np.add.at(self.moves, teams, origin != to)
-        if self.extra is not None:
-            self.location[free] = placed(self.location[free], person)
-        self.location[teams, number] = to
+        self.location[free] = placed(self.location[free], action.person)
         robot[teams, to] = does
         for model, rows in by_model(view.model[teams, to], np.flatnonzero(does > 0), len(view.policies)):
             at = (teams[rows], to[rows])
             arrays = view.groups[model].arrays
             charged[at] += arrays.robot_costs[visible[at], does[rows]]
             executes = arrays.suggested[visible[at], does[rows]] == NOTHING
+            if self.fleet.costs_differ:
+                charged[at] += self.fleet.extra_of(number[rows], executes)
             self.executed[at] += executes
-            if self.extra is not None:
-                charged[at] += self.extra.of(number[rows], executes)
         self.helped[teams, to] += does > 0
         return robot, charged

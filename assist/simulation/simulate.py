@@ -127,6 +127,8 @@ def simulate(
     teams = None if given is None else np.broadcast_to(given, (count, places))
     travel = travel or pool.setting.travel(places)
     presence = presence or Schedule.of(places)
+    if len(travel.c_move) != len(pool.setting.robots):
+        raise ValueError(f"travel of {len(travel.c_move)} robots: expected that of {len(pool.setting.robots)}")
     if len(travel) != places or len(presence.joins) != places:
         raise ValueError(f"travel for {len(travel)}, presence for {len(presence.joins)}: expected {places} people")
     called = name or (policy if isinstance(policy, str) else str(getattr(policy, "__name__", "policy")))
@@ -180,7 +182,8 @@ def simulate(
 
 def _with_cost(found: Episodes, pool: Pool, policy: TeamPolicy) -> Episodes:
     """Return episodes with the cost of a suggestion, if the policy weighs it and made none."""
-    weighs_costs = getattr(policy, "weighs_costs", False) and not pool.setting.differ  # then there is no single cost
+    costs = set(pool.setting.fleet.each("c_suggest").tolist())
+    weighs_costs = getattr(policy, "weighs_costs", False) and len(costs) == 1
     if not weighs_costs or found.interventions.any() or not found.actions.any():
         return found
-    return replace(found, c_suggest_too_high=pool.setting.c_suggest)
+    return replace(found, c_suggest_too_high=costs.pop())

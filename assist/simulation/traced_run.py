@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from planner.system.files import finite
 
 from ..people.decision import NOTHING
-from ..team.robots import best_robots
 from ..team.state import BASE, TeamAction, TeamState
 from .run import Run, StepTaken
 from .trace import Reasons, Trace
@@ -29,9 +28,8 @@ class TracedRun(Run):
         """Keep the reason of each suggestion for the record of the person who gets it."""
         if self.reasons is None:
             return
-        person, does = (array.reshape(len(teams), -1) for array in (action.person, action.robot))
-        for row, number in np.argwhere(does > 0).tolist():
-            k, robot, e = int(person[row, number]), int(does[row, number]), int(teams[row])
+        for row, number in np.argwhere(action.robot > 0).tolist():
+            k, robot, e = int(action.person[row, number]), int(action.robot[row, number]), int(teams[row])
             if team.policies[team.model[row, k]].pomdp.suggested[team.x[row, k], robot] != NOTHING:
                 reason = self.reasons(
                     team, row, k, robot, number=number, names=[f"human-{one + 1}" for one in self.people[e].tolist()],
@@ -46,7 +44,7 @@ class TracedRun(Run):
 
     def watch(self, taken: StepTaken) -> None:
         """Append a record for each person who acted to the trace of their episode."""
-        view, executes = taken.view, best_robots(self.pool.setting).execute
+        view, executes = taken.view, self.pool.setting.fleet.executes
         for i in taken.flat:
             e, k = divmod(int(i), self.x.shape[1])
             pomdp = view.policies[view.model[e, k]].pomdp
@@ -66,7 +64,7 @@ class TracedRun(Run):
                 **({"executed": pomdp.executes(x, r)} if executes else {}),
                 "policy": self.name,
                 "place": k,
-                **({"robot_place": there[0]} if self.robots == 1 else {"robot_places": there}),
+                **({"robot_place": there[0]} if len(there) == 1 else {"robot_places": there}),
                 "cost": float(choices.costs[place, taken.slot[i]]) if taken.slot[i] >= 0 else 0.0,
                 "cost_to_go": finite(choices.h[x]),
                 "cost_to_go_after": finite(choices.h[view.x[e, k]]),

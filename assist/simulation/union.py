@@ -17,7 +17,7 @@ def union(pools: Sequence[P]) -> P:
 
     The setting is that of the first pool. Fields that concern one person only are part of the policies and may
     differ. Fields of the whole team must be the same: `gamma`, `c_move`, `travel_time`, `max_steps`, `robots`, people's
-    trust rule, what the robot observes, what questions cost, and all costs of robots that differ.
+    trust rule, what the robot observes, what questions cost, and what actions of each robot cost more than of the best.
 
     Raises
     ------
@@ -26,14 +26,19 @@ def union(pools: Sequence[P]) -> P:
     """
     if not pools:
         raise ValueError("joined: expected one pool or more")
-    differ = ("c_suggest", "execute", "c_execute") if pools[0].setting.differ else ()
     shared = ("gamma", "c_move", "travel_time", "max_steps", "robots", "observation", "c_ask", "ask_error")
-    for name in ("trust", *shared, *differ):
+    for name in ("trust", *shared):
         values = [getattr(pool.setting, name) for pool in pools]
         if name == "trust":  # the paper's rule has its rate and unit from each person's model
             values = ["paper" if value is None else value for value in values]
         if any(value != values[0] for value in values):
             raise ValueError(f"joined: {name} is {values} in these pools; expected the same in all")
+    extra = [pool.setting.fleet.extra for pool in pools]
+    if any((one != extra[0]).any() for one in extra):
+        raise ValueError(
+            f"joined: actions of each robot cost more than of the best one by {[one.tolist() for one in extra]} in "
+            "these pools; expected the same in all"
+        )
     offsets = np.cumsum([0, *(len(pool.policies) for pool in pools[:-1])])
     return replace(
         pools[0],

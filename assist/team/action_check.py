@@ -21,8 +21,7 @@ def check(team: TeamState, action: TeamAction) -> None:
     def refused(fault: str) -> PolicyError:
         return team.refused(f"the policy {fault}")
 
-    each = "robot of each team" if len(shape) > 1 else "team"
-    wanted = f"two int arrays of shape {shape}, an entry for each {each}"
+    wanted = f"two int arrays of shape {shape}, an entry for each robot of each team"
     if not isinstance(action, TeamAction):
         raise refused(
             f"returned {type(action).__name__}; expected a TeamAction, as team.act(person, robot) gives it: {wanted}"
@@ -35,29 +34,28 @@ def check(team: TeamState, action: TeamAction) -> None:
     if wrong.any():
         raise refused(f"goes to person {action.person[wrong][0]} in a team of {people}")
     goes = np.nonzero(action.person != NOBODY)
-    teams, to, robot, number = goes[0], action.person[goes], action.robot[goes], team.robot_numbers()[goes]
+    teams, to, robot, number = goes[0], action.person[goes], action.robot[goes], goes[1]
     if not team.active[teams, to].all():
         raise refused("goes to a person who has finished or is not there")
     if (robot[team.travel.steps_between(number, team.location[goes], to) > 0] != 0).any():
         raise refused("speaks to a person before the robot has arrived")
-    if team.is_joint:
-        if team.free is not None and not team.free[goes].all():
-            raise refused("sends a robot that is under way")
-        after = np.where(action.person == NOBODY, team.location, action.person)
-        if team.extra is not None:  # those that are not sent make room
-            after = np.where((action.person == NOBODY) & team.may_choose(), BASE, after)
-        ordered = np.sort(after, axis=1)
-        for n, one in zip(*np.nonzero((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != BASE)), strict=True):
-            there = after[n] == ordered[n, one]
-            # Robots may be with one person already, if somebody else has moved them.
-            if (team.location[n, there] != ordered[n, one]).any() or (action.person[n, there] != NOBODY).sum() > 1:
-                raise refused("lets two robots be with one person, or on their way there")
+    if not team.free[goes].all():
+        raise refused("sends a robot that is under way")
+    # Robots that are not sent make room.
+    after = np.where(action.person != NOBODY, action.person, np.where(team.free, BASE, team.location))
+    crowded = np.flatnonzero((after != BASE).sum(axis=1) > 1)
+    ordered = np.sort(after[crowded], axis=1)
+    for row, one in zip(*np.nonzero((ordered[:, 1:] == ordered[:, :-1]) & (ordered[:, 1:] != BASE)), strict=True):
+        n, place = crowded[row], ordered[row, one]
+        there = after[n] == place
+        # Robots may be with one person already, if somebody else has moved them.
+        if (team.location[n, there] != place).any() or (action.person[n, there] != NOBODY).sum() > 1:
+            raise refused("lets two robots be with one person, or on their way there")
     for model, rows in by_model(team.model[teams, to], np.flatnonzero(robot != 0), len(team.policies)):
         pomdp, x = team.policies[model].pomdp, team.x[teams[rows], to[rows]]
         if ((robot[rows] < 0) | (robot[rows] >= pomdp.robot_actions[x])).any():
             raise refused("makes a suggestion that the person's state does not have")
-        if team.extra is not None:
-            executes = pomdp.suggested[x, robot[rows]] == NOTHING
-            unable = np.isinf(team.extra.of(number[rows], executes))
+        if team.fleet.executes:
+            unable = np.isinf(team.fleet.extra_of(number[rows], pomdp.suggested[x, robot[rows]] == NOTHING))
             if unable.any():
                 raise refused(f"lets robot {number[rows][unable][0] + 1} execute an action, which it cannot")

@@ -1,10 +1,10 @@
-"""Joint assignment of several robots to people: each robot to at most one person, and no person to two robots.
+"""Joint assignment of robots to people: each robot to at most one person, and no person to two robots.
 
 The worth of an assignment is the sum of the worths of its pairs of robot and person. Where all places are equally far
-from each other, the best assignment serves the people with the largest worths, and a robot that is with one of them
-stays. Elsewhere, or if robots differ, it is a matching of maximum weight (`scipy.optimize.linear_sum_assignment`). Of
-equal ones it is that whose first robots go to the first people. One of different robots may come to a person with whom
-another one stays without a task: that one makes room (`placed`).
+from each other and robots are alike, the best assignment serves the people with the largest worths, and a robot that is
+with one of them stays. Elsewhere it is a matching of maximum weight (`scipy.optimize.linear_sum_assignment`). Of equal
+ones it is that whose first robots go to the first people. A robot may come to a person with whom another one stays
+without a task: that one makes room (`placed`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..person.ties import NEAR, ranked
+from ..person.ties import NEAR, first_best, ranked
 from .state import BASE, NOBODY, TeamState
 
 Ints = NDArray[np.int64]
@@ -31,16 +31,21 @@ def assigned(team: TeamState, worth: Floats) -> Ints:
     worth : float array, shape (N, M, K)
         Value of sending each robot to each person, in cost units; minus infinity where nobody may be sent.
     """
-    free = team.may_choose()
+    free = team.free
+    if team.robots == 1:  # faster
+        worth = np.where(team.active[:, None], worth, -np.inf)
+        best = first_best(worth)
+        enough = np.take_along_axis(worth, best[..., None], axis=2)[..., 0] > NEAR
+        return np.where(free & enough, best, NOBODY)
     under_way = np.nonzero(~free)
     worth = np.where(free[:, :, None] & team.active[:, None], worth, -np.inf)
     worth[under_way[0], :, team.location[under_way]] = -np.inf  # the person to whom another robot is on its way
-    alike = team.travel.equally_far and team.extra is None
-    return (_best_served if alike else _matched)(worth, team.location, free)
+    same_for_all = team.travel.equally_far and team.travel.alike and len(team.fleet.kinds[0]) == 1
+    return (_best_served if same_for_all else _matched)(worth, team.location, free)
 
 
 def placed(location: Ints, person: Ints) -> Ints:
-    """Return where robots that differ are after they were sent, all of shape (N, M).
+    """Return where robots are after they were sent, all of shape (N, M).
 
     A robot that is not sent leaves for its base, at no cost, if another one comes to the person it is with.
     """
@@ -51,7 +56,7 @@ def placed(location: Ints, person: Ints) -> Ints:
 
 
 def _best_served(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
-    """Return the assignment if all places are equally far from each other, so that only the people's worth matters."""
+    """Return the assignment if places are equally far and robots alike, so that only the people's worth matters."""
     teams, robots, people = worth.shape
     each = worth.max(axis=1)
     served = np.zeros((teams, people), dtype=bool)

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..person.policy import Policy
-from ..person.ties import NEAR, first_best
+from ..person.ties import first_best
 from .assignment import assigned
-from .extra_costs import scores_of_each
-from .state import BASE, NOBODY, TeamAction, TeamState
+from .state import NOBODY, TeamAction, TeamState
 
 
 @dataclass(frozen=True)
@@ -32,10 +31,9 @@ class Reactive:
     """Go to a person whose last action was a mistake, and suggest an optimal action.
 
     A mistake is an action that is not an optimal choice, that is, no optimal plan from the state begins with it.
-    (Whether h* decreased is another question, because costs differ between actions and may be 0.) If several people
-    have erred, the robot stays with the present person if possible; otherwise it goes to the first of them. Several
-    robots help as many people as possible, the nearest ones. In a dead end no action is optimal, so that nothing is
-    suggested.
+    (Whether h* decreased is another question, because costs differ between actions and may be 0.) Robots help as many
+    people as possible, the nearest ones: a robot stays with the present person if they have erred, and otherwise goes
+    to the first of the nearest. In a dead end no action is optimal, so that nothing is suggested.
     """
 
     uses_belief = False
@@ -43,15 +41,9 @@ class Reactive:
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return an action for a person who has erred, in every team that has one."""
         robot = np.where(team.erred, team.first_optimal(), 0)
-        wanted = robot > 0
-        if team.is_joint:
-            far = team.travel.distance[team.location][:, :, :-1]
-            nearness = 1.0 + float(team.travel.distance.max()) - far  # positive, so that it never pays to be idle
-            return team.act(assigned(team, np.where(wanted[:, None], nearness, -np.inf)), robot)
-        teams = np.arange(len(team.x))
-        stay = (team.location != BASE) & wanted[teams, team.location]
-        person = np.where(stay, team.location, np.where(wanted.any(axis=1), wanted.argmax(axis=1), NOBODY))
-        return team.act(person, robot)
+        far = team.travel.distance[team.location][..., :-1]
+        nearness = 1.0 + float(team.travel.distance.max()) - far  # positive, so that it never pays to be idle
+        return team.act(assigned(team, np.where(robot[:, None] > 0, nearness, -np.inf)), robot)
 
 
 @dataclass(frozen=True)
@@ -63,8 +55,8 @@ class AttentionSwitching:
 
         score_k = Q^k(b^k, a^k) - reference_k - c_move * distance(location, k)
 
-    The robot acts on the largest score; it does nothing if no score is positive. Several robots act on the largest sum
-    of scores, each for another person. The paper's text allows two readings. Here the reference is the value of doing
+    The robots act on the largest sum of scores, each for another person; a robot does nothing without a person whose
+    score is positive. The paper's text allows two readings. Here the reference is the value of doing
     nothing *once* and following the person's policy from the next step on. `attention_never` has the other one.
     """
 
@@ -82,25 +74,17 @@ class AttentionSwitching:
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return an action for the person with the largest positive score, in every team that has one."""
         robot, score = self.scores(team)
-        if team.is_joint:
-            return team.act(assigned(team, score), robot)
-        teams = np.arange(len(team.x))
-        best = first_best(score)
-        return team.act(np.where(score[teams, best] > NEAR, best, NOBODY), robot)
+        return team.act(assigned(team, score), robot)
 
     def scores(self, team: TeamState) -> tuple[NDArray[np.int64], Floats]:
-        """Return each person's robot action, shape (N, K), and its score, shape (N, K), or (N, M, K) with M robots.
-
-        If robots differ, the robot action has the shape (N, M, K), too.
-        """
+        """Return each robot's action towards each person, and its score, both of shape (N, M, K)."""
         q = team.q_values()
-        reference = self.reference(team, q)
-        if team.extra is not None:
-            return scores_of_each(team, q, reference)
-        robot = first_best(q)
-        worth = np.take_along_axis(q, robot[:, :, None], axis=2)[:, :, 0]  # faster than a maximum over so few entries
-        # People who are not active score minus infinity.
-        score = np.subtract(worth, reference, out=np.full(team.x.shape, -np.inf), where=team.active)
-        # Doing nothing is no reason to move, even if its value exceeds that of never helping again.
-        score[robot == 0] = -np.inf
-        return robot, (score[:, None] if team.is_joint else score) - team.to()
+        each = team.by_kind(q)
+        robot = first_best(each)
+        worth = np.take_along_axis(each, robot[..., None], axis=3)[..., 0]  # faster than a maximum over so few entries
+        # People who are not active score minus infinity. Doing nothing is no reason to move, even if its value exceeds
+        # that of never helping again.
+        useful = team.active[:, None] & (robot > 0)
+        score = np.subtract(worth, self.reference(team, q)[:, None], out=np.full(worth.shape, -np.inf), where=useful)
+        kind = team.fleet.kinds[1]
+        return robot[:, kind], score[:, kind] - team.to()

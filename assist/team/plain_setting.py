@@ -12,8 +12,8 @@ from .settings import RULES_OF, Setting
 def plain_setting(setting: Setting) -> dict[str, Any]:
     """Return the fields of a setting as plain data, from which `Setting` makes an equal one.
 
-    Trust rules, the observation model and the cost of questions are included only if they are given, and the number of
-    robots only if there are several.
+    Trust rules, the observation model and the cost of questions are included only if they are given. So are the fields
+    of each robot.
 
     Raises
     ------
@@ -24,10 +24,7 @@ def plain_setting(setting: Setting) -> dict[str, Any]:
     del plain["observation"]
     if setting.observation is not None:
         plain["observation"] = setting.observation.as_dict()
-    if isinstance(setting.robots, tuple):
-        plain["robots"] = [robot.as_dict() for robot in setting.robots]
-    elif setting.robots == 1:
-        del plain["robots"]
+    plain["robots"] = [robot.as_dict() for robot in setting.robots]
     if setting.c_ask is None:
         del plain["c_ask"], plain["ask_error"]
     for name in RULES_OF:

@@ -25,54 +25,35 @@ from ..person.ties import NEAR, first_best
 from .assignment import assigned
 from .attention_subproblem import AttentionSubproblem, backwards
 from .by_policy import ByPolicy
-from .extra_costs import extra_costs_of
 from .state import BASE, NOBODY, Ask, TeamAction, TeamState
 from .time_expansion import HERE
 from .travel import Travel
 
 
-def coming(travel: Travel) -> tuple[float, int, int]:
-    """Return the mean cost of coming, its mean number of steps, and the number of steps from the farthest place.
-
-    If robots differ, they are means over robots, and the number of steps of the slowest one.
-    """
-    way = ~np.eye(len(travel.distance), dtype=bool)[:, :-1]
-    each = travel.each
-    c_move = sum(one.c_move for one in each) / len(each)
-    entry = c_move * float(travel.distance[:, :-1][way].mean())
-    steps = sum(float(one.steps[:, :-1][way].mean()) for one in each) / len(each)
-    return entry, round(steps), max(int(one.steps.max()) for one in each)
-
-
 def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, staying: Floats) -> TeamAction:
-    """Return the action of going where it is worth most, if that is more than staying and more than 0.
+    """Return the action of going where the sum of worths is largest, where it is worth more than staying and than 0.
 
-    Several robots go where the sum of their worths is largest, each to another person. No robot goes to a person with
-    whom another one stays.
+    No two robots go to one person, and none to a person with whom another one stays.
 
     Parameters
     ----------
     team : TeamState
-    robot : int array, shape (N, K), or (N, M, K) if M robots differ
-        Robot action for each person.
-    going : float array, shape (N, K), or (N, M, K) with M robots
+    robot : int array, shape (N, M, K)
+        Each robot's action towards each person.
+    going : float array, shape (N, M, K)
         Worth of going to each person.
-    staying : float array, shape (N,), or (N, M) with M robots
+    staying : float array, shape (N, M)
         Worth of staying without a suggestion.
     """
-    if team.is_joint:
-        there = np.nonzero(team.location != BASE)
-        own = (*there, team.location[there])
-        worth = going.copy()
-        # Robots stay where that is worth as much as to go elsewhere.
-        worth[own] = np.maximum(going[own], staying[there] + 2 * NEAR)
-        person = assigned(team, worth)
-        stays = (staying[there] >= going[own] - NEAR) & (person[there] == team.location[there])
-        person[there] = np.where(stays, NOBODY, person[there])
-        return team.act(person, robot)
-    teams = np.arange(len(team.x))
-    best = first_best(going)
-    return team.act(np.where(going[teams, best] > np.maximum(staying, 0) + NEAR, best, NOBODY), robot)
+    there = np.nonzero(team.location != BASE)
+    own = (*there, team.location[there])
+    worth = going.copy()
+    # Robots stay where that is worth as much as to go elsewhere.
+    worth[own] = np.maximum(going[own], staying[there] + 2 * NEAR)
+    person = assigned(team, worth)
+    stays = (staying[there] >= going[own] - NEAR) & (person[there] == team.location[there])
+    person[there] = np.where(stays, NOBODY, person[there])
+    return team.act(person, robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +86,7 @@ class Priority:
 
     The value of presence for a person is the Q-value with the robot there, minus that without it in this step. Presence
     means to make a suggestion, to stay without one, or to arrive after the travel and continue from there. The cost of
-    moving is subtracted. The robot acts on the largest difference. Several robots act on the largest sum of
-    differences, each for another person.
+    moving is subtracted. The robots act on the largest sum of differences, each for another person.
 
     Attributes
     ----------
@@ -161,7 +141,8 @@ class Priority:
         """
         if price is None:
             price = 0.15 * min(policy.cheapest for policy in policies)
-        entry, steps, longest = coming(travel)
+        (entry, mean_steps), longest = travel.mean_way, travel.longest_way
+        steps = round(mean_steps)
         each = np.asarray(price, dtype=float)
         for policy in policies if each.ndim else ():
             policy.require_enumerated(f"prices of {each.size} steps")
@@ -185,13 +166,12 @@ class Priority:
         return to_the_best(team, *self.worth(team))
 
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Return each person's robot action and the value of going there, (N, K), and that of staying, (N,).
+        """Return each robot's action towards each person and the value of going there, both (N, M, K), and of staying.
 
-        With M robots per team, M > 1, the values have the shapes (N, M, K) and (N, M); if the robots differ, the robot
-        actions also have the shape (N, M, K).
+        The value of staying has the shape (N, M).
         """
-        steps, differ = team.travel.steps_from(team.location), team.extra is not None
-        robot = np.zeros(steps.shape if differ else team.x.shape, dtype=np.int64)
+        steps, kind = team.travel.steps_from(team.location), team.fleet.kinds[1]
+        robot = np.zeros(steps.shape, dtype=np.int64)
         going, holding = np.full(steps.shape, -np.inf), np.zeros(team.location.shape)
         if steps.max(initial=0) > self.longest:
             raise ValueError(
@@ -206,22 +186,15 @@ class Priority:
         # People who are not active score minus infinity.
         gain = np.full(q.shape, -np.inf)
         np.subtract(q[:, :, 1:] + price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
-        lowest: Floats = np.zeros(1)  # what coming to a person to act costs at least, more than the best robot
-        if q.shape[2] > 2 and differ:
-            extra = extra_costs_of(team, q.shape[2] - 1)[..., 1:]
+        lowest: Floats = np.zeros((1, 1, 1))  # what coming to a person to act costs at least, more than the best robot
+        if q.shape[2] > 2:
+            extra = team.extra_costs(q.shape[2] - 1)[..., 1:]
             each = gain[:, None, :, 2:] - extra
-            robot = np.where(team.active[:, None], first_best(each) + 1, 0)
-            going, lowest = each.max(axis=3), extra.min(axis=3)
-        elif q.shape[2] > 2:
-            robot = np.where(team.active, first_best(gain[:, :, 2:]) + 1, 0)
-            best = gain[:, :, 2:].max(axis=2)
-            going[:] = best[:, None] if team.is_joint else best
-        active = team.active[:, None] if team.is_joint else team.active
-        away = np.nonzero(active & (steps > 0))
-        e, k = away[0], away[-1]
+            robot = np.where(team.active[:, None], first_best(each) + 1, 0)[:, kind]
+            going, lowest = each.max(axis=3)[:, kind], extra.min(axis=3)[:, kind]
+        e, _, k = away = np.nonzero(team.active[:, None] & (steps > 0))
         going[away] = arriving[e, k, steps[away] - 1] + price - q[e, k, 0]
-        if differ:
-            going[away] -= np.broadcast_to(lowest, going.shape)[away]
+        going[away] -= np.broadcast_to(lowest, going.shape)[away]
         with_them = np.nonzero(team.location != BASE)
         at = team.location[with_them]
         holding[with_them] = np.where(team.active[with_them[0], at], gain[with_them[0], at, 1], 0.0)

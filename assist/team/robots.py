@@ -1,7 +1,10 @@
-"""Robots that differ in what they can do and in what it costs.
+"""The robots of a team, which may differ in what they can do and in what it costs.
 
-A bound on the value of all policies for M robots that can each do what any of a team's robots can, at the lowest cost
-and in the shortest time of any (`best_robots`), is one for that team, too.
+A property of a robot is a field of `Robot`; `Fleet` has the fields of all M robots as arrays of shape (M,).
+
+People's problems have the *best* robot: it can do what any robot of the team can, at the lowest cost and in the
+shortest time of any. Policies and simulations add what an action of each robot costs more (`Fleet.extra`). A bound on
+the value of all policies for M of the best robots is one for the team, too.
 
 Proof. Any policy of the team is one of those robots, too: where a robot of the team is still on its way, the faster one
 has arrived and waits, which no other robot can disturb. Its actions are possible, and cost no more. A robot that makes
@@ -12,23 +15,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, TypeVar
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.system.arrays import frozen
 from planner.system.errors import expected
 
-from ..people.arguments import whole
+from ..people.arguments import MOST, whole, within
 from ..people.decision import Floats
 
-S = TypeVar("S", bound=Any)
-"""The type of a `Setting`, whose field `robots` may hold a `Robot` for each of a team."""
+SUGGESTION, EXECUTION = 0, 1
+"""The two classes of robot actions, which cost differently."""
 
 
 @dataclass(frozen=True)
 class Robot:
-    """One robot of a team whose robots differ. Where a field is None, the robot has the value of the setting.
+    """One robot of a team. Where a field is None, the robot has the value of the setting.
 
     Attributes
     ----------
@@ -38,6 +43,11 @@ class Robot:
         Costs of a suggestion, of an action that the robot executes, and of moving by a distance of 1, in cost units.
     travel_time : float, optional
         Steps for moving by a distance of 1.
+
+    Raises
+    ------
+    ValueError
+        A value is out of its range.
     """
 
     execute: bool | None = None
@@ -45,6 +55,15 @@ class Robot:
     c_execute: float | None = None
     c_move: float | None = None
     travel_time: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in self.as_dict().items():
+            if name == "execute":
+                if not isinstance(value, bool | np.bool_):
+                    raise ValueError(f"execute {value!r}: expected True or False")
+                object.__setattr__(self, name, bool(value))
+            else:
+                object.__setattr__(self, name, within(name, value, 0, MOST))
 
     @classmethod
     def of(cls, plain: Robot | Mapping[str, Any]) -> Robot:
@@ -70,31 +89,80 @@ class Robot:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
+USUAL = Robot(execute=False, c_suggest=1.0, c_execute=1.0, c_move=0.5, travel_time=0.0)
+"""A robot of a setting that says nothing else."""
+
+
 @dataclass(frozen=True)
-class ExtraCosts:
-    """How much more an action of each of M different robots costs than with the lowest cost of any, in cost units.
+class Fleet:
+    """The M robots of a team with all of their values, which none of their fields lacks.
 
     Attributes
     ----------
-    suggesting : float array, shape (M,)
-        For a suggestion.
-    executing : float array, shape (M,)
-        For the execution of an action; infinite for a robot that executes none.
+    robots : tuple of Robot
     """
 
-    suggesting: Floats
-    executing: Floats
+    robots: tuple[Robot, ...]
 
-    def __post_init__(self) -> None:
-        self.suggesting.flags.writeable = self.executing.flags.writeable = False
+    @classmethod
+    def of(cls, robots: Sequence[Robot], usual: Any = USUAL) -> Fleet:
+        """Return robots with the values of `usual`, such as a `Setting`, in the fields that are None."""
+        return cls(tuple(
+            replace(robot, **{name: getattr(usual, name) for name, value in vars(robot).items() if value is None})
+            for robot in robots
+        ))  # fmt: skip
 
-    def of(self, robot: NDArray[np.int64], executes: NDArray[np.bool_]) -> Floats:
-        """Return the extra costs of actions of robots, given by their numbers from 0; other actions are suggestions."""
-        return np.where(executes, self.executing[robot], self.suggesting[robot])
+    def __len__(self) -> int:
+        return len(self.robots)
+
+    def each(self, name: str) -> NDArray[Any]:
+        """Return the value of a field for each robot, shape (M,)."""
+        return np.array([getattr(robot, name) for robot in self.robots])
+
+    @cached_property
+    def executes(self) -> bool:
+        """Whether any robot can execute an action."""
+        return bool(self.each("execute").any())
+
+    def least(self, name: str) -> float:
+        """Return the lowest value of a cost or time of any robot: of an execution, of any that can execute."""
+        values = self.each(name)
+        return float(values[self.each("execute")].min() if name == "c_execute" and self.executes else values.min())
+
+    @property
+    def best(self) -> Robot:
+        """The best robot: it can do what any can, at the lowest cost and in the shortest time of any."""
+        costs = {name: self.least(name) for name in ("c_suggest", "c_execute", "c_move", "travel_time")}
+        return Robot(execute=self.executes, **costs)
+
+    @cached_property
+    def extra(self) -> Floats:
+        """What a suggestion and an execution by each robot cost more than by the best one, in cost units, shape (M, 2).
+
+        It is infinite for the execution of an action by a robot that executes none, if others do.
+        """
+        never = np.inf if self.executes else 0.0
+        executing = np.where(self.each("execute"), self.each("c_execute") - self.least("c_execute"), never)
+        return frozen(np.stack([self.each("c_suggest") - self.least("c_suggest"), executing], axis=1))
+
+    @cached_property
+    def costs_differ(self) -> bool:
+        """Whether an action of any robot costs more than one of the best robot, so that it is to be added."""
+        return bool(self.extra.any())
+
+    @cached_property
+    def kinds(self) -> tuple[Floats, NDArray[np.int64]]:
+        """The distinct rows of `extra`, shape (U, 2), and the number of each robot's row, shape (M,)."""
+        rows, number = np.unique(self.extra, axis=0, return_inverse=True)
+        return frozen(rows), frozen(number.reshape(-1))
+
+    def extra_of(self, robot: NDArray[np.int64], executes: NDArray[np.bool_]) -> Floats:
+        """Return the extra costs of actions of robots, given by their numbers from 0; others are suggestions."""
+        return np.where(executes, self.extra[robot, EXECUTION], self.extra[robot, SUGGESTION])
 
 
-def robots_of(robots: Any) -> int | tuple[Robot, ...]:
-    """Return the checked number of robots, or each of them if a sequence is given.
+def robots_of(robots: Any) -> tuple[Robot, ...]:
+    """Return the robots of a team, given as a sequence, or by their number if nothing more is to be said of them.
 
     Raises
     ------
@@ -102,7 +170,7 @@ def robots_of(robots: Any) -> int | tuple[Robot, ...]:
         It is neither a number from 1 upwards nor a sequence of robots.
     """
     if not isinstance(robots, Sequence) or isinstance(robots, str):
-        return whole("robots", robots, 1)
+        return (Robot(),) * whole("robots", robots, 1)
     if not robots:
         raise ValueError("robots []: expected one or more")
     each = []
@@ -112,48 +180,3 @@ def robots_of(robots: Any) -> int | tuple[Robot, ...]:
         except ValueError as error:
             raise ValueError(f"robot {m}: {error}") from None
     return tuple(each)
-
-
-def each_alone(setting: S) -> tuple[S, ...]:
-    """Return the settings of a team with each of its robots alone.
-
-    Raises
-    ------
-    ValueError
-        A field of a robot is out of its range.
-    """
-    if not setting.differ:
-        return (replace(setting, robots=1),) * setting.robots
-    found = []
-    for m, robot in enumerate(setting.robots, start=1):
-        try:
-            found.append(replace(setting, robots=1, **robot.as_dict()))
-        except ValueError as error:
-            raise ValueError(f"robot {m}: {error}") from None
-    return tuple(found)
-
-
-def best_robots(setting: S) -> S:
-    """Return the setting of as many robots that are alike: each can do what any robot can, at the lowest cost of any.
-
-    People's problems have these robots, and policies and simulations add the `extra_costs` of each.
-    """
-    if not setting.differ:
-        return setting
-    each = each_alone(setting)
-    least = {name: min(getattr(one, name) for one in each) for name in ("c_suggest", "c_move", "travel_time")}
-    execute = [one.c_execute for one in each if one.execute]
-    return replace(
-        setting, robots=len(each), execute=bool(execute), c_execute=min(execute, default=setting.c_execute), **least
-    )
-
-
-def extra_costs(setting: Any) -> ExtraCosts | None:
-    """Return how much more the actions of each robot cost than those of `best_robots`; None if the robots are alike."""
-    if not setting.differ:
-        return None
-    each, least = each_alone(setting), best_robots(setting)
-    return ExtraCosts(
-        np.array([one.c_suggest - least.c_suggest for one in each]),
-        np.array([one.c_execute - least.c_execute if one.execute else np.inf for one in each]),
-    )

@@ -147,30 +147,29 @@ class Rollout:
         robot, going, holding = self.base.worth(team)
         actions = [to_the_best(team, robot, going, holding)]
         N, K = team.x.shape
-        worth, staying = going.reshape(N, -1, K), holding.reshape(N, -1).clip(0)
-        person = actions[0].person.reshape(N, -1)
+        person, staying = actions[0].person, holding.clip(0)
         n, m = np.nonzero(person != NOBODY)
         served = np.zeros((N, K), dtype=bool)
         served[n, person[n, m]] = True
         gained = staying.copy()
-        gained[n, m] = worth[n, m, person[n, m]]
-        instead = np.maximum(np.where(served[:, None], -np.inf, worth).max(axis=2), staying)
+        gained[n, m] = going[n, m, person[n, m]]
+        instead = np.maximum(np.where(served[:, None], -np.inf, going).max(axis=2), staying)
         loss = np.full((N, 2, K), np.inf)  # of attending to a person, and of leaving one out
-        free = np.where(team.may_choose().reshape(person.shape), gained, np.inf).min(axis=1)
-        loss[:, 0] = np.where(served, np.inf, free[:, None] - worth.max(axis=1))
+        free = np.where(team.free, gained, np.inf).min(axis=1)
+        loss[:, 0] = np.where(served, np.inf, free[:, None] - going.max(axis=1))
         loss[n, 1, person[n, m]] = gained[n, m] - instead[n, m]
         loss[team.active.sum(axis=1) > self.options.people] = np.inf
         flat = loss.reshape(N, -1)
         order = ranked(-flat)[:, : self.options.alternatives]
         simulated = np.take_along_axis(flat, order, axis=1) <= self.near
-        each, above_all = np.arange(N), 1 + 2 * np.abs(worth[np.isfinite(worth)]).sum()  # to send a robot to a person
+        each, above_all = np.arange(N), 1 + 2 * np.abs(going[np.isfinite(going)]).sum()  # to send a robot to a person
         for place, (omits, k) in enumerate(zip(*np.divmod(order.T, K), strict=True)):
-            wanted, held = worth.copy(), holding.reshape(N, -1).copy()
+            wanted, held = going.copy(), holding.copy()
             wanted[each, :, k] = np.where(omits[:, None] == 1, -np.inf, wanted[each, :, k] + above_all)
-            held[(omits == 1)[:, None] & (team.location.reshape(N, -1) == k[:, None])] = 0.0
-            actions.append(to_the_best(team, robot, wanted.reshape(going.shape), held.reshape(holding.shape)))
+            held[(omits == 1)[:, None] & (team.location == k[:, None])] = 0.0
+            actions.append(to_the_best(team, robot, wanted, held))
             for other in actions[:-1]:
-                same = [(getattr(other, one) == getattr(actions[-1], one)).reshape(N, -1) for one in _ACTION]
+                same = [getattr(other, one) == getattr(actions[-1], one) for one in _ACTION]
                 simulated[:, place] &= ~np.concatenate(same, axis=1).all(axis=1)
         return actions, simulated
 
@@ -244,7 +243,7 @@ class _Paths:
         assert team.belief is not None
         self.belief, self.location = team.belief[own], team.location[own]
         # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
-        self.left = 1 - team.may_choose()[own].astype(np.int64)
+        self.left = 1 - team.free[own].astype(np.int64)
         person, robot = (np.stack([getattr(one, name) for one in actions])[c, rows[n]] for name in _ACTION)
         self.first = TeamAction(person.repeat(samples, axis=0), robot.repeat(samples, axis=0))
         self.grid = team.policies[0].pomdp.grid
@@ -276,14 +275,12 @@ class _Paths:
         action = self.first if step == 0 else self._priority(step)
         before = self._positions()
         going = np.nonzero(action.person != NOBODY)
-        origin, to = self.location[going], action.person[going]
-        number = np.broadcast_to(np.arange(self.team.robots) if self.team.is_joint else 0, self.location.shape)[going]
+        origin, to, number = self.location[going], action.person[going], going[1]
         robot, by, gained = np.zeros_like(self.x), np.zeros_like(self.x), np.zeros(len(self.x))
         robot[going[0], to], by[going[0], to] = action.robot[going], number
         np.subtract.at(gained, going[0], self.team.travel.costs_between(number, origin, to))
-        if self.team.extra is not None:
-            self.location = placed(self.location, action.person)
-        self.location[going], self.left[going] = to, self.team.travel.steps_between(number, origin, to)
+        self.location = placed(self.location, action.person)
+        self.left[going] = self.team.travel.steps_between(number, origin, to)
         now = self._positions()
         attended = self.active & (now != AWAY)
         gained += self.rollout.base.price[0] * attended.sum(axis=1)
@@ -295,14 +292,13 @@ class _Paths:
 
     def _priority(self, step: int) -> TeamAction:
         """Return priority's action in the present state of all paths."""
-        free, goals = self.left == 0, self.team.policies[0].pomdp.model.choices.goal_count
+        goals = self.team.policies[0].pomdp.model.choices.goal_count
         team = TeamState(
             self.team.step + step, self.x % self.states if goals > 1 else self.x, self.active, self.erred,
             self.location, self.model, self.belief, self.team.policies, self.team.travel,
-            free=free if self.team.is_joint else None, extra=self.team.extra,
+            free=self.left == 0, fleet=self.team.fleet,
         )  # fmt: skip
-        action = self.rollout.base(team)
-        return action if team.is_joint else TeamAction(np.where(free, action.person, NOBODY), action.robot * free)
+        return self.rollout.base(team)
 
     def _positions(self) -> Ints:
         """Return the robot's position for each person, as in their problem with a robot that comes and goes."""
@@ -327,10 +323,9 @@ class _Paths:
             q = solved.policy.q_mdp[states[now.reshape(-1)[rows], x], move.reshape(-1)[rows], b, t]
             value = solved.policy.value_mdp[states[before.reshape(-1)[rows], x], b, t]
             advantage.reshape(-1)[rows] = q - value
-            if self.team.extra is not None:
-                does = robot.reshape(-1)[rows]
-                extra = self.team.extra.of(by.reshape(-1)[rows], policy.pomdp.suggested[x, does] == NOTHING)
-                advantage.reshape(-1)[rows] -= np.where(does > 0, extra, 0.0)
+            does = robot.reshape(-1)[rows]
+            extra = self.team.fleet.extra_of(by.reshape(-1)[rows], policy.pomdp.suggested[x, does] == NOTHING)
+            advantage.reshape(-1)[rows] -= np.where(does > 0, extra, 0.0)
             act(rows, people, minds, arrays)
             self.active.reshape(-1)[rows] = ~arrays.goal[people.x[rows]]
         return advantage

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Literal, get_args
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from ..people.arguments import MOST, number, one_of, whole, within
@@ -18,9 +18,8 @@ from ..people.trust_rules import TrustRule, rule_given, trust_rule
 from ..person.leaf_bounds import LeafBounds
 from ..person.observation_model import ObservationModel, observation_given
 from ..person.pomdp import AssistPOMDP, Suggestions
-from .robots import Robot, best_robots, each_alone, robots_of
+from .robots import Fleet, Robot, robots_of
 from .travel import Travel
-from .travel_of_each import TravelOfEach
 
 Knowledge = Literal["own", "exact"]
 
@@ -56,9 +55,9 @@ class Setting:
         Cost of an action executed by the robot, in cost units.
     max_steps : int
         Largest number of steps of an episode.
-    robots : int or sequence of Robot
-        Number of robots of a team, M, which are alike; or what each of them can do and what it costs, if they differ.
-        All begin at the base.
+    robots : sequence of Robot, or int
+        The M robots of a team. What a robot does not say, as everything if only their number is given, is as in this
+        setting. All begin at the base.
     trust : str or TrustRule, optional
         How theta moves, for people and in the robot's model of them: "paper" (equation 7 with `eta` and
         `utility_scale`), "constant", "outcome", "outcome-at-disagreement", "reliability", or a rule. Unless given
@@ -94,15 +93,18 @@ class Setting:
     max_steps: int = 500
     trust: str | TrustRule | None = None
     believed_trust: str | TrustRule | None = None
-    robots: int | tuple[Robot, ...] = 1
+    robots: tuple[Robot, ...] = (Robot(),)
     observation: ObservationModel | None = None
     c_ask: float | None = None
     ask_error: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("gamma", "c_move", "travel_time", "lapse", "ask_error"):
+        usual = Robot(self.execute, self.c_suggest, self.c_execute, self.c_move, self.travel_time)
+        for name, value in vars(usual).items():
+            object.__setattr__(self, name, value)
+        for name in ("gamma", "lapse", "ask_error"):
             object.__setattr__(self, name, number(name, getattr(self, name)))
-        for name in ("c_suggest", "c_execute", "eta", *(() if self.c_ask is None else ("c_ask",))):
+        for name in ("eta", *(() if self.c_ask is None else ("c_ask",))):
             object.__setattr__(self, name, within(name, getattr(self, name), 0, MOST))
         object.__setattr__(self, "utility_scale", within("utility_scale", self.utility_scale, 1 / MOST, MOST))
         if not 0 < self.gamma < 1:
@@ -113,33 +115,23 @@ class Setting:
             raise ValueError(f"ask_error {self.ask_error:g}: expected 0 <= ask_error < 0.5")
         one_of("knowledge", self.knowledge, get_args(Knowledge))
         one_of("suggestions", self.suggestions, get_args(Suggestions))
-        if not isinstance(self.execute, bool | np.bool_):
-            raise ValueError(f"execute {self.execute!r}: expected True or False")  # noqa: TRY004
-        object.__setattr__(self, "execute", bool(self.execute))
         object.__setattr__(self, "max_steps", whole("max_steps", self.max_steps, 1))
         object.__setattr__(self, "robots", robots_of(self.robots))
         object.__setattr__(self, "observation", observation_given(self.observation))
-        if self.observation is not None and self.execute:
-            raise ValueError("execute: expected actions that are all seen as they are")
+        for m, robot in enumerate(self.fleet.robots, start=1):
+            if self.observation is not None and robot.execute:
+                who = f"robot {m}: " * (self.robots[m - 1].execute is not None)
+                raise ValueError(f"{who}execute: expected actions that are all seen as they are")
         for name in RULES_OF:
             object.__setattr__(self, name, rule_given(name, getattr(self, name)))
         self.travel(1)  # raises an error for impossible travel
         self.trust_rule()  # raises an error for an unknown rule
         self.believed_rule()
-        if self.differ and len(set(each := each_alone(self))) == 1:  # a team of robots that are alike
-            for field in fields(Robot):
-                object.__setattr__(self, field.name, getattr(each[0], field.name))
-            object.__setattr__(self, "robots", len(each))
 
-    @property
-    def robot_count(self) -> int:
-        """The number of robots of a team, M."""
-        return len(self.robots) if isinstance(self.robots, tuple) else self.robots
-
-    @property
-    def differ(self) -> bool:
-        """Whether the robots of a team differ."""
-        return isinstance(self.robots, tuple)
+    @cached_property
+    def fleet(self) -> Fleet:
+        """The robots with all of their values."""
+        return Fleet.of(self.robots, self)
 
     def trust_rule(self) -> TrustRule:
         """Return the trust rule of people."""
@@ -180,7 +172,7 @@ class Setting:
     def require_effect(self) -> None:
         """Raise an error if a cost or a rate was changed that has no effect together with the other parameters."""
         usual = {field.name: field.default for field in fields(self)}
-        without = {"c_execute": not best_robots(self).execute and "robots that execute"}
+        without = {"c_execute": not self.fleet.executes and "robots that execute"}
         by_equation_seven = self.trust in (None, "paper") or self.believed_trust == "paper"
         without |= dict.fromkeys(("eta", "utility_scale"), not by_equation_seven and "trust 'paper'")
         for name, what in without.items():
@@ -190,9 +182,10 @@ class Setting:
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Return the travel between `places` people; `distance` as in `Travel.of`."""
-        if self.differ:
-            return TravelOfEach.of_each([one.travel(places, distance) for one in each_alone(self)])
-        return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
+        fleet = self.fleet
+        return Travel.of(
+            places, c_move=fleet.each("c_move"), travel_time=fleet.each("travel_time"), distance=distance
+        )  # fmt: skip
 
     def chooses(self, human: Human | None, population: Population | Mixture) -> ChoiceModel:
         """Return the robot's model of a person's choices; `human` is None if the person is unknown to the robot."""
@@ -206,7 +199,7 @@ class Setting:
         *,
         frontier: LeafBounds | None = None,
     ) -> AssistPOMDP:
-        """Return the problem of assisting one person of a population, by the best of its robots (`best_robots`).
+        """Return the problem of assisting one person of a population, by the best of its robots (`team.robots`).
 
         Parameters
         ----------
@@ -222,10 +215,9 @@ class Setting:
         """
         known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
         model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
-        robot = best_robots(self)
         return AssistPOMDP.of(
             model, chooses=self.chooses(human, population), grid=Grid.regular(population),
-            population=population, gamma=self.gamma, c_suggest=robot.c_suggest,
-            suggestions=self.considered_suggestions, execute=robot.execute,
-            c_execute=robot.c_execute, frontier=frontier, trust=self.believed_rule(),
+            population=population, gamma=self.gamma, c_suggest=self.fleet.least("c_suggest"),
+            suggestions=self.considered_suggestions, execute=self.fleet.executes,
+            c_execute=self.fleet.least("c_execute"), frontier=frontier, trust=self.believed_rule(),
         )  # fmt: skip

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.system.arrays import outline
 
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
 from ..person.policy import Policy
-from .robots import ExtraCosts
+from .robots import EXECUTION, SUGGESTION, Fleet, Robot
 from .travel import Travel
 
 BASE = -1
@@ -37,14 +37,14 @@ class PolicyError(ValueError):
 
 @dataclass(frozen=True)
 class TeamAction:
-    """The robot's action in each of N teams; with M robots per team, M > 1, both arrays have the shape (N, M).
+    """The actions of the M robots of each of N teams.
 
     Attributes
     ----------
-    person : int array, shape (N,)
-        The person to whom the robot goes, or `NOBODY`: then it stays where it is and makes no suggestion. A robot that
-        is under way must have `NOBODY`.
-    robot : int array, shape (N,)
+    person : int array, shape (N, M)
+        The person to whom a robot goes, or `NOBODY`: then it stays where it is and makes no suggestion. A robot that is
+        under way must have `NOBODY`.
+    robot : int array, shape (N, M)
         Robot action in that person's POMDP; 0 makes no suggestion. It must be 0 if the travel takes time.
     """
 
@@ -100,11 +100,10 @@ class TeamState:
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
-    free : bool array, shape (N, M), or None
-        Which of several robots are not under way; None if all are free. A policy for one robot is only asked when that
-        robot is free.
-    extra : ExtraCosts or None
-        What actions of each robot cost more than in people's problems, if the robots differ.
+    free : bool array, shape (N, M)
+        Which robots are not under way; all, by default.
+    fleet : Fleet
+        The robots, whose actions may cost more than in people's problems; by default they are alike.
     """
 
     step: int
@@ -116,12 +115,15 @@ class TeamState:
     belief: Floats | None
     policies: Sequence[Policy]
     travel: Travel
-    free: NDArray[np.bool_] | None = field(default=None, kw_only=True)
-    extra: ExtraCosts | None = field(default=None, kw_only=True)
+    free: NDArray[np.bool_] = field(default_factory=lambda: np.ones((), dtype=bool), kw_only=True)
+    fleet: Fleet = field(default=Fleet.of((Robot(),)), kw_only=True)
 
     __repr__ = outline
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "free", np.broadcast_to(self.free, self.location.shape))
+        if len(self.fleet) == 1 < self.robots:
+            object.__setattr__(self, "fleet", Fleet(self.fleet.robots * self.robots))
         for name in ("x", "active", "erred", "location", "model", "belief", "free"):
             array = getattr(self, name)
             if array is not None and array.flags.writeable:  # the owner of the array may still write to it
@@ -132,16 +134,7 @@ class TeamState:
     @property
     def robots(self) -> int:
         """The number of robots of each team, M."""
-        return self.location.shape[1] if self.is_joint else 1
-
-    @property
-    def is_joint(self) -> bool:
-        """Whether `location` has an axis of robots, so that actions need one, too."""
-        return self.location.ndim > 1
-
-    def may_choose(self) -> NDArray[np.bool_]:
-        """Return which robots are not under way, in the shape of `location`."""
-        return np.ones(self.location.shape, dtype=bool) if self.free is None else self.free
+        return self.location.shape[1]
 
     def refused(self, fault: str) -> PolicyError:
         """Return the error for a fault of the policy in this step."""
@@ -197,19 +190,55 @@ class TeamState:
         return h.reshape(self.x.shape)
 
     def to(self) -> Floats:
-        """Return the cost of moving to each person from the robot's place, shape (N, K), or (N, M, K)."""
+        """Return the cost of each robot's move to each person from its place, shape (N, M, K), in cost units."""
         return self.travel.costs_from(self.location)
 
-    def robot_numbers(self) -> NDArray[np.int64]:
-        """Return the number of each robot within its team, from 0, in the shape of `location`."""
-        return np.broadcast_to(np.arange(self.robots) if self.is_joint else 0, self.location.shape)
+    def executes(self, actions: int) -> NDArray[np.bool_]:
+        """Return which of the first R robot actions are executions by the robot, shape (N, K, R).
+
+        Where no robot can execute an action, the shape is (1, 1, R).
+        """
+        if not self.fleet.executes:
+            return np.zeros((1, 1, actions), dtype=bool)
+        executes = np.zeros((self.x.size, actions), dtype=bool)
+        for group, rows in self.groups():
+            suggested = self.policies[group].pomdp.suggested[self.x.ravel()[rows], :actions]
+            executes[rows, : suggested.shape[1]] = suggested == NOTHING
+        return executes.reshape(*self.x.shape, actions)
+
+    def by_kind(self, q: Floats) -> Floats:
+        """Return values of robot actions minus what they cost more, shape (N, U, K, R), for the U kinds of robots.
+
+        Parameters
+        ----------
+        q : float array, shape (N, K, R)
+            Values of the robot actions in people's problems.
+        """
+        return q[:, None] - self.extra_costs(q.shape[2]) if self.fleet.costs_differ else q[:, None]
+
+    def extra_costs(self, actions: int) -> Floats:
+        """Return what the first R robot actions cost more than in people's problems, for each kind of robot.
+
+        Robots with the same costs are of one kind (`Fleet.kinds`). The shape is (N, U, K, R) for U kinds, or (1, U, 1,
+        R) where no robot can execute an action. It is 0 for no action, and infinite for an action that robots of this
+        kind cannot execute.
+        """
+        each = self.fleet.kinds[0][:, None, None]
+        costs = np.where(self.executes(actions)[:, None], each[..., EXECUTION], each[..., SUGGESTION])
+        costs[..., 0] = 0.0
+        return costs
 
     def act(self, person: ArrayLike, robot: ArrayLike) -> TeamAction:
-        """Return the action of going to a person in each team.
+        """Return the action of sending each robot to a person.
 
-        `person` has the shape (N,), or (N, M) with M robots, and `robot` holds the robot actions of all people, shape
-        (N, K), or (N, M, K) if robots differ. If the travel takes time, the robot makes no suggestion; it chooses again
-        after its arrival.
+        If the travel takes time, the robot makes no suggestion; it chooses again after its arrival.
+
+        Parameters
+        ----------
+        person : int array, shape (N, M), or (N,) for one robot
+            The person to whom each robot goes, or `NOBODY`.
+        robot : int array, shape (N, K), or (N, M, K)
+            The action towards each person, of all robots or of each.
 
         Raises
         ------
@@ -217,23 +246,24 @@ class TeamState:
             An array has another shape, is not of whole numbers, or a person is not one of the team.
         """
         person, robot = np.asarray(person), np.asarray(robot)
-        (N, K), there = self.x.shape, f", {NOBODY} for a robot that stays"
-        if person.shape != self.location.shape or person.dtype.kind not in "iu":
-            each = f"each of {N} teams" + f" and {self.robots} robots" * self.is_joint
+        (N, K), M, there = self.x.shape, self.robots, f", {NOBODY} for a robot that stays"
+        if person.shape == (N,) and M == 1:
+            person = person[:, None]
+        if person.shape != (N, M) or person.dtype.kind not in "iu":
+            each = f"each of {N} teams and {M} robot{'s' * (M > 1)}"
             raise self.refused(
-                f"person, {_kind(person)}: expected whole numbers, shape {self.location.shape}, one for {each}{there}"
+                f"person, {_kind(person)}: expected whole numbers, shape {(N, M)}, one for {each}{there}"
             )
-        allowed = [(N, K), (N, self.robots, K)] if self.is_joint else [(N, K)]
-        if robot.shape not in allowed or robot.dtype.kind not in "iu":
+        if robot.shape not in [(N, K), (N, M, K)] or robot.dtype.kind not in "iu":
             raise self.refused(
-                f"robot, {_kind(robot)}: expected whole numbers, shape {allowed[0]}, a robot action for each person"
+                f"robot, {_kind(robot)}: expected whole numbers, shape {(N, K)}, a robot action for each person"
             )
         wrong = (person < NOBODY) | (person >= K)
         if wrong.any():
             raise self.refused(f"person {person[wrong][0]} in a team of {K}: expected 0 to {K - 1}{there}")
-        teams, number = np.arange(len(self.x)).reshape(-1, *[1] * (person.ndim - 1)), self.robot_numbers()
-        speaks = (person != NOBODY) & (self.travel.steps_between(number, self.location, person) == 0)
-        said = robot[teams, number, person] if robot.ndim > 2 else robot[teams, person]
+        speaks = (person != NOBODY) & (self.travel.steps_between(np.arange(M), self.location, person) == 0)
+        each_robot = robot if robot.ndim > 2 else robot[:, None]
+        said = each_robot[np.arange(N)[:, None], np.arange(each_robot.shape[1]), person]
         return TeamAction(person, np.where(speaks, said, 0))
 
 

@@ -16,30 +16,33 @@ from ..people.arguments import MOST, whole, within
 from ..people.decision import Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Travel:
-    """Travel between the places of K people and the base, which comes last.
+    """Travel of M robots between the places of K people and the base, which comes last.
 
     Attributes
     ----------
     distance : float array, shape (K + 1, K + 1)
-    steps : int array, shape (K + 1, K + 1)
-        Travel time between two places in steps. With 0 the robot makes its suggestion in the step of its departure.
-    c_move : float
+    c_move : float array, shape (M,)
         Cost of moving by a distance of 1, in cost units; it is paid at the departure.
+    travel_time : float array, shape (M,)
+        Steps for a distance of 1; fractions are rounded up to whole steps. With 0 a robot makes its suggestion in the
+        step of its departure.
 
     Raises
     ------
     ValueError
-        A number is out of its range, or the matrices are not square with a diagonal of 0.
+        A number is out of its range, or the matrix is not square with a diagonal of 0.
     """
 
     distance: Floats
-    steps: NDArray[np.int64]
-    c_move: float
+    c_move: Floats
+    travel_time: Floats
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "c_move", within("c_move", self.c_move, 0, MOST))
+        for name in ("c_move", "travel_time"):
+            values = [within(name, one, 0, MOST) for one in np.atleast_1d(getattr(self, name)).tolist()]
+            object.__setattr__(self, name, frozen(np.array(values)))
         if self.distance.ndim != 2 or self.distance.shape[0] != self.distance.shape[1] or len(self.distance) < 2:
             raise ValueError(
                 f"distance, shape {self.distance.shape}: expected a square, one row for each place and base"
@@ -48,14 +51,14 @@ class Travel:
         least, most = self.distance.min(), self.distance.max()
         if not (least >= 0 and most <= MOST) or self.distance.diagonal().any():
             raise ValueError(f"distance: expected 0 from each place to itself, and from 0 to {MOST:g} to the others")
-        if self.steps.shape != self.distance.shape or self.steps.min() < 0 or self.steps.diagonal().any():
-            raise ValueError("steps: expected one number of 0 or more for each distance, and 0 to stay")
+        longest = float(most * self.travel_time.max())
+        if longest >= LONGEST:
+            raise ValueError(f"travel_time: the longest way takes {longest:g} steps; expected less than {LONGEST:,}")
         object.__setattr__(self, "distance", frozen(self.distance))
-        object.__setattr__(self, "steps", frozen(self.steps))
 
     @classmethod
     def of(
-        cls, places: int, *, c_move: float = 0.5, travel_time: float = 0.0, distance: ArrayLike | None = None
+        cls, places: int, *, c_move: ArrayLike = 0.5, travel_time: ArrayLike = 0.0, distance: ArrayLike | None = None
     ) -> Travel:
         """Return the travel between `places` people and the base.
 
@@ -63,9 +66,9 @@ class Travel:
         ----------
         places : int
             Number of people, K; at most 1,000,000.
-        c_move : float
-            Cost of moving by a distance of 1, in cost units.
-        travel_time : float
+        c_move : float, or float array of shape (M,)
+            Cost of moving by a distance of 1, in cost units: of each robot, or of the only one.
+        travel_time : float, or float array of shape (M,)
             Steps for a distance of 1; fractions are rounded up to whole steps.
         distance : array, shape (K + 1, K + 1), optional
             Distances; by default 1 between any two places.
@@ -73,11 +76,11 @@ class Travel:
         places = whole("places", places, 1)
         if places > 1_000_000:
             raise ValueError(f"places {places:,}: expected at most 1,000,000")
-        travel_time = within("travel_time", travel_time, 0, MOST)
+        each = np.broadcast_arrays(np.atleast_1d(c_move), np.atleast_1d(travel_time))
         if distance is None:
             row = np.ones(2 * places + 1)
             row[places] = 0.0
-            return cls(_windows(row), _windows(_whole_steps(row * travel_time)), c_move)
+            return cls(_windows(row), *each)
         try:
             matrix = np.array(distance, dtype=float)
         except (TypeError, ValueError):
@@ -86,67 +89,85 @@ class Travel:
             raise ValueError(
                 f"distance, shape {matrix.shape}: expected ({places + 1}, {places + 1}), {places} people and the base"
             )
-        return cls(matrix, _whole_steps(matrix * travel_time), c_move)
+        return cls(matrix, *each)
 
     def __len__(self) -> int:
         return len(self.distance) - 1
 
-    @property
-    def each(self) -> tuple[Travel, ...]:
-        """The travel of each robot if robots differ (`TravelOfEach`), otherwise of all of them."""
-        return (self,)
-
-    def of_robot(self, _number: int) -> Travel:
-        """Return the travel of a robot, given by its number from 0."""
-        return self
-
     def costs_from(self, location: NDArray[np.int64]) -> Floats:
-        """Return the cost of moving from each place to each person, shape (N, K).
-
-        With several robots, `location` has the shape (N, M), and the costs (N, M, K).
-        """
-        return np.asarray(self.c_move * self.distance[location][..., :-1])
+        """Return the cost of each robot's move to each person, shape (N, M, K); `location` has the shape (N, M)."""
+        return np.asarray(self.c_move[:, None] * self.distance[location][..., :-1])
 
     def steps_from(self, location: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the steps of moving from each place to each person; shapes as in `costs_from`."""
-        return self.steps[location][..., :-1]
+        """Return the steps of each robot's move to each person; shapes as in `costs_from`."""
+        if self.at_once:
+            return np.zeros((*location.shape, len(self)), dtype=np.int64)
+        return _whole_steps(self.distance[location][..., :-1] * self.travel_time[:, None])
 
-    def costs_between(self, _robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]) -> Floats:
+    def costs_between(self, robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]) -> Floats:
         """Return the costs of moves of robots, given by their numbers from 0, between pairs of places."""
-        return np.asarray(self.c_move * self.distance[origin, to])
+        return np.asarray(self.c_move[robot] * self.distance[origin, to])
 
     def steps_between(
-        self, _robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]
+        self, robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """Return the steps of moves of robots, given by their numbers from 0, between pairs of places."""
-        return self.steps[origin, to]
+        if self.at_once:
+            return np.zeros_like(self.distance[origin, to], dtype=np.int64)
+        return _whole_steps(self.distance[origin, to] * self.travel_time[robot])
+
+    @cached_property
+    def at_once(self) -> bool:
+        """Whether no way takes time, so that nothing needs to be computed."""
+        return not self.travel_time.any()
 
     @cached_property
     def equally_far(self) -> bool:
-        """Whether all places, the base included, are equally far from each other for all robots, also in time."""
-        return _off_the_diagonal_equal(self.distance) and all(_off_the_diagonal_equal(one.steps) for one in self.each)
+        """Whether all places, the base included, are equally far from each other."""
+        return all(
+            bool((row[:k] == self.distance[0, 1]).all() and (row[k + 1 :] == self.distance[0, 1]).all())
+            for k, row in enumerate(self.distance)
+        )
+
+    @cached_property
+    def alike(self) -> bool:
+        """Whether all robots move at the same cost and speed."""
+        return bool((self.c_move == self.c_move[0]).all() and (self.travel_time == self.travel_time[0]).all())
 
     @property
     def entry(self) -> Floats:
-        """The smallest cost of coming to each person from any other place, shape (K,)."""
-        return self.c_move * np.array([np.delete(column, k).min() for k, column in enumerate(self.distance.T[:-1])])
+        """The smallest cost of coming to each person from any other place by any robot, shape (K,)."""
+        return self.c_move.min() * self._nearest
 
     @property
     def entry_steps(self) -> NDArray[np.int64]:
-        """The smallest number of steps for coming to each person from any other place, shape (K,)."""
-        return np.array([np.delete(column, k).min() for k, column in enumerate(self.steps.T[:-1])], dtype=np.int64)
+        """The smallest number of steps for coming to each person from any other place by any robot, shape (K,)."""
+        return _whole_steps(self._nearest * self.travel_time.min())
+
+    @property
+    def _nearest(self) -> Floats:
+        return np.array([np.delete(column, k).min() for k, column in enumerate(self.distance.T[:-1])])
+
+    @property
+    def mean_way(self) -> tuple[float, float]:
+        """The mean cost of coming to a person, and its mean number of steps, over all ways and robots."""
+        way = self.distance[:, :-1][~np.eye(len(self.distance), dtype=bool)[:, :-1]]
+        # Relative to the first robot, so that robots that are alike have its cost to the last bit.
+        c_move = self.c_move[0] + (self.c_move - self.c_move[0]).mean()
+        steps = np.mean([_whole_steps(way * one).mean() for one in self.travel_time])
+        return float(c_move) * float(way.mean()), float(steps)
+
+    @property
+    def longest_way(self) -> int:
+        """The number of steps from a place to the farthest one by the slowest robot."""
+        return int(_whole_steps(self.distance.max() * self.travel_time.max()))
 
 
-def _off_the_diagonal_equal(matrix: NDArray[Any]) -> bool:
-    return all(
-        bool((row[:k] == matrix[0, 1]).all() and (row[k + 1 :] == matrix[0, 1]).all()) for k, row in enumerate(matrix)
-    )
+LONGEST = 1_000_000_000
+"""Steps; far beyond the length of any episode."""
 
 
 def _whole_steps(steps: Floats) -> NDArray[np.int64]:
-    longest = 1_000_000_000  # steps; far beyond the length of any episode
-    if steps.max() >= longest:
-        raise ValueError(f"travel_time: the longest way takes {steps.max():g} steps; expected less than {longest:,}")
     # For example, 3 * 0.1 is slightly larger than 0.3 in floating-point arithmetic; that must not add a step.
     return np.ceil(steps - 1e-9).clip(0).astype(np.int64)
 

@@ -28,8 +28,8 @@ class Whittle:
     """Go to the person with the largest Whittle index; stay if that of staying is larger.
 
     The advantage of presence is computed at a few prices, and interpolated linearly between them. The cost of moving is
-    subtracted before the index is determined. People whose index is negative are not attended to. Several robots go
-    where the sum of indices is largest, each to another person.
+    subtracted before the index is determined. People whose index is negative are not attended to. Robots go where the
+    sum of indices is largest, each to another person.
 
     Attributes
     ----------
@@ -78,11 +78,10 @@ class Whittle:
         return to_the_best(team, *self.worth(team))
 
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Return each person's robot action and the index of going there, (N, K), and the index of staying, (N,).
+        """Return each robot's action towards each person and the index of going there, both (N, M, K), and of staying.
 
-        The robot action is the best one at the highest price, among those computed, that is not above the index. With M
-        robots, the indices have the shapes (N, M, K) and (N, M), and the robot action is that of the largest index. If
-        they differ, each has a robot action of its own, shape (N, M, K).
+        The action is the best one at the highest price, among those computed, that is not above the index. The index of
+        staying has the shape (N, M).
         """
         found = [one.worth(team) for one in self.at_prices]
         prices = np.array([one.price[0] for one in self.at_prices])
@@ -90,7 +89,6 @@ class Whittle:
         # The worth counts the price from the next step on; a robot that is present also pays for this step.
         going, below = _zero(prices, np.stack([going for _, going, _ in found], axis=-1) - prices)
         staying, _ = _zero(prices, np.stack([holding for _, _, holding in found], axis=-1) - prices)
-        below = below.max(axis=1) if team.is_joint and team.extra is None else below
         return np.take_along_axis(robots, below[..., None], axis=-1)[..., 0], going, staying
 
 

@@ -257,8 +257,8 @@ def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Set
         raise fault(file, f"{place}.c_ask", "given; expected none, as participants' pages show no questions")
     if setting.execute:
         raise fault(file, f"{place}.execute", "true; expected a robot that suggests")
-    if setting.robot_count > 1:
-        raise fault(file, "setting.robots", f"{setting.robot_count}; expected 1")
+    if len(setting.robots) > 1:
+        raise fault(file, "setting.robots", f"{len(setting.robots)}; expected 1")
     return setting
 
 

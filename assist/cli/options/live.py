@@ -129,7 +129,6 @@ def plan_of(
     from ...large_tasks.person_problem import WHOLE
     from ...people.goals import first_of
     from ...person.observation_model import ObservationModel
-    from ...team.robots import best_robots
     from ...team.settings import Setting
     from ...web.server import ServedTeam
 
@@ -149,7 +148,7 @@ def plan_of(
         setting = Setting(**with_rule_of(population_file, options))
         if setting.trust != "paper":  # influence on real people is constant unless a rule is given
             refuse_unused(["eta", "utility_scale"], "without --trust paper")
-        if best_robots(setting).execute:
+        if setting.fleet.executes:
             raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")
         distance = None if distances is None else travel_of(setting, humans, distances).distance
         found = _named(find_instances(instances, domain))

@@ -111,7 +111,6 @@ def team_of(
     Expected errors end the command in one line.
     """
     from ...simulation.pool import Pool
-    from ...team.robots import best_robots
     from ...team.settings import Setting
 
     refuse_unused_rates(setting.get("trust"))
@@ -126,7 +125,7 @@ def team_of(
     known = goals or costs_of(found, max_states=max_states, memory_limit_mb=None)
     try:
         chosen = Setting(**with_rule_of(population_file, setting, rate=True))
-        if not best_robots(chosen).execute:
+        if not chosen.fleet.executes:
             refuse_unused(["c_execute"], "without --execute")
         travel = travel_of(chosen, humans, distances)
         pool = Pool.sample(
