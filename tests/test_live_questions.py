@@ -307,9 +307,9 @@ def test_an_answer_to_an_earlier_question_is_refused(tmp_path: Path) -> None:
     assert "question" in later
     with pytest.raises(InapplicableError, match="there is a later question; expected an answer to that"):
         session.answer("ann", True, seen=seen["seq"])
-    assert session.outlook().robot["questions"] == [later["question"]]
+    assert session.outlook().robots[0]["questions"] == [later["question"]]
     assert "question" not in session.answer("ann", True, seen=later["seq"])
-    assert "questions" not in session.outlook().robot
+    assert "questions" not in session.outlook().robots[0]
     session.close()
 
 

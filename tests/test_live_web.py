@@ -145,10 +145,10 @@ def test_what_the_operator_sees_and_does(web: Web) -> None:
     assert web.client.get("/api/people/cleo d", headers={"Authorization": f"Bearer {token}"}).status_code == 404
     for action in ("(fetch box-a)", WRONG):
         web.act(action)
-    robot = web.ask("GET", "/api/robot").json()
+    robot = web.ask("GET", "/api/robots/1").json()
     assert (robot["person"], robot["suggestion"], robot["location"]) == ("ann", "(remove hammer slot-2 box-a)", "ann")
-    assert web.ask("POST", "/api/robot/arrived", json={"person": "bob"}).json()["location"] == "bob"
-    assert web.ask("POST", "/api/robot/arrived", json={"person": None}).json()["location"] is None
+    assert web.ask("POST", "/api/robots/1/arrived", json={"person": "bob"}).json()["location"] == "bob"
+    assert web.ask("POST", "/api/robots/1/arrived", json={"person": None}).json()["location"] is None
     team = web.ask("GET", "/api/team").json()
     assert [person["person"] for person in team["people"]] == ["ann", "bob"]
     assert sum(map(sum, team["people"][0]["belief"])) == pytest.approx(1)
@@ -171,7 +171,7 @@ REFUSED: list[tuple[int, str, str, str | None, dict[str, Any]]] = [
     (403, "GET", "/api/people/nobody", "ann", {}),
     (404, "GET", "/api/people/nobody", None, {}),
     (403, "GET", "/api/team", "ann", {}),
-    (403, "GET", "/api/robot", "ann", {}),
+    (403, "GET", "/api/robots/1", "ann", {}),
     (403, "GET", "/api/log", "ann", {}),
     (403, "POST", "/api/team/people", "ann", {"json": {"person": "eve"}}),
     (403, "DELETE", "/api/team/people/ann", "ann", {}),
@@ -194,7 +194,7 @@ REFUSED: list[tuple[int, str, str, str | None, dict[str, Any]]] = [
     (409, "POST", "/api/team/people", None, {"json": {"person": "ann"}}),
     (422, "POST", "/api/team/people", None, {"json": {"person": "../ann"}}),
     (422, "POST", "/api/team/people", None, {"json": {"person": "eve", "task": "none"}}),
-    (404, "POST", "/api/robot/arrived", None, {"json": {"person": "nobody"}}),
+    (404, "POST", "/api/robots/1/arrived", None, {"json": {"person": "nobody"}}),
     (404, "GET", "/api/nothing", None, {}),
     (405, "PUT", "/api/health", None, {}),
 ]
@@ -304,7 +304,7 @@ def test_programs_follow_all_changes_of_the_team_in_one_stream(web: Web) -> None
         people, ann, bob, robot = coming(stream, "people", "view", "view", "robot")
         assert people == {"people": ["ann", "bob"]}
         assert (ann, bob) == tuple(web.ask("GET", f"/api/people/{name}").json() for name in ("ann", "bob"))
-        assert robot == {"robot": 1, "instruction": web.ask("GET", "/api/robot").json()}
+        assert robot == {"robot": 1, "instruction": web.ask("GET", "/api/robots/1").json()}
         answer = web.act("(fetch box-a)").json()
         assert stream.next() == ("view", answer)
         web.act(WRONG)
@@ -554,8 +554,9 @@ def test_links_are_those_of_before(tiny: Table, tmp_path: Path) -> None:
 def test_the_interface_is_described(web: Web) -> None:
     described = web.client.get("/openapi.json").json()["paths"]
     assert set(described) >= {
-        "/api/health", "/api/people/{name}", "/api/people/{name}/actions", "/api/people/{name}/undo", "/api/robot",
-        "/api/robot/arrived", "/api/team", "/api/team/people", "/api/team/people/{name}", "/api/log",
+        "/api/health", "/api/people/{name}", "/api/people/{name}/actions", "/api/people/{name}/undo",
+        "/api/robots/{number}", "/api/robots/{number}/arrived", "/api/team", "/api/team/people",
+        "/api/team/people/{name}", "/api/log",
     }  # fmt: skip
     page = web.client.get("/docs").text
     assert "<code>POST /api/people/{name}/actions</code>" in page

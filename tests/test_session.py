@@ -366,9 +366,9 @@ def test_a_damaged_database_is_refused(
     [
         ("event", "flew"), ("event", None), ("time", "soon"), ("time", float("nan")), ("id", [1]), ("answer", None),
         ("id", "come"), ("id", "\ud800"),
-        ("person", None), ("action", "(fly)"), ("step", True), ("n", 9), ("more", 1), ("advice", {}),
-        ("advice", {"person": None, "suggestion": "(return box-a)", "reason": None, "arrived": True}),
-        ("advice", {"person": "ann", "suggestion": None, "reason": {"saving": float("inf")}, "arrived": True}),
+        ("person", None), ("action", "(fly)"), ("step", True), ("n", 9), ("more", 1), ("advices", {}),
+        ("advices", [{"person": None, "suggestion": "(return box-a)", "reason": None, "arrived": True}]),
+        ("advices", [{"person": "ann", "suggestion": None, "reason": {"saving": float("inf")}, "arrived": True}]),
     ],
 )  # fmt: skip
 def test_a_journal_with_what_cannot_have_happened_is_refused_with_its_line(

@@ -70,8 +70,7 @@ def serve(
         raise click.UsageError(
             f"{' and '.join(missing)}: missing; expected INSTANCE and --humans K, or --study FILE.toml"
         )
-    robots = team["robots"]
-    beside = None if bridge is None else bridge_of(bridge, robots if isinstance(robots, int) else len(robots))
+    beside = None if bridge is None else bridge_of(bridge, len(team["robots"]))
     with policy_errors():
         plan = replace(plan_of(instances, **team), public_url=public_url, trusted_proxies=trusted_proxy)
         try:

@@ -139,8 +139,7 @@ class Course:
                 self.desk.follow(advices, step)
             return None
         if any(advice.person is not None for advice in advices) or advices != self.advices:
-            plain = [advice.as_dict() for advice in advices]
-            record |= {"advices": plain} if len(plain) > 1 else {"advice": plain[0]}
+            record["advices"] = [advice.as_dict() for advice in advices]
         self._note(record, advices)
         return record | {"step": self.desk.step}
 
@@ -210,7 +209,7 @@ class Course:
             facts["distance"] = list(map(list, event.distance or ()))
         if event.kind == "arrived":
             self.require_robot(event.robot)
-            facts["robot"] = None if self.robots == 1 else event.robot
+            facts["robot"] = event.robot
         return {name: fact for name, fact in facts.items() if fact is not None}
 
     def _joins(self, event: Event) -> str | None:

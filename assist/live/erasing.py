@@ -18,10 +18,8 @@ def without(person: str, label: str) -> Change:
 
     def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
         nonlocal time, here
-        advices = [_unnamed(advice, person, label) for advice in advised(record)]
-        advice: dict[str, Any] = {}
-        if advices:
-            advice = {"advices": advices} if "advices" in record else {"advice": advices[0]}
+        advices = [_unnamed(one, person, label) for one in advised(record)]
+        advice = {"advices": advices} if advices else {}
         record = record | advice
         if record.get("person") != person:
             time = record["time"]

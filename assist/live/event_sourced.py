@@ -98,19 +98,16 @@ class Outlook:
         Number of events.
     paused : bool
         Whether the robot makes no suggestions.
-    robot : dict
-        Where the first robot is to be, and its suggestion there.
     recent : list of dict
         The latest events, the oldest first.
     fault : str or None
         Error of the policy after the last event, if there was one; the robot then does nothing.
     robots : tuple of dict
-        The same as `robot`, for each robot.
+        Where each robot is to be, and its suggestion there.
     """
 
     events: int
     paused: bool
-    robot: dict[str, Any]
     recent: list[dict[str, Any]]
     fault: str | None
-    robots: tuple[dict[str, Any], ...] = ()
+    robots: tuple[dict[str, Any], ...]

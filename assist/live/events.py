@@ -10,7 +10,7 @@ from typing import Any
 
 FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
-    "followed": bool, "unheard": bool, "advice": dict, "advices": list, "robot": int, "belief": list,
+    "followed": bool, "unheard": bool, "advices": list, "robot": int, "belief": list,
     "distance": list, "likelihoods": dict, "missed": (int, float), "answer": (str, bool),
 }  # fmt: skip
 """Fields of an event's record, and their types."""
@@ -113,11 +113,8 @@ class Event:
 
 
 def advised(record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the advice of each robot in a record; empty if it has none, as it is then the same as before.
-
-    The record has a list, `advices`, if there are several robots.
-    """
-    found: list[dict[str, Any]] = record.get("advices", [record["advice"]] if "advice" in record else [])
+    """Return the advice of each robot in a record; empty if it has none, as it is then the same as before."""
+    found: list[dict[str, Any]] = record.get("advices", [])
     return found
 
 

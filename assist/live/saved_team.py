@@ -64,11 +64,10 @@ def _person_as_dict(team: Roster, record: RosterEntry) -> dict[str, Any]:
 
 
 def robots_as_dict(team: Roster, places: RobotPlaces, advice: tuple[Advice, ...] | None) -> dict[str, Any]:
-    """Return the places of the robots and their advice. That of one robot is no list, as in all versions."""
+    """Return the places of the robots and their advice."""
     names = [None if place == BASE else team.records[place].name for place in places.at]
     given = None if advice is None else [each.as_dict() for each in advice]
-    plain: dict[str, list[Any] | None] = {"robot": names, "under_way": places.under_way, "advice": given}
-    return {name: each[0] if each and len(names) == 1 else each for name, each in plain.items()}
+    return {"robots": names, "under_way": list(places.under_way), "advice": given}
 
 
 def restore_people(assistant: Observer, team: Roster, people: list[dict[str, Any]], tasks: Mapping[str, Task]) -> None:
@@ -110,8 +109,6 @@ def _observe_again(assistant: Observer, team: Roster, record: RosterEntry, episo
 
 def restore_robots(team: Roster, places: RobotPlaces, saved: Mapping[str, Any]) -> tuple[Advice, ...] | None:
     """Put the robots at the places of `robots_as_dict`, and return their advice."""
-    one = len(places.at) == 1
-    names, under_way, advice = ([saved[key]] if one else saved[key] for key in ("robot", "under_way", "advice"))
-    for number, (name, moving) in enumerate(zip(names, under_way, strict=True)):
+    for number, (name, moving) in enumerate(zip(saved["robots"], saved["under_way"], strict=True)):
         places.put(number, BASE if name is None else team.by_name[name].place, under_way=moving)
-    return None if saved["advice"] is None else tuple(map(Advice.of, advice))
+    return None if saved["advice"] is None else tuple(map(Advice.of, saved["advice"]))

@@ -460,11 +460,11 @@ class Session:
         return self._of(person, lambda course: course.entry(person))
 
     def outlook(self) -> Outlook:
-        """Return the team's part of the operator's view: the robot, the last events, and whether it is paused."""
+        """Return the team's part of the operator's view: the robots, the last events, and whether it is paused."""
         with self.lock:
             course = self._course
             robots = tuple(course.robot(number) for number in range(1, 1 + len(course.advices)))
-            return Outlook(course.count, course.paused, robots[0], list(course.recent), course.fault, robots)
+            return Outlook(course.count, course.paused, list(course.recent), course.fault, robots)
 
     def began_with(self) -> list[str | None]:
         """Return the people who joined before anything else happened; None for those whose records were erased."""

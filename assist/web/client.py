@@ -259,7 +259,7 @@ class EventReader:
 
 def robot_path(number: int) -> str:
     """Return the path of a robot's instruction, by its number from 1."""
-    return "/api/robot" if number == 1 else f"/api/robots/{number}"  # so that earlier services understand it
+    return f"/api/robots/{number}"
 
 
 def _detail(error: urllib.error.HTTPError) -> str:

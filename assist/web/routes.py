@@ -161,21 +161,9 @@ async def begin(name: Own, service: Desk, begun: Begun | None = None) -> Respons
     return plain(await service.report(Event("began", name, task=begun.task, id=begun.id)))
 
 
-@router.get("/api/robot", tags=["robot"], response_model=Robot, responses=refusals(403))
-async def robot(_: Operator, service: Desk) -> Response:
-    """Return where the robot should go and what it should suggest there."""
-    return plain(service.outlook.robot)
-
-
-@router.post("/api/robot/arrived", tags=["robot"], response_model=Robot, responses=WRITE)
-async def arrived(_: Operator, where: Arrived, service: Desk) -> Response:
-    """Report the robot's location."""
-    return plain(await service.report(Event("arrived", where.person, id=where.id)))
-
-
 @router.get("/api/robots/{number}", tags=["robot"], response_model=Robot, responses=refusals(403, 404, 422))
-async def robot_of(_: Operator, number: int, service: Desk) -> Response:
-    """Return where one of several robots should go and what it should suggest there; numbers begin at 1."""
+async def robot(_: Operator, number: int, service: Desk) -> Response:
+    """Return where a robot, by its number from 1, should go and what it should suggest there."""
     robots = service.outlook.robots
     if not 1 <= number <= len(robots):
         raise AbsentError("other", why=f"robot {number}: expected a number from 1 to {len(robots)}")
@@ -183,14 +171,14 @@ async def robot_of(_: Operator, number: int, service: Desk) -> Response:
 
 
 @router.post("/api/robots/{number}/arrived", tags=["robot"], response_model=Robot, responses=WRITE)
-async def arrived_of(_: Operator, number: int, where: Arrived, service: Desk) -> Response:
-    """Report the location of one of several robots."""
+async def arrived(_: Operator, number: int, where: Arrived, service: Desk) -> Response:
+    """Report the location of a robot."""
     return plain(await service.report(Event("arrived", where.person, id=where.id, robot=number)))
 
 
 @router.get("/api/team", tags=["operator"], response_model=Team, responses=refusals(403))
 async def team(_: Operator, service: Desk) -> Response:
-    """Return all people with the beliefs about them, the robot, and the latest events."""
+    """Return all people with the beliefs about them, the robots, and the latest events."""
     return plain(await service.team())
 
 
@@ -221,7 +209,7 @@ async def erase(
 async def pause(_: Operator, paused: Paused, service: Desk) -> Response:
     """Pause the robot's suggestions, or resume them. People can act in the meantime."""
     if service.outlook.paused == paused.paused:
-        return plain(service.outlook.robot)
+        return plain(service.outlook.robots[0])
     return plain(await service.report(Event("paused" if paused.paused else "resumed")))
 
 

@@ -244,10 +244,7 @@ class Member(Person):
 
 
 class Team(BaseModel):
-    """The operator's view of the team. `fault` is the policy's error message if the policy failed.
-
-    `robots` is there if the team has several; `robot` is the first.
-    """
+    """The operator's view of the team. `fault` is the policy's error message if the policy failed."""
 
     seq: int
     time: float
@@ -257,7 +254,6 @@ class Team(BaseModel):
         default_factory=list, description="What keeps events from being saved or delivered, as in `/api/health`."
     )
     tasks: list[str]
-    robot: Robot
-    robots: list[Robot] = Field(default_factory=list)
+    robots: list[Robot]
     log: list[dict[str, Any]]
     people: list[Member]

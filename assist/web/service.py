@@ -455,18 +455,16 @@ class Service:
         return min(2.0, max(0.1, len(self.views) / 400))  # readable for small teams, cheap for large ones
 
     async def team(self) -> bytes:
-        """Return the operator's view as JSON: all people, the robot and the latest events."""
+        """Return the operator's view as JSON: all people, the robots and the latest events."""
         missing = {person: self._outdated[person] for person in self.views if person not in self._entries}
         found = await asyncio.to_thread(self._entries_of, list(missing)) if missing else {}
         for person, entry in found.items():
             if self._outdated[person] == missing[person]:
                 self._entries[person] = entry
         now = self.outlook
-        rest = {"seq": now.events, "paused": now.paused, "robot": now.robot, "log": now.recent}
+        rest = {"seq": now.events, "paused": now.paused, "robots": now.robots, "log": now.recent}
         rest |= {"time": round(self.session.now(), 3), "fault": now.fault, "tasks": list(self.session.tasks)}
         rest["problems"] = self.problems()
-        if len(now.robots) > 1:
-            rest["robots"] = now.robots
         entries = found | self._entries
         people = b",".join(entries[person] for person in self.views if person in entries)
         return _json(rest)[:-1] + b',"people":[' + people + b"]}"

@@ -52,20 +52,19 @@ class Robots(click.ParamType):  # type: ignore[type-arg]
 
     name = "robots"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | tuple[Robot, ...]:
-        """Return the number, or the robots; a configuration file has given them as such."""
-        from ...team.settings import Setting
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Robot, ...]:
+        """Return the robots; a configuration file has given their number or their tables."""
+        from ...team.robots import robots_of
 
         try:
             found = tomllib.loads(f"robots = {value}")["robots"] if isinstance(value, str) else value
-            Setting(robots=found)
+            return robots_of(found)
         except tomllib.TOMLDecodeError:
             self.fail(
                 f"{value}: expected a number, or a list such as [{{c_suggest = 0.2}}, {{c_move = 2}}]", param, ctx
             )
         except ValueError as error:
             self.fail(str(error), param, ctx)
-        return found
 
 
 ROBOTS = Robots()

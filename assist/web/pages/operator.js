@@ -120,8 +120,8 @@ function figureOf(drawn, caption) {
 }
 
 function card(person) {
-  const robots = robotsOf(team);
-  const here = robots.findIndex((robot) => robot?.location === person.person);
+  const { robots } = team;
+  const here = robots.findIndex((robot) => robot.location === person.person);
   const { beta, theta } = person.grid;
   const ofBeta = person.belief.map((row) => row.reduce((sum, share) => sum + share, 0));
   const ofTheta = theta.map((_, column) => person.belief.reduce((sum, row) => sum + row[column], 0));
@@ -150,11 +150,6 @@ function card(person) {
       element("button", { type: "button", "data-key": `erase ${person.person}`, "aria-label": `Erase the records of ${person.person}`, click: () => erase(person.person) }, "Erase")));
 }
 
-/** All robots of a team; a team of one robot has no list. */
-function robotsOf({ robot, robots }) {
-  return robots?.length ? robots : [robot];
-}
-
 /** Where a robot is, what it does next, and why; `name` is empty if there is only one. */
 function robotOf(robot, name) {
   const where = robot.location ? `With ${robot.location}` : "At its base";
@@ -173,8 +168,7 @@ function robotOf(robot, name) {
 }
 
 function show() {
-  const { people } = team;
-  const robots = robotsOf(team);
+  const { people, robots } = team;
   const there = people.filter((person) => person.present !== false);
   at("count").textContent = `${there.length} ${there.length === 1 ? "person" : "people"}, ${there.filter((person) => person.finished).length} finished`;
   at("pause").textContent = team.paused ? "Resume suggestions" : "Pause suggestions";
