@@ -14,7 +14,7 @@ from test_cases_study_identities import signature_of
 from test_userstudy_pages import Web
 
 from assist.userstudy.codes import LETTERS
-from assist.web.request_limits import LARGEST, Allowance
+from assist.web.request_limits import LARGEST, Allowance, address_of, networks
 from assist.web.tokens import VISITOR, AccessTokens
 from planner import Table
 
@@ -244,3 +244,20 @@ def test_without_a_token_there_are_pages_and_the_state_of_the_service_only(web: 
     assert set(client.get("/api/health").json()) == {"status", "ready", "reasons", "people", "events"}
     for path in ("/api/study", "/api/team", "/api/log", "/metrics", "/api/study/form", "/api/study/export"):
         assert client.get(path).status_code in (401, 404), path
+
+
+def test_the_many_addresses_of_one_household_count_as_one() -> None:
+    """Whoever has an IPv6 network has 2^64 addresses, and has not as many attempts at codes and places."""
+
+    def of(address: str, *claims: str, trusted: str = "127.0.0.1") -> str:
+        headers = [(b"x-forwarded-for", claim.encode()) for claim in claims]
+        return address_of({"client": (address, 1), "headers": headers}, networks([trusted]))
+
+    one = {of(f"2001:db8:0:7:{n:x}::{n:x}") for n in range(1, 50)}
+    assert one == {"2001:db8:0:7::/64"}
+    assert of("2001:db8:0:8::1") not in one
+    assert of("127.0.0.1", "2001:db8:0:7::9") in one
+    assert of("::1", "2001:db8:0:7::9", trusted="::1") in one
+    assert of("192.0.2.1") == of("::ffff:192.0.2.1") == "192.0.2.1"
+    assert of("192.0.2.1") != of("192.0.2.2")
+    assert of("testclient") == "testclient"

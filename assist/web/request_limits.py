@@ -58,10 +58,11 @@ def networks(texts: Sequence[str]) -> Networks:
 
 
 def address_of(scope: Scope, trusted: Networks) -> str:
-    """Return the network address of a client; trusted proxies report it in the header X-Forwarded-For.
+    """Return the network address of a client, for limits; trusted proxies report it in the header X-Forwarded-For.
 
     Every proxy appends the address from which it was called. So the last address that is no trusted proxy's is the
-    client's; those before it are claims of the client.
+    client's; those before it are claims of the client. Of an IPv6 address the first half counts: a household or a site
+    has the other half to itself, 2^64 addresses.
     """
     address = str((scope.get("client") or ("",))[0])
     claimed = [value.decode("latin-1") for name, value in scope["headers"] if name == b"x-forwarded-for"]
@@ -72,7 +73,18 @@ def address_of(scope: Scope, trusted: Networks) -> str:
             address = str(ipaddress.ip_address(before.strip()))
         except ValueError:
             break
-    return address
+    return _site(address)
+
+
+def _site(address: str) -> str:
+    """Return an IPv4 address as it is, and of an IPv6 address its network of 64 bits."""
+    try:
+        found = ipaddress.ip_address(address)
+    except ValueError:
+        return address  # of a test, or of a socket of this machine
+    if isinstance(found, ipaddress.IPv4Address):
+        return address
+    return str(found.ipv4_mapped or ipaddress.ip_network((found.packed, 64), strict=False))
 
 
 class Allowance:
