@@ -19,6 +19,7 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path += [str(ROOT / "bench"), str(ROOT / "tests")]
 
+from gates_records import here  # noqa: E402
 from simulated_people import People, observed, record, record_with_terms, record_with_trust  # noqa: E402
 
 from assist.learning import (  # noqa: E402
@@ -237,4 +238,5 @@ if __name__ == "__main__":
     for name, of in which:
         found[name] = plain(of())
         print(name, flush=True)
-        Path(file).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        document = {"machine": here(), "figures": found}
+        Path(file).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -9,11 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gates_records import near
+from gates_records import here, near
 from learning_figures import figures, plain
 
 FILE = Path(__file__).parent / "data" / "learning.json"
-RECORDED: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
+RECORD: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
+RECORDED: dict[str, Any] = RECORD["figures"]
+NEAR = 1e-6 if RECORD["machine"] == here() else 1e-2
+"""Largest relative difference; searches end elsewhere where the last bits differ."""
 
 
 @cache
@@ -26,7 +29,7 @@ def test_figures_are_as_recorded(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = plain(every()[name]())
-    assert near(RECORDED[name], found, 1e-6), f"{name} was {RECORDED[name]}, is {found}"
+    assert near(RECORDED[name], found, NEAR), f"{name} was {RECORDED[name]}, is {found}"
 
 
 def test_every_figure_is_recorded() -> None:
