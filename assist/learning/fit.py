@@ -183,7 +183,8 @@ def fit(
     cost-to-go.
     """
     assert callable(progress)
-    progress("evaluating states", 0, None)
+    if not isinstance(task, Evidence):
+        progress("evaluating states", 0, None)
     seen, method = evidence(task, log, reading), method or Method()
     if seen.goals and model is not None:
         raise ValueError("several goals, and misconceptions, terms or a choice model: expected one of them")
