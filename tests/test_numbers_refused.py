@@ -161,6 +161,46 @@ WRONG = {
         "(= ?duration (far ?a ?b))", "(> ?duration 2)", "", "",
         "domain.pddl:10: durative action 'move': '(> ?duration 2)' is no duration; expected (= ?duration NUMBER)",
     ),
+    "a comparison in the middle": (
+        "(>= (stock ?b) 1)", "((stock ?b) >= 1)", "", "",
+        "domain.pddl:7: '((stock ?b) >= 1)': '>=' stands first; expected (>= NUMBER NUMBER)",
+    ),
+    "a sum in the middle": (
+        "(increase (spent) 2)", "(increase (spent) ((rate) + 2))", "", "",
+        "domain.pddl:8: '((rate) + 2)': '+' stands first; expected (+ NUMBER NUMBER)",
+    ),
+    "a change in a condition": (
+        "(>= (stock ?b) 1)", "(decrease (stock ?b) 1)", "", "",
+        "domain.pddl:7: unknown predicate 'decrease'; it changes a number, and is expected in :effect only",
+    ),
+    "a comparison of three": (
+        "(>= (stock ?b) 1)", "(<= 1 (stock ?b) 5)", "", "",
+        "domain.pddl:7: '<=' expects exactly two arguments; expected (<= NUMBER NUMBER)",
+    ),
+    "a comparison in the initial state": (
+        "", "", "(= (stock x) 3)", "(>= (stock x) 3)",
+        "p.pddl:3: '(>= (stock x) 3)' is a condition; expected the number itself, (= (FUNCTION ARGUMENT ...) NUMBER)",
+    ),
+    "the time in a condition": (
+        "(>= (stock ?b) 1)", "(<= (total-time) 30)", "", "",
+        "domain.pddl:7: (total-time) is known in (:metric ...) only",
+    ),
+    "an operation that PDDL lacks": (
+        "(increase (spent) 2)", "(increase (spent) (max 2 (rate)))", "", "",
+        "domain.pddl:8: no such function 'max' in (:functions ...); expected a function, or + - * /",
+    ),
+    "two values of one number": (
+        "", "", "(= (stock x) 3)", "(= (stock x) 3) (= (stock x) 4)",
+        "p.pddl:3: '(stock x)' has another value on line 3",
+    ),
+    "two durations": (
+        " :duration", " :duration (= ?duration 3)\n :duration", "", "",
+        "domain.pddl:11: action 'move' has a second :duration",
+    ),
+    "growth by a factor": (
+        "(decrease (stock ?b) 1)", "(scale-up (stock ?b) 1000000000000)", "(<= (stock x) 1)", "(= (stock x) 7)",
+        "domain.pddl:8: (stock x)",
+    ),
     "a number that changes twice at once": (
         "(decrease (stock ?b) 1)", "(decrease (stock ?b) 1) (assign (stock ?b) 4)", "", "",
         "domain.pddl:8: action 'take' changes '(stock ?b)' twice at one time",

@@ -24,6 +24,7 @@ from .s_expressions import Expression, Place
 COMPARISONS = frozenset({"<", ">", "<=", ">="})
 CONDITIONS = ("and", "or", "not", "imply", "forall", "exists")
 CHANGES = ("increase", "decrease", "assign", "scale-up", "scale-down")
+SIGNS = ("+", "-", "*", "/")
 EFFECTS = ("and", "not", "when", "forall", *CHANGES)
 TIMES = {"at": ("start", "end"), "over": ("all",)}
 """Words of `(at start ...)`, `(at end ...)` and `(over all ...)`."""
@@ -68,6 +69,7 @@ OF_OTHER_LANGUAGES = {
     **dict.fromkeys(("==", "assign"), "; expected (= (FUNCTION ARGUMENT ...) NUMBER)"),
     **dict.fromkeys(("add", "+="), "; expected (increase (FUNCTION ARGUMENT ...) NUMBER)"),
     **dict.fromkeys(("subtract", "-="), "; expected (decrease (FUNCTION ARGUMENT ...) NUMBER)"),
+    **dict.fromkeys(("increase", "decrease"), "; it changes a number, and is expected in :effect only"),
 }
 """What PDDL writes in place of words for numbers that are not its own, or stand elsewhere."""
 
@@ -153,6 +155,8 @@ class Formulas:
             self.refuse(formula, f"'{formula}' is not expected here: expected {what}")
         if formula.parts and not formula.head:
             near = ", ".join(heads)
+            if sign := next((part.word for part in formula.parts if part.word in (*COMPARISONS, "=")), ""):
+                self.refuse(formula, f"'{shown(formula)}': '{sign}' stands first; expected ({sign} NUMBER NUMBER)")
             self.refuse(formula, f"'{shown(formula)}' is no {what}: expected a predicate, or one of {near}")
 
     def condition(self, formula: Expression, scope: Scope) -> Expression:
@@ -202,7 +206,7 @@ class Formulas:
                 return self._function(Expression("", (part,), part.place), scope)
             self.refuse(part, f"'{part}' is no number; expected a number or (FUNCTION ARGUMENT ...)")
         head, given = part.head, part.parts[1:]
-        if head in ("+", "-", "*", "/"):
+        if head in SIGNS:
             fewest, most = {"-": (1, 2), "/": (2, 2)}.get(head, (1, len(given)))
             if not max(fewest, 1) <= len(given) <= most:
                 self.refuse(part, f"'{shown(part)}': '{head}' expects two numbers; expected ({head} NUMBER NUMBER)")
@@ -216,10 +220,14 @@ class Formulas:
             function = Symbol("total-cost", (), part.place)
         if function is None and part.head in self.names.predicates:
             self.refuse(part, f"'{part.head}' is a predicate, and a number is expected here")
+        if function is None and (sign := next((each.word for each in part.parts[1:] if each.word in SIGNS), "")):
+            self.refuse(part, f"'{shown(part)}': '{sign}' stands first; expected ({sign} NUMBER NUMBER)")
         if function is None and not part.head:
             self.refuse(part, f"'{shown(part)}' is no number; expected a number or (FUNCTION ARGUMENT ...)")
+        if function is None and part.head == "total-time":
+            self.refuse(part, "(total-time) is known in (:metric ...) only; expected a function that actions change")
         if function is None:
-            near = meant(part.head, {*self.names.functions, "+", "-", "*", "/"})
+            near = meant(part.head, {*self.names.functions, *SIGNS}) or "; expected a function, or + - * /"
             self.refuse(part, f"no such function '{part.head}' in (:functions ...){near}")
         return Expression("", (part.parts[0], *self.arguments(part, function, scope)), part.place)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from . import declarations, instance_finder, instances, supported_fragment
 from .declarations import Names, Symbol, Typed, Types, meant, refuse, shown
-from .formulas import Cost, Formulas, listed, whole_number, word
+from .formulas import COMPARISONS, Cost, Formulas, listed, whole_number, word
 from .instances import Instance
 from .numeric_expressions import DURATION, Number, number
 from .s_expressions import Expression, Place
@@ -366,6 +366,10 @@ def _init(
             refuse(file, fact, f"({fact.head} ...) is not expected in (:init ...): list the facts one by one")
         if fact.head == "at" and len(fact.parts) == 3 and fact.parts[2].parts:
             refuse(file, fact, f"timed initial literals are not supported: {fact}; state what holds from the start")
+        if fact.head in COMPARISONS:
+            refuse(
+                file, fact, f"'{fact}' is a condition; expected the number itself, (= (FUNCTION ARGUMENT ...) NUMBER)"
+            )
         if fact.head == "=":
             of, value = _value(file, fact, formulas)
             if values.setdefault(of, value) != value:

@@ -47,6 +47,8 @@ class Beyond(Enum):
 
 MOST_STEPS = 2_000_000
 """Largest number of combinations of values that are computed; one with many conditions counts several times."""
+LONGEST = 10**100
+"""Values with a larger numerator or denominator are not kept: growth by factors makes thousands of digits."""
 MOST_TOGETHER = 10_000
 """Largest number of combinations of values at which a condition on several numbers is used."""
 
@@ -334,7 +336,10 @@ def computed(
                 value = normal
         if value not in found.values[fluent]:
             own = trial if position and fluent[0] in tried else None
-            if own is not None and not own.allows(fluent, value, len(found.values[fluent])):
+            long = value is not None and max(abs(value.numerator), value.denominator) > LONGEST
+            if long and own is None:
+                raise UnboundedError(fluent)
+            if own is not None and (long or not own.allows(fluent, value, len(found.values[fluent]))):
                 found.limited.add(fluent)
                 if own.known is None:
                     found.open.add(fluent)
