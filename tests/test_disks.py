@@ -165,6 +165,24 @@ def test_a_study_whose_folder_cannot_be_written_any_more_can_be_reported(tiny: T
         assert len(stored(tmp_path / "data" / JOURNAL)[1]) > 5
 
 
+def test_a_report_for_which_there_is_no_room_is_said_in_one_line_and_leaves_nothing(
+    tiny: Table, disk: Path, tmp_path: Path
+) -> None:
+    session = StudySession(read(written(tmp_path / "study.toml")), {"tiny": tiny, "practice": tiny}, tmp_path / "data")
+    ann = Part(session, "ann")
+    ann.come()
+    answers(ann)
+    session.close()
+    words = ["study-report", str(tmp_path / "data"), "--out", str(disk / "report")]
+    with full(disk):
+        refused = CliRunner().invoke(main, words)
+        assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1), refused.output
+        assert "No space left on device" in refused.stderr
+        assert [file.name for file in disk.rglob("*") if file.is_file()] == ["ballast"]
+    assert CliRunner().invoke(main, words).exit_code == 0
+    assert (disk / "report" / "report.html").stat().st_size > 1000
+
+
 @in_a_browser
 @pytest.mark.long
 def test_people_and_the_operator_of_a_team_see_that_the_disk_is_full_and_nothing_is_lost(
