@@ -50,7 +50,7 @@ TESTS = {
     "assist/learning/log.py": "test_log test_log_files",
     "assist/learning/maximum_likelihood.py": "test_fit test_learning_figures",
     "assist/learning/observations.py": "test_fit test_goal_fit",
-    "assist/learning/replay.py": "test_log test_people",
+    "assist/learning/replay.py": "test_log test_people test_weights",
     "assist/team/attention.py": "test_attention test_policies",
     "assist/team/attention_subproblem.py": "test_attention_subproblem test_bounds test_different_robots",
     "assist/certify/team_bound.py": "test_certify test_upper_bound test_different_robots",
