@@ -358,11 +358,10 @@ def alone(travel: Travel) -> list[Travel]:
 def policies_of(case: Case, whole: Pool, pool: Pool, found: TeamBound) -> Iterator[tuple[str, Pool, TeamPolicy]]:
     """Yield the shipped policies, each with the pool that it uses."""
     for name in ("none", "reactive", "attention", "attention-never", "priority"):
-        if case.goals == 1 or name != "reactive":  # which needs to know the goal
-            yield name, whole, whole.policy(name, case.travel)
+        yield name, whole, whole.policy(name, case.travel)
     if case.number % 4 == 0:  # it takes a solution for each price; three make another, equally valid policy
         yield "whittle", whole, Whittle.of(whole.policies, case.travel, (0.0, 0.2, 1.0))
-    if len(found.price) and case.goals == 1:
+    if len(found.price):
         yield "priority at the bound's prices", whole, Priority.of(whole.policies, case.travel, found.price)
     if pool is not whole:
         for name in ("attention", "priority"):

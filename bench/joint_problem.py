@@ -143,9 +143,12 @@ def written_out(people: list[AssistPOMDP], travel: Travel) -> JointProblem:
             at, above, share, charge = grid.copy(), grid.copy(), np.zeros(len(every)), 0.0
             if k != NOBODY:
                 theta = grid[2 * k + 1]
-                at[2 * k + 1] = people[k].low[tasks[k], robot][theta]
+                at[2 * k + 1] = people[k].low[tasks[k], robot, 0][theta]
                 above[2 * k + 1] = at[2 * k + 1] + 1
-                share, charge = people[k].weight[tasks[k], robot][theta], float(people[k].robot_costs[tasks[k], robot])
+                share, charge = (
+                    people[k].weight[tasks[k], robot, 0][theta],
+                    float(people[k].robot_costs[tasks[k], robot]),
+                )
             person.append(k)
             reward.append(-charge - cost @ chances)
             low.append(np.ravel_multi_index(tuple(at), shape))

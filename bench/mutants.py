@@ -38,6 +38,8 @@ from tables import ROOT, Columns, cell, more_option, record_option, write_record
 
 TESTS = {
     "assist/people/human.py": "test_human test_people test_weights test_choice_models",
+    "assist/people/hidden_type.py": "test_unknown_goals test_goal_bounds",
+    "assist/people/type_kernels.py": "test_unknown_goals test_goal_bounds",
     "assist/people/belief.py": "test_belief test_unknown_goals test_trust_rules",
     "assist/people/decision.py": "test_human test_equations test_misconception",
     "planner/costtogo/table.py": "test_costtogo test_ondemand test_tables",

@@ -85,12 +85,13 @@ def problem_of(text: str) -> AssistPOMDP:
 
 def swept_alone(pomdp: AssistPOMDP, limit: float) -> tuple[Floats | None, int, float]:
     """Return the values by sweeps alone, their number, and the seconds; no values after the time limit."""
-    value, arrays, order = initial_upper_bounds(pomdp), ProblemArrays.of(pomdp), read_only(sweep_order(pomdp))
+    value, arrays, order = initial_upper_bounds(pomdp), ProblemArrays.of(pomdp), read_only(sweep_order(pomdp, 0))
     robot, number, begun = read_only(np.full(len(value), BEST)), 0, time.process_time()
     for b in range(value.shape[1]):
         own, policy = value[:, b : b + 1].copy(), np.zeros((len(value), value.shape[2]), dtype=np.int32)
         chosen, unsuggested = (read_only(part[:, :, b : b + 1]) for part in (arrays.chosen, arrays.unsuggested))
-        own_arrays = arrays._replace(chosen=chosen, unsuggested=unsuggested)
+        goal = read_only(np.zeros(1, dtype=np.int64))
+        own_arrays = arrays._replace(chosen=chosen, unsuggested=unsuggested, goal_of=goal)
         change = math.inf
         while change * pomdp.gamma / (1 - pomdp.gamma) > TOLERANCE:
             rise, fall, _ = iteration._sweep(own, order, robot, policy, own_arrays)

@@ -231,7 +231,10 @@ def references(case: Case, model: Path) -> tuple[dict[str, float], Row]:
     row = {"export_seconds": time.perf_counter() - start, "export_mb": model.stat().st_size / 1e6}
     x = pomdp.model.choices.initial
     values = {"qmdp": float(qmdp(pomdp).value(np.array([x]), pomdp.prior[None])[0])}
-    for name, robot in (("never", np.zeros(len(pomdp.robot_actions), dtype=np.int64)), ("always", pomdp.first_optimal)):
+    for name, robot in (
+        ("never", np.zeros(len(pomdp.robot_actions), dtype=np.int64)),
+        ("always", pomdp.first_optimal[:, 0]),
+    ):
         values[name] = float((evaluate(pomdp, robot, tolerance=1e-6)[x] * pomdp.prior).sum())
     return values, {**row, "states": len(pomdp.robot_actions), "hidden": pomdp.prior.size}
 

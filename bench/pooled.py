@@ -20,12 +20,9 @@ def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: i
     All people have the same model, and all distances are equal.
     """
     solved, pomdp = priority.solved(pool.policies[0]), pool.policies[0].pomdp
-    model, choices, setting = pomdp.model, pomdp.model.choices, pool.setting
+    choices, setting = pomdp.model.choices, pool.setting
     arrays, rng = ProblemArrays.of(pomdp), np.random.default_rng(robots)
-    minds = Minds(
-        np.moveaxis(pomdp.chosen, 2, 0).copy(), np.empty((0, 0)), choices.optimal, model.eta / model.utility_scale,
-        model.lapse, True,
-    )  # fmt: skip
+    minds = Minds.of_model(pomdp)
     size = episodes * humans
     cell = rng.choice(pomdp.prior.size, size, p=pomdp.prior.ravel() / pomdp.prior.sum())
     b, t = np.divmod(cell, len(pomdp.grid.theta))

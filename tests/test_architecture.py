@@ -39,10 +39,11 @@ ROOMS = {
     "planner.batch": "solve_record solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.texts": "typed_toml catalogue refusals",
-    "assist.people": """arguments state_keys choices misconception decision goals terms memory choice_model
-        weighted_choice human mixture spread belief influence_kernels trust_rules user_code action_names signals""",
-    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp known_goals visiting_robot policy
-        lazy_policy archive problem_arrays belief_filter belief_update reached_goals dynamics joint_belief rounding
+    "assist.people": """arguments state_keys hidden_type choices misconception decision goals terms memory choice_model
+        weighted_choice human mixture spread belief influence_kernels type_kernels trust_rules user_code
+        action_names signals""",
+    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp visiting_robot policy
+        lazy_policy archive problem_arrays belief_filter belief_update dynamics joint_belief rounding
         action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
         memory_needed further_beliefs solver""",
     "assist.learning": """log_steps log_json log_files log comparison intervals advice_log advice_rules advice_model

@@ -126,7 +126,7 @@ def test_a_policy_on_a_truncated_task_looks_a_step_ahead(truncated: SubproblemKi
     after, pomdp = [kind.between.value], visits.pomdp
     for step in (2, 1, 0):
         after.insert(0, np.minimum(values(visits.at_price(price[step]), after[0]), kind.between.value))
-    x = np.flatnonzero(~pomdp.final)
+    x = np.flatnonzero(~pomdp.ends)
     belief = np.broadcast_to(pomdp.prior, (len(x), *pomdp.prior.shape))
     for step in range(6):
         robot = policy(step, x).choose(x, belief)

@@ -55,17 +55,17 @@ def is_as_defined(
     """
     alone, pomdp, layout = found.alone, found.pomdp, found.layout
     own, choices = alone.model.choices, pomdp.model.choices
-    several, attended = own.goal_count > 1, found.attended()
+    attended = found.attended()
     charged = [*price, 0.0]
     more = [[*prices, *[0.0] * len(charged)] for prices in on_actions]
     for i in range(len(layout)):
         x, step, position = int(layout.x[i]), int(layout.step[i]), int(layout.position[i])
-        final = bool(alone.final[x]) or bool(layout.cut[i])
+        final = bool(alone.ends[x]) or bool(layout.cut[i])
         options = moves(position, int(alone.robot_actions[x]), found.entry_steps)
-        options = options[:1] if final and not several else options
+        options = options[:1] if final else options
         assert pomdp.robot_actions[i] == len(options)
         for r, (robot, then, comes) in enumerate(options):
-            busy = (r > 0 or position > HERE) and (several or not final)
+            busy = (r > 0 or position > HERE) and not final
             assert attended[i, r] == busy
             assert pomdp.suggested[i, r] == alone.suggested[x, robot]
             assert pomdp.afterstate[i, r] == layout.number(step, then, alone.afterstate[x, robot])
@@ -99,9 +99,10 @@ def is_as_defined(
     np.testing.assert_array_equal(pomdp.chosen, alone.chosen[layout.x])
     order = pomdp.order
     assert order is not None
-    assert sorted(order.tolist()) == np.flatnonzero(~alone.final[layout.x] & ~layout.cut).tolist()
-    keys = [(-layout.step[i], own.h[layout.x[i]]) for i in order]
-    assert keys == sorted(keys)
+    for one, h in zip(order, own.goals.h, strict=True):
+        assert sorted(one.tolist()) == list(range(len(layout)))
+        keys = [(-layout.step[i], h[layout.x[i]]) for i in one]
+        assert keys == sorted(keys)
 
 
 def ends_as_defined(found: AttentionSubproblem) -> None:
@@ -132,9 +133,9 @@ def test_each_state_is_as_defined(
     """The person has all states of their task, or only some at each step."""
     alone, (steps, longest) = problem(drawn, execute=execute), way
     rng = np.random.default_rng(seed)
-    kept = rng.random((len(price) + 1, len(alone.final))) < 0.7
+    kept = rng.random((len(price) + 1, len(alone.ends))) < 0.7
     kept[0, alone.model.choices.initial] = True
-    leaves = np.flatnonzero(~alone.model.choices.goal & (rng.random(len(alone.final)) < 0.2))
+    leaves = np.flatnonzero(~alone.model.choices.goal & (rng.random(len(alone.ends)) < 0.2))
     away, here = -rng.random((2, len(leaves), *GRID.shape))
     part = replace(alone, frontier=LeafBounds(leaves, here, here, away=away))
     for person, mask in ((alone, None), (part, kept)) if price else ((alone, None),):
@@ -149,7 +150,7 @@ def test_each_state_is_as_defined(
         np.testing.assert_allclose(found.at_price(0.5).robot_costs, found.pomdp.robot_costs + 0.5 * found.attended())
         for step, position in ((0, AWAY), (len(price), HERE)):
             at = found.states(step, position)
-            np.testing.assert_array_equal(at, [found.layout.number(step, position, x) for x in range(len(alone.final))])
+            np.testing.assert_array_equal(at, [found.layout.number(step, position, x) for x in range(len(alone.ends))])
 
 
 @settings(max_examples=15, deadline=None)
@@ -182,7 +183,7 @@ def test_other_prices_change_the_bounds_where_the_task_ends() -> None:
     alone = replace(
         alone,
         model=replace(alone.model, choices=replace(own, **memory)),
-        frontier=LeafBounds(np.array([2]), np.full((1, 3), -7.0), np.array([-2.0]), floor=-9.0),
+        frontier=LeafBounds(np.array([2]), np.full((1, 1, 3), -7.0), np.full((1, 1, 1), -2.0), floor=-9.0),
     )
     one, other = (AttentionSubproblem.of(alone, 0.4, 1, price) for price in ([0.5, 0.25], [2.0, 1.0]))
     is_as_defined(one, [0.5, 0.25])
@@ -196,9 +197,8 @@ def test_other_prices_change_the_bounds_where_the_task_ends() -> None:
 
 def test_a_robot_does_not_see_who_has_reached_one_of_several_goals() -> None:
     alone = AssistPOMDP.of(HumanModel.exact(ring().choices()), grid=GRID)
-    is_as_defined(AttentionSubproblem.of(alone, 0.4), [])
-    with pytest.raises(ValueError, match="prices of 2 steps"):
-        AttentionSubproblem.of(alone, 0.4, 0, [1.0, 1.0])
+    for price in ([], [1.0, 1.0]):
+        is_as_defined(AttentionSubproblem.of(alone, 0.4, 0, price), price)
 
 
 def test_whole_numbers_are_prices_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,7 +218,7 @@ def values(pomdp: AssistPOMDP, then: np.ndarray, states: list[int] | None = None
     It is over all states, or some. The values of states in which the problem ends do not change.
     """
     choices, grid, found = pomdp.model.choices, pomdp.grid, then.copy()
-    for x in np.flatnonzero(~pomdp.final) if states is None else states:
+    for x in np.flatnonzero(~pomdp.ends) if states is None else states:
         returns = []
         for robot in range(pomdp.robot_actions[x]):
             worth = np.full(grid.shape, -pomdp.robot_costs[x, robot])
@@ -226,7 +226,7 @@ def values(pomdp: AssistPOMDP, then: np.ndarray, states: list[int] | None = None
             for slot in np.flatnonzero(choices.applicable[acting]):
                 at = tuple(np.array([each]) for each in (x, robot, slot))
                 after = then[choices.targets[acting, slot]]
-                low, up = pomdp.low[x, robot], pomdp.weight[x, robot]
+                low, up = pomdp.low[x, robot, 0], pomdp.weight[x, robot, 0]
                 after = (1 - up) * after[:, low] + up * after[:, low + 1]
                 worth += pomdp.likelihood(*at)[0] * (pomdp.gamma * after - choices.costs[acting, slot])
             returns.append(worth)

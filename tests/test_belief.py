@@ -13,6 +13,7 @@ from assist.live.live_task import LiveTask
 from assist.people.belief import Grid, ImpossibleObservationError, update
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
+from assist.people.hidden_type import HiddenType
 from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.mixture import Mixture, advice_takers
@@ -180,9 +181,10 @@ def test_a_grid_with_counts_by_hand() -> None:
     assert prior.tolist() == [[0] * 6, [0.75, 0.25, 0, 0, 0, 0]]
     belief = np.zeros((4, 6))
     belief[[0, 1, 2, 3], [1, 3, 5, 4]] = 0.1, 0.2, 0.3, 0.4  # theta is 1, 1, 1 and 0
-    beta, theta = grid.spreads(belief)
+    hidden = HiddenType({"one": 0.5, "other": 0.5}, grid.beta)
+    beta, theta = grid.spreads(belief, hidden)
     assert (beta.mean, theta.mean) == pytest.approx((1.6, 0.6))
-    assert grid.spreads(np.eye(1, 24, 5).reshape(4, 6))[1] == Spread(1.0, pytest.approx(0.525), 1.0)
+    assert grid.spreads(np.eye(1, 24, 5).reshape(4, 6), hidden)[1] == Spread(1.0, pytest.approx(0.525), 1.0)
 
 
 def test_a_regular_grid_has_the_middles_of_equal_cells() -> None:

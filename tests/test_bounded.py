@@ -142,7 +142,7 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
     frontier, inner = visits.pomdp.frontier, visits.layout
     assert frontier is not None
     states = frontier.states
-    assert 0 < found.problem.final[inner.x[states]].sum() < len(states)  # some are only left out at their step
+    assert 0 < found.problem.ends[inner.x[states]].sum() < len(states)  # some are only left out at their step
     x = found.outer.place[inner.x[states]]
     np.testing.assert_array_equal(
         found.outer.visits.alone.model.choices.keys[x], visits.pomdp.model.choices.keys[states]
@@ -166,7 +166,7 @@ def test_the_likeliest_states_at_each_step_are_kept() -> None:
             after: dict[int, float] = {}
             for x, chance in there.items():
                 visits[min(step, 3), x] += chance
-                if problem.final[x]:
+                if problem.ends[x]:
                     continue
                 best = choices.optimal[x].sum()
                 for slot in np.flatnonzero(choices.applicable[x]):
@@ -174,7 +174,7 @@ def test_the_likeliest_states_at_each_step_are_kept() -> None:
                     y = int(choices.targets[x, slot])
                     after[y] = after.get(y, 0.0) + chance * p
             there = after
-    chances = np.array([0.0 if problem.final[x] else chance for (_, x), chance in visits.items()])
+    chances = np.array([0.0 if problem.ends[x] else chance for (_, x), chance in visits.items()])
     kept = likely(problem, 3, 9).ravel()
     assert kept.sum() == 9
     assert chances[kept].min() >= chances[~kept].max() - 1e-12
@@ -198,7 +198,7 @@ def test_what_is_expected_beyond_is_known() -> None:
             gain = expected[place[int(part.keys[y])]] - expected[place[int(part.keys[x])]]
             after = np.clip(problem.grid.theta + setting.eta * gain, 0.0, 1.0)
             low, weight = problem.grid.shares(after)
-            np.testing.assert_allclose(problem.low[x, robot] + problem.weight[x, robot], low + weight, atol=1e-9)
+            np.testing.assert_allclose(problem.low[x, robot, 0] + problem.weight[x, robot, 0], low + weight, atol=1e-9)
             moved += y in problem.frontier.states
     assert moved > 0
 
@@ -232,7 +232,7 @@ def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch:
     looked_at = []
     for limits in ({}, {"kept_mb": 0.1}, {"kept_mb": 4.0}, {"until": 0.0}):
         found = bounded(kit("paper"), Setting(), somebody(), PRIOR, entry=ENTRY, size=50, with_outer=True, **limits)
-        looked_at.append([int((~found.problem.final).sum()), found.pairs])
+        looked_at.append([int((~found.problem.ends).sum()), found.pairs])
     everything, short, some, late = looked_at
     assert everything == [40, 300]
     assert short[0] == late[0] == 5

@@ -278,6 +278,7 @@ def test_a_model_of_ones_own_is_used_everywhere(tiny: Table) -> None:
     choices, grid = Choices.of(tiny), Grid(np.array([0.5, 2.0]), np.array([0.0, 0.5, 1.0]))
     pomdp = AssistPOMDP.of(HumanModel.exact(choices), chooses=short_sighted, grid=grid)
     expected = short_sighted(choices, pomdp.model.q, grid.beta)
+    expected = np.where(choices.goal[:, None], 0.0, expected)  # who has reached the goal does nothing
     np.testing.assert_array_equal(pomdp.chosen, np.moveaxis(expected, 0, 2))
     people = Population(beta=(2, 2), sigma=(0, 0), chooses=short_sighted)
     assert people.as_dict()["chooses"] == "short_sighted"

@@ -175,7 +175,7 @@ def test_each_robot_pays_its_own_costs() -> None:
     pool = people(robots, size=2, max_steps=1)
     pomdp = pool.policies[0].pomdp
     start = pool.choices(0).initial
-    suggests, executes = pomdp.first_optimal[start], pomdp.robot_actions[start] - 1
+    suggests, executes = pomdp.first_optimal[start, 0], pomdp.robot_actions[start] - 1
     assert pomdp.executes(start, executes) is not None
 
     def paid(person: list[int], robot: list[int]) -> float:
@@ -392,7 +392,7 @@ def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
     def after(x: int, r: int) -> list[tuple[float, float, int]]:
         """Return the probability, the cost and the state after each action of a person."""
         place = pomdp.afterstate[x, r]
-        if pomdp.final[place]:
+        if pomdp.ends[place]:
             return [(1.0, 0.0, int(place))]
         slots = np.flatnonzero(choices.applicable[place])
         chance = [pomdp.likelihood(np.array([x]), np.array([r]), np.array([a])).reshape(-1)[known] for a in slots]
@@ -406,7 +406,7 @@ def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
         each = []
         for robot, here in zip(robots, at, strict=True):
             options = [(0.0, here, NOBODY, 0)]
-            for k in (k for k in range(2) if not pomdp.final[x[k]]):
+            for k in (k for k in range(2) if not pomdp.ends[x[k]]):
                 moving = robot.c_move * (here != k)
                 for r in range(pomdp.robot_actions[x[k]]):
                     executes = r > 0 and pomdp.suggested[x[k], r] == NOTHING

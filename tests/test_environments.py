@@ -14,11 +14,13 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils.conversions import parallel_to_aec
+from test_unknown_goals import TASKS
 
 from assist import Pool, simulate
 from assist.interop.gymnasium import ID, TeamEnv, TeamVectorEnv
 from assist.interop.pettingzoo import parallel_env
 from assist.people.choices import Choices
+from assist.people.human import Population
 from assist.people.trust_rules import outcome_at_disagreement
 from assist.team.policy_names import POLICIES
 from assist.team.robots import Robot
@@ -304,3 +306,20 @@ def test_of_two_robots_that_want_the_same_person_the_first_goes_there(tiny_choic
         env.step({"robot_0": 0})
     with pytest.raises(ValueError, match=r"action .* expected 0 to"):
         env.step({"robot_0": 0, "robot_1": 999})
+
+
+@pytest.mark.parametrize("world", ["people", "model"])
+def test_an_episode_is_the_simulators_where_goals_are_unknown(world: str) -> None:
+    """A learner is shown the mean cost-to-go under its belief, as a team policy is."""
+    setting = Setting(c_suggest=0.01, c_move=0.0, knowledge="exact", max_steps=30)
+    pool = Pool.sample(TASKS["tiny"], 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.4)))
+    for policy in ("reactive", "attention"):
+        found = simulate(pool, policy, humans=2, episodes=EPISODES, seed=5, world=world)
+        assert found.interventions.any()
+        assert total(TeamEnv(pool, 2, world=world), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
+    env = TeamEnv(pool, 2, world=world)
+    seen, _ = env.reset(seed=3)
+    for _ in range(5):
+        np.testing.assert_allclose(seen["cost_to_go"], env.team.cost_to_go()[0], rtol=1e-6)
+        seen = env.step(0)[0]
+    assert seen["belief"].shape == (2, *pool.policies[0].pomdp.prior.shape)

@@ -93,8 +93,8 @@ def test_bounds_on_the_frontier_hold(drawn: list[tuple[int, int, int]], given: d
     assert problem.frontier is not None
     at = part.states[part.frontier]
     left = 1e-8 * (3 + cost["c_suggest"]) / (1 - cost["gamma"])  # of the value iteration
-    assert (values(whole, policy="best")[at] <= problem.frontier.upper[:, None, None] + left).all()
-    assert (values(whole, policy="worst optimal")[at] >= problem.frontier.lower[:, None, :] - left).all()
+    assert (values(whole, policy="best")[at] <= problem.frontier.upper + left).all()
+    assert (values(whole, policy="worst optimal")[at] >= problem.frontier.lower - left).all()
 
 
 @examples
@@ -172,7 +172,7 @@ def test_the_bounds_are_exact_where_there_is_one_way(cost: int) -> None:
     assert frontier is not None
     assert part.choices.h[part.frontier].tolist() == [5 * cost]
     np.testing.assert_allclose(frontier.upper, -(1 - 0.9**5) / 0.1, rtol=1e-12)
-    np.testing.assert_allclose(frontier.lower, np.full((1, 10), -cost * (1 - 0.9**5) / 0.1), rtol=1e-6)
+    np.testing.assert_allclose(frontier.lower, np.full((1, 1, 10), -cost * (1 - 0.9**5) / 0.1), rtol=1e-6)
 
 
 def test_the_lower_bound_knows_who_follows() -> None:
@@ -187,15 +187,17 @@ def test_the_lower_bound_knows_who_follows() -> None:
     frontier = part.problem(gamma=0.9, c_suggest=0.5, eta=0.0, lapse=0.0).frontier
     assert frontier is not None
     assert sorted(h) == [6, 9]
-    np.testing.assert_allclose(frontier.lower[:, -1], -1.5 * (1 - 0.9**h) / 0.1, rtol=1e-6)
+    np.testing.assert_allclose(frontier.lower[:, 0, -1], -1.5 * (1 - 0.9**h) / 0.1, rtol=1e-6)
     floor = -1.5 / 0.1
-    np.testing.assert_allclose(frontier.lower[:, 0], floor, rtol=1e-6)  # at theta 0 a person may never reach the goal
-    assert (np.diff(frontier.lower, axis=1) > 0).all()
+    np.testing.assert_allclose(
+        frontier.lower[:, 0, 0], floor, rtol=1e-6
+    )  # at theta 0 a person may never reach the goal
+    assert (np.diff(frontier.lower) > 0).all()
     # A suggestion in each step raises theta by eta, so that even someone who began without any influence arrives.
     moved = part.problem(gamma=0.9, c_suggest=0.5, eta=0.2, lapse=0.0).frontier
     assert moved is not None
-    assert (moved.lower[:, 0] > floor + 1).all()
-    np.testing.assert_allclose(moved.lower[:, -1], frontier.lower[:, -1], rtol=1e-6)
+    assert (moved.lower[:, 0, 0] > floor + 1).all()
+    np.testing.assert_allclose(moved.lower[:, 0, -1], frontier.lower[:, 0, -1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("eta", [0.0, 0.2])
@@ -213,7 +215,7 @@ def test_the_lower_bound_is_exact_on_a_ladder_for_people_who_choose_blindly(top:
         part = TruncatedTask.of(table, states=states, population=blind)
         frontier = part.problem(eta=eta, lapse=0.0, **setting).frontier  # type: ignore[arg-type]
         assert frontier is not None
-        np.testing.assert_allclose(frontier.lower, expected[part.states[frontier.states]], rtol=1e-5)
+        np.testing.assert_allclose(frontier.lower[:, 0], expected[part.states[frontier.states]], rtol=1e-5)
 
 
 @pytest.mark.parametrize("more", [[], [(2, 8, 1), (8, 9, 1), (9, 8, 1)]], ids=["a way from everywhere", "dead ends"])
@@ -301,8 +303,8 @@ def test_standing_still_costs_1_where_all_else_is_free() -> None:
     frontier, anybody = part.problem(gamma=0.9).frontier, part.bounds_of_anybody(gamma=0.9, thetas=10)
     assert frontier is not None
     for bounds in (frontier, anybody):
-        np.testing.assert_allclose(bounds.lower, np.full((1, 10), -1 / 0.1), rtol=1e-12)
-        np.testing.assert_array_equal(bounds.upper, [0.0])
+        np.testing.assert_allclose(bounds.lower, np.full((1, 1, 10), -1 / 0.1), rtol=1e-12)
+        np.testing.assert_array_equal(bounds.upper, [[[0.0]]])
 
 
 def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None:
@@ -311,10 +313,10 @@ def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None
     frontier = part.problem(gamma=0.9, c_suggest=7.0).frontier
     assert frontier is not None
     assert part.choices.h[part.frontier].tolist() == [np.inf]
-    np.testing.assert_allclose(frontier.lower, np.full((1, 10), -5 / 0.1), rtol=1e-12)
+    np.testing.assert_allclose(frontier.lower, np.full((1, 1, 10), -5 / 0.1), rtol=1e-12)
     np.testing.assert_allclose(frontier.upper, -1 / 0.1, rtol=1e-12)
     anybody = part.bounds_of_anybody(gamma=0.9, thetas=10)
-    np.testing.assert_allclose(anybody.lower, np.full((1, 10), -5 / 0.1), rtol=1e-12)
+    np.testing.assert_allclose(anybody.lower, np.full((1, 1, 10), -5 / 0.1), rtol=1e-12)
     assert (anybody.floor, frontier.floor) == pytest.approx((-5 / 0.1,) * 2, rel=1e-12)
 
 

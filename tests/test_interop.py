@@ -102,8 +102,8 @@ def theta_after(pomdp: AssistPOMDP, x: int, r: int, t: int) -> np.ndarray:
     if pomdp.model.choices.goal[x] or r >= pomdp.robot_actions[x]:
         shares[t] = 1
     else:
-        shares[pomdp.low[x, r, t]] = 1 - pomdp.weight[x, r, t]
-        shares[pomdp.low[x, r, t] + 1] += pomdp.weight[x, r, t]
+        shares[pomdp.low[x, r, 0, t]] = 1 - pomdp.weight[x, r, 0, t]
+        shares[pomdp.low[x, r, 0, t] + 1] += pomdp.weight[x, r, 0, t]
     return shares
 
 
@@ -291,7 +291,7 @@ def test_no_value_changes(tiny_choices: Choices, tmp_path: Path, name: str) -> N
 
 def test_what_cannot_be_written_is_refused(tiny_choices: Choices, tmp_path: Path) -> None:
     pomdp = make(tiny_choices)
-    frontier = LeafBounds(np.array([0]), np.zeros((1, 3)), np.zeros(1))
+    frontier = LeafBounds(np.array([0]), np.zeros((1, 1, 3)), np.zeros((1, 1, 1)))
     for write in (write_pomdpx, write_pomdp):
         with pytest.raises(ValueError, match="frontier"):
             write(dataclasses.replace(pomdp, frontier=frontier), tmp_path / "problem")
@@ -309,7 +309,7 @@ def test_sarsops_policy_is_read(tiny_choices: Choices) -> None:
     at, prior = np.array([tiny_choices.initial]), pomdp.prior[None]
     assert policy.value(at, prior)[0] == pytest.approx(LOWER, abs=1e-5)
     assert qmdp(pomdp).value(at, prior)[0] >= UPPER
-    for robot in (np.zeros(len(tiny_choices), dtype=np.int64), pomdp.first_optimal):
+    for robot in (np.zeros(len(tiny_choices), dtype=np.int64), pomdp.first_optimal[:, 0]):
         assert (evaluate(pomdp, robot)[tiny_choices.initial] * pomdp.prior).sum() <= UPPER
     # Every vector is valid: where it is best, a one-step look-ahead is not worse. With states, beta and theta in
     # another order it would be.

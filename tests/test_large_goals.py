@@ -135,17 +135,16 @@ def test_a_truncated_task_of_all_goals_has_bounds_for_each(states: int) -> None:
     """Compared with the values on the whole task: of a robot that is told the goal, and of one that does nothing."""
     goals = TASKS["sealed"]
     part = TruncatedTask.of(goals, states=states)
-    full, size = goals.choices(), len(goals.tables["a"])
-    goal = np.repeat(np.arange(3), len(part.states) // 3)
-    rows = part.states + size * goal
-    np.testing.assert_array_equal(part.choices.h, full.h[rows])
-    np.testing.assert_array_equal(part.choices.goal, full.goal[rows])
+    full, rows = goals.choices(), part.states
+    np.testing.assert_array_equal(part.choices.goals.h, full.goals.h[:, rows])
+    np.testing.assert_array_equal(part.choices.goals.goal, full.goals.goal[:, rows])
     inside = np.setdiff1d(np.flatnonzero(part.choices.applicable.any(axis=1)), part.frontier)
     for x in inside[:: max(1, len(inside) // 200)].tolist():
         count = part.choices.applicable[x].sum()
         theirs = rows[x]
         assert count == full.applicable[theirs].sum()
-        assert set(part.choices.actions[x][part.choices.optimal[x]]) == set(full.actions[theirs][full.optimal[theirs]])
+        for own, whole in zip(part.choices.of_each_goal, full.of_each_goal, strict=True):
+            assert set(own.actions[x][own.optimal[x]]) == set(whole.actions[theirs][whole.optimal[theirs]])
         assert sorted(rows[part.choices.targets[x, :count]]) == sorted(full.targets[theirs, :count])
     setting = {"gamma": 0.97, "c_suggest": 0.3}
     problem = AssistPOMDP.of(HumanModel.exact(full), **setting)  # type: ignore[arg-type]
@@ -153,9 +152,9 @@ def test_a_truncated_task_of_all_goals_has_bounds_for_each(states: int) -> None:
     assert frontier is not None
     assert len(frontier.states) == len(part.frontier) > 0
     leaves = rows[part.frontier]
-    assert (qmdp(problem).value_mdp[leaves] <= frontier.upper[:, None, None] + 1e-9).all()
+    assert (qmdp(problem).value_mdp[leaves] <= frontier.upper + 1e-9).all()
     never = evaluate(problem, np.zeros(len(full), dtype=np.int64))
-    assert (never[leaves] >= frontier.lower[:, None, :] - 1e-8).all()  # `evaluate` is lowered by its rounding errors
+    assert (never[leaves] >= frontier.lower - 1e-8).all()  # `evaluate` is lowered by its rounding errors
     assert frontier.floor is not None
     assert (frontier.lower > frontier.floor).any()
 
@@ -170,10 +169,10 @@ def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
         assert one.lower <= exact.upper
         assert exact.lower <= one.upper
         assert one.value_never <= exact.upper
-        assert len(truncated.states) == truncated.pomdp.task_states
+        assert len(truncated.states) == len(truncated.pomdp.robot_actions)
     assert found[0].upper - found[0].lower > found[1].upper - found[1].lower > 0
     part = TruncatedTask.of(goals, states=size)
-    assert (len(part.frontier), sorted(part.states)) == (0, sorted(3 * [*range(size)]))
+    assert (len(part.frontier), sorted(part.states)) == (0, [*range(size)])
     same = solve(part.problem(**setting), gap=1e-2, time_limit=20)  # type: ignore[arg-type]
     assert same.lower <= exact.upper
     assert exact.lower <= same.upper
@@ -182,21 +181,18 @@ def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
 
 
 def test_a_truncated_task_holds_the_likeliest_states_of_all_goals() -> None:
-    """With the whole prior on one goal it is that goal's, and misconceptions are the same in every goal's rows."""
+    """With the whole prior on one goal it is that goal's, and misconceptions are the same for every goal."""
     goals = TASKS["sealed"]
     for number, (name, table) in enumerate(goals.tables.items()):
         certain = Goals(goals.tables, {other: float(other == name) for other in goals.tables})
         own, joint = (TruncatedTask.of(task, states=20) for task in (table, certain))
-        expanded = [
-            np.delete(part.states[:count], part.frontier[part.frontier < count] if count else [])
-            for part, count in ((own, len(own.states)), (joint, len(joint.states) // 3))
-        ]
+        expanded = [np.delete(part.states, part.frontier) for part in (own, joint)]
         assert set(expanded[0][table.h[expanded[0]] > 0]) <= set(expanded[1])
         human = Human(1.0, 0.5, 1.0, Misconception(1.0, 5))
         one = TruncatedTask.of(table, states=20, among=goals)
         assert one.choices.offered is not None
         assert (one.choices.offered >= one.choices.optimal)[~one.choices.goal].all()
-        perceived = human.expects(joint.choices).reshape(3, -1)[number]
+        perceived = human.expects(joint.choices.of_goal(number))
         place = joint.local(one.states)
         np.testing.assert_array_equal(perceived[place[place >= 0]], human.expects(one.choices)[place >= 0])
 
@@ -262,7 +258,7 @@ def test_a_problem_has_as_many_states_as_a_solver_can_keep() -> None:
     for limit in (np.inf, 17.0, 1.0):
         found = PersonProblem.of(goals, states=100, memory_limit_mb=limit)
         assert found.pomdp.frontier is not None
-        sizes.append(found.pomdp.task_states)
+        sizes.append(len(found.states))
         if limit > 1:
             depth = depth_within(found.pomdp, limit)
             assert first_bounds_bytes(found.pomdp, depth) <= 0.8e6 * limit

@@ -44,9 +44,10 @@ class PlainBackup:
         self.moves = np.zeros((n, actions, len(slots), cells, cells))  # from theta to theta after each choice
         for a in slots:
             follows = (pomdp.suggested == a)[:, :, None]
-            low, up = pomdp.low, pomdp.weight
+            low, up = pomdp.low[:, :, 0], pomdp.weight[:, :, 0]
             if pomdp.followed_low is not None and pomdp.followed_weight is not None:
-                low, up = np.where(follows, pomdp.followed_low, low), np.where(follows, pomdp.followed_weight, up)
+                low = np.where(follows, pomdp.followed_low[:, :, 0], low)
+                up = np.where(follows, pomdp.followed_weight[:, :, 0], up)
             for cell in own:
                 reached = np.minimum(low[..., cell] + 1, cells - 1)
                 np.add.at(self.moves, (*np.indices((n, actions)), a, cell, low[..., cell]), 1 - up[..., cell])
@@ -68,12 +69,12 @@ class PlainBackup:
         """Return values after one more step with the best robot action, or given ones, in states that are not final."""
         q = self.values(value)
         best = q.max(axis=1) if robot is None else q[np.arange(len(q)), robot]
-        return np.where(self.pomdp.final[:, None, None], value, best)
+        return np.where(self.pomdp.ends[:, None, None], value, best)
 
     def of(self, value: np.ndarray, policy: np.ndarray) -> np.ndarray:
         """Return the values of a policy, shape (n, B, T), by dense linear equations; final states keep theirs."""
         c, (n, betas, cells) = self.pomdp.model.choices, value.shape
-        found, going = value.copy(), np.flatnonzero(~self.pomdp.final)
+        found, going = value.copy(), np.flatnonzero(~self.pomdp.ends)
         for b in range(betas):
             matrix, right = np.eye(n * cells), value[:, b].ravel().copy()
             for x, t in itertools.product(going, range(cells)):
@@ -94,7 +95,7 @@ class PlainBackup:
             value = self.of(value, policy)
             q = self.values(value)
             now = np.take_along_axis(q, policy[:, None], axis=1)[:, 0]
-            better = ~self.pomdp.final[:, None, None] & (q.max(axis=1) > now + 1e-11 * np.abs(now) + 1e-12)
+            better = ~self.pomdp.ends[:, None, None] & (q.max(axis=1) > now + 1e-11 * np.abs(now) + 1e-12)
             if not better.any():
                 return value
             policy = np.where(better, q.argmax(axis=1), policy)
@@ -116,10 +117,8 @@ def random_problem(draw: st.DataObject, gamma: float) -> AssistPOMDP:
     execute = pick(st.booleans())
     if not execute and len(inside) and pick(st.booleans()):
         leaves = np.sort(rng.choice(inside, pick(st.integers(1, len(inside))), replace=False))
-        most = (
-            -rng.uniform(0, 9, (len(leaves), *GRID.shape)) if pick(st.booleans()) else -rng.uniform(0, 9, len(leaves))
-        )
-        frontier = LeafBounds(leaves, np.full((len(leaves), GRID.shape[1]), -9.0 / (1 - gamma)), most)
+        most = -rng.uniform(0, 9, (len(leaves), *(GRID.shape if pick(st.booleans()) else (1, 1))))
+        frontier = LeafBounds(leaves, np.full((len(leaves), 1, GRID.shape[1]), -9.0 / (1 - gamma)), most)
     trust = rules[pick(st.integers(0, 1 if frontier else 2))]
     return AssistPOMDP.of(
         model, grid=GRID, gamma=gamma, c_suggest=pick(st.sampled_from([0.0, 0.1, 50.0])), execute=execute,
@@ -157,7 +156,7 @@ def test_values_are_those_of_plain_policy_iteration(gamma: float, draw: st.DataO
 
 def test_a_whole_task_has_the_values_of_plain_value_iteration_from_zero(tiny_choices: Choices) -> None:
     pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices), grid=GRID, gamma=0.9)
-    plain, value = PlainBackup(pomdp), np.zeros((len(pomdp.final), *GRID.shape))
+    plain, value = PlainBackup(pomdp), np.zeros((len(pomdp.ends), *GRID.shape))
     for _ in range(260):  # .9 to the power of 260 is 1e-12
         value = plain.backup(value)
     np.testing.assert_allclose(qmdp(pomdp, tolerance=1e-9).value_mdp, value, atol=1e-8)

@@ -8,34 +8,34 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from assist.people.belief import ImpossibleObservationError
+from assist.people.type_kernels import exclude_reached, is_mistake
 from assist.person.belief_filter import update
-from assist.person.belief_update import updated, without_reached
+from assist.person.belief_update import mistaken, updated, without_reached
 from assist.person.dynamics import Minds, PeopleArrays, act_compiled, act_readable
 from assist.person.problem_arrays import ProblemArrays, read_only
-from assist.person.reached_goals import exclude_reached
 from planner.system.readable import ReadableFirst
 
 
 def problem(rng: np.random.Generator, goals: int, *, answers: bool, lapse: float) -> ProblemArrays:
     """Return a problem of random numbers, in the shapes of a real one: some choices and suggestions are impossible."""
     states, slots, robots, betas, thetas = 5, 4, 3, 2, 4
-    n = goals * states
+    n, types = states, goals * betas
     counts = rng.integers(1, slots + 1, n)
-    first = np.arange(n) // states * states  # of the same goal
-    chosen = rng.random((n, slots, betas)) * (np.arange(slots) < counts[:, None])[:, :, None]
+    chosen = rng.random((n, slots, types)) * (np.arange(slots) < counts[:, None])[:, :, None]
     chosen[rng.random(chosen.shape) < 0.2] = 0.0
     chosen[:, 0] += 1e-3
     chosen /= chosen.sum(axis=1, keepdims=True)
     suggested = np.column_stack([np.full(n, -1), *(rng.integers(-1, counts) for _ in range(robots - 1))])
-    afterstate = np.where(suggested < 0, first[:, None] + rng.integers(0, states, (n, robots)), np.arange(n)[:, None])
+    afterstate = np.where(suggested < 0, rng.integers(0, states, (n, robots)), np.arange(n)[:, None])
     afterstate[:, 0] = np.arange(n)
     p = np.take_along_axis(chosen, np.maximum(suggested, 0)[:, :, None], axis=1)
-    tables = [rng.integers(0, thetas - 1, (n, robots, thetas)) for _ in range(2)]
-    weights = [rng.choice([0.0, 0.25, 1.0, rng.random()], (n, robots, thetas)) for _ in range(2)]
-    goal = rng.random(n) < 0.2
+    tables = [rng.integers(0, thetas - 1, (n, robots, goals, thetas)) for _ in range(2)]
+    weights = [rng.choice([0.0, 0.25, 1.0, rng.random()], (n, robots, goals, thetas)) for _ in range(2)]
+    goal = rng.random((goals, n)) < 0.2
     arrays = {
-        "counts": counts, "targets": first[:, None] + rng.integers(0, states, (n, slots)),
-        "costs": rng.random((n, slots)), "goal": goal, "final": goal, "robot_actions": np.full(n, robots),
+        "counts": counts, "targets": rng.integers(0, states, (n, slots)),
+        "costs": rng.random((n, slots)), "goal": goal, "final": goal, "ends": goal.all(axis=0),
+        "goal_of": np.repeat(np.arange(goals), betas), "robot_actions": np.full(n, robots),
         "suggested": suggested, "afterstate": afterstate, "robot_costs": rng.random((n, robots)), "chosen": chosen,
         "unsuggested": np.maximum(0.0, 1.0 - p), "low": tables[0], "weight": weights[0],
         "followed_low": tables[answers], "followed_weight": weights[answers],
@@ -46,8 +46,8 @@ def problem(rng: np.random.Generator, goals: int, *, answers: bool, lapse: float
     )
 
 
-def beliefs(rng: np.random.Generator, people: int, goals: int, m: ProblemArrays) -> np.ndarray:
-    found = rng.random((people, goals * m.chosen.shape[2], len(m.theta)))
+def beliefs(rng: np.random.Generator, people: int, m: ProblemArrays) -> np.ndarray:
+    found = rng.random((people, len(m.goal_of), len(m.theta)))
     found[rng.random(found.shape) < 0.2] = 0.0
     found[:, 0, 0] += 1e-9
     return found / found.sum(axis=(1, 2), keepdims=True)
@@ -64,12 +64,15 @@ def test_a_step_of_people(seed: int, goals: int, answers: bool, lapse: float, on
     m, people = problem(rng, goals, answers=answers, lapse=max(lapse, 1e-6)), max(1, believed)
     p = rng.random((3, len(m.counts), m.chosen.shape[1])) * (rng.random((3, len(m.counts), 1)) < 0.9) + 1e-6
     value = rng.choice([0.0, -1.0, -np.inf, -2.5], (3, len(m.counts)))
-    minds = Minds(p, value, read_only(rng.random(p.shape[1:]) < 0.5), float(rng.choice([0.0, 0.2])), lapse, on_grid)
+    minds = Minds(
+        read_only(rng.integers(0, goals, 3)), p, value, read_only(rng.random((*p.shape[1:], goals)) < 0.5),
+        read_only(rng.choice([0.0, 0.5], (len(m.goal_of), 1))), float(rng.choice([0.0, 0.2])), lapse, on_grid,
+    )  # fmt: skip
     states = rng.integers(0, len(m.counts), people)
     first = PeopleArrays(
         states, rng.integers(0, 3, people), rng.integers(0, 3, people), rng.choice(m.theta, people),
         np.zeros(people, dtype=np.int64), rng.random((people, 2)),
-        beliefs(rng, people, goals, m) if believed else np.empty((0, 1, 1)),
+        beliefs(rng, people, m) if believed else np.empty((0, 1, 1)),
         np.full(people, -1), np.zeros(people), np.zeros(people, dtype=bool),
     )  # fmt: skip
     rows = np.flatnonzero(rng.random(people) < 0.8)
@@ -85,7 +88,7 @@ def test_a_step_of_people(seed: int, goals: int, answers: bool, lapse: float, on
 def test_a_belief_after_a_choice(seed: int, goals: int, answers: bool, lapse: float, people: int) -> None:
     rng = np.random.default_rng(seed)
     m = problem(rng, goals, answers=answers, lapse=lapse)
-    before, x = beliefs(rng, people, goals, m), rng.integers(0, len(m.counts), people)
+    before, x = beliefs(rng, people, m), rng.integers(0, len(m.counts), people)
     robot = rng.integers(0, 3, people)
     slot = rng.integers(0, m.counts[m.afterstate[x, robot]])
     single, work, impossible = before.copy(), np.empty(before.shape[1:]), 0
@@ -101,8 +104,11 @@ def test_a_belief_after_a_choice(seed: int, goals: int, answers: bool, lapse: fl
     np.testing.assert_array_equal(updated(before, x, robot, slot, m), single)
     after = without_reached(single, x, m)
     for i in range(people):
-        exclude_reached(single[i], int(x[i]), m)
+        exclude_reached(single[i], int(x[i]), m.goal, m.goal_of)
     np.testing.assert_array_equal(after, single)
+    optimal = rng.random((people, goals)) < 0.5
+    found = mistaken(optimal, single, x, m)
+    assert found.tolist() == [is_mistake(optimal[i], single[i], int(x[i]), m.goal, m.goal_of) for i in range(people)]
 
 
 def test_the_compiled_definition_takes_over_after_enough_work() -> None:

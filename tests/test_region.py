@@ -70,8 +70,8 @@ def test_bounds_on_the_frontier_hold_in_each_of_its_states(instance: Instance) -
         assert frontier is not None
         assert len(frontier.states) == len(part.frontier) > 0
         value = best.value_mdp[part.states[part.frontier]]
-        assert (value <= frontier.upper[:, None, None] + 1e-9).all()
-        assert (value >= frontier.lower[:, None, :] - 1e-9).all()
+        assert (value <= frontier.upper + 1e-9).all()
+        assert (value >= frontier.lower - 1e-9).all()
 
 
 def test_a_part_has_the_choices_of_the_task() -> None:
@@ -200,13 +200,13 @@ def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
         for name in ("prior", "robot_costs", "suggested", "chosen", "low", "weight"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
         assert ours.frontier is not None
-        assert ours.frontier.lower.shape == (len(part.frontier), len(ours.grid.theta))
+        assert ours.frontier.lower.shape == (len(part.frontier), 1, len(ours.grid.theta))
     rule = Reliability(2, 0.1, 2)
     ours = part.problem(grid=mine, trust=rule)
     theirs = AssistPOMDP.of(HumanModel.exact(part.choices), grid=mine.with_counts(2), trust=rule)
     assert ours.grid.shape == theirs.grid.shape == (3, 12)
     assert ours.frontier is not None
-    assert ours.frontier.lower.shape == (len(part.frontier), 12)
+    assert ours.frontier.lower.shape == (len(part.frontier), 1, 12)
     np.testing.assert_array_equal(
         ours.low[part.choices.optimal.any(axis=1)], theirs.low[part.choices.optimal.any(axis=1)]
     )
@@ -247,7 +247,7 @@ def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
         solution = solve(problem, gap=0.01, time_limit=1)
         solution.save(tmp_path / "policy.npz", note=np.array("kept"))
         again = Solution.load(tmp_path / "policy.npz")
-        x = np.flatnonzero(~problem.final)
+        x = np.flatnonzero(~problem.ends)
         belief = (
             np.random.default_rng(0).dirichlet(np.ones(problem.prior.size), len(x)).reshape(-1, *problem.grid.shape)
         )

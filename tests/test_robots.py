@@ -230,7 +230,7 @@ def as_agents(visits: AttentionSubproblem, people: int) -> Agents:
     shape = (pomdp.robot_costs.shape[1], len(pomdp.robot_actions))
     P, R = np.zeros((*shape, shape[1])), np.zeros(shape)
     for x, r in itertools.product(range(shape[1]), range(shape[0])):
-        if pomdp.final[x] or r >= pomdp.robot_actions[x]:
+        if pomdp.ends[x] or r >= pomdp.robot_actions[x]:
             P[r, x, x] = 1.0
             continue
         R[r, x], place = -pomdp.robot_costs[x, r], pomdp.afterstate[x, r]

@@ -59,8 +59,7 @@ def test_the_advantages_on_sample_paths_are_those_of_simulated_returns(tiny: Tab
     sums = paths.values()[0]
     for k, one in enumerate(pool.policies):
         solved = one.with_robot(policy.base)
-        rows = pool.choices(k).of_goals(team.x[0, [k]])[:, 0]
-        values = solved.policy.value_mdp[solved.states[0][0, rows]].reshape(team.belief[0, k].shape)
+        values = solved.policy.value_mdp[solved.states[0][0, team.x[0, k]]]
         sums += (values * team.belief[0, k]).sum()
     found = simulate(pool, "priority", humans=TEAM, episodes=2500, seed=1, world="model").discounted_return
     error = np.hypot(sums.std() / np.sqrt(len(sums)), found.std() / np.sqrt(len(found)))

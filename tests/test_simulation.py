@@ -246,7 +246,9 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
                 np.zeros(n, dtype=bool),
             )  # fmt: skip
             alone = choice(model.q, tiny_choices.applicable, np.full(len(tiny_choices), beta))
-            minds = Minds(alone[None], value[None], tiny_choices.optimal, model.eta, model.lapse, False)
+            minds = Minds.of_model(pomdp)._replace(
+                goal=np.zeros(1, dtype=np.int64), p=alone[None], value=value[None], eta=model.eta, on_grid=False
+            )
             act(np.arange(n), people, minds, ProblemArrays.of(pomdp))
             place, told = pomdp.afterstate[x, robot], pomdp.suggested[x, robot]
             if tiny_choices.goal[place]:

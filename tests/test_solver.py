@@ -163,7 +163,7 @@ def value_of(pomdp: AssistPOMDP, robot: np.ndarray) -> np.ndarray:
             at = [np.full_like(slots, number) for number in (x, robot[x])]
             chance = np.broadcast_to(pomdp.likelihood(*at, slots), (len(slots), betas, thetas))[:, b]
             for t in range(thetas):
-                low, up = pomdp.low[x, robot[x], t], pomdp.weight[x, robot[x], t]
+                low, up = pomdp.low[x, robot[x], 0, t], pomdp.weight[x, robot[x], 0, t]
                 row = x * thetas + t
                 right[row] = -pomdp.robot_costs[x, robot[x]] - chance[:, t] @ choices.costs[x, slots]
                 for p, y in zip(chance[:, t], choices.targets[x, slots].tolist(), strict=True):
@@ -188,7 +188,8 @@ def test_never_and_always_are_what_linear_equations_say(
     model = HumanModel.own(tiny_choices, Human(1.0, 0.5, sigma, h), eta=eta)
     pomdp = AssistPOMDP.of(model, population=Population(theta=theta), c_suggest=c_suggest, gamma=gamma)
     solution, best = solve(pomdp, gap=0.9), qmdp(pomdp)
-    q = np.where(pomdp.suggests_optimal, np.einsum("nrbt,bt->nr", np.maximum(best.q_mdp, -1e9), pomdp.prior), -np.inf)
+    values = np.einsum("nrbt,bt->nr", np.maximum(best.q_mdp, -1e9), pomdp.prior)
+    q = np.where(pomdp.suggests_optimal[:, :, 0], values, -np.inf)
     for found, robot in (
         (solution.value_never, np.zeros(len(q), dtype=int)),
         (solution.value_always, q.argmax(axis=1)),
@@ -268,7 +269,7 @@ def test_bounds_are_lower_at_beliefs_that_are_named(tiny_choices: Choices) -> No
     """No policy exceeds the bounds, such as one that is nearly optimal."""
     pomdp = make(tiny_choices, c_suggest=0.5)
     rng = np.random.default_rng(0)
-    states = rng.choice(np.flatnonzero(~pomdp.final), 200)
+    states = rng.choice(np.flatnonzero(~pomdp.ends), 200)
     beliefs = rng.dirichlet(np.full(pomdp.prior.size, 0.3), 200).reshape(-1, *pomdp.prior.shape)
     before = solve(pomdp, gap=0.5).upper_bound(states, beliefs)
     after = solve(pomdp, gap=0.5, further_beliefs=(states, beliefs)).upper_bound(states, beliefs)

@@ -148,8 +148,8 @@ def test_the_filter_is_the_sum_over_all_hidden_paths(rule: TrustRule, seed: int)
                 share = pomdp.followed_weight if follows else pomdp.weight
                 assert low is not None
                 assert share is not None
-                weight *= share[x, robot, t] if up else 1 - share[x, robot, t]
-                t = int(low[x, robot, t]) + up
+                weight *= share[x, robot, 0, t] if up else 1 - share[x, robot, 0, t]
+                t = int(low[x, robot, 0, t]) + up
             total[b, t] += weight
     total /= total.sum()
     belief, plain = pomdp.prior.copy(), pomdp.prior[None].copy()
@@ -173,8 +173,8 @@ def test_values_satisfy_the_bellman_equation(rule: TrustRule) -> None:
             for a in slots:
                 p = pomdp.likelihood(np.array([x]), np.array([r]), np.array([a]))[0]
                 follows = pomdp.followed_low is not None and pomdp.suggested[x, r] == a
-                low = pomdp.followed_low[x, r] if follows else pomdp.low[x, r]
-                up = pomdp.followed_weight[x, r] if follows else pomdp.weight[x, r]
+                low = pomdp.followed_low[x, r, 0] if follows else pomdp.low[x, r, 0]
+                up = pomdp.followed_weight[x, r, 0] if follows else pomdp.weight[x, r, 0]
                 if pomdp.suggested[x, r] == NOTHING:
                     low, up = pomdp.grid.shares(pomdp.grid.theta, pomdp.grid.count)
                 after = value[choices.targets[x, a]]
@@ -378,8 +378,8 @@ def test_a_robot_has_a_grid_for_each_number_of_outcomes() -> None:
         right = bool(pomdp.model.choices.optimal[x, pomdp.suggested[x, r]])
         for t, theta in enumerate(pomdp.grid.theta):
             count = t // 4
-            assert pomdp.low[x, r, t] // 4 == count
-            low, up = pomdp.followed_low[x, r, t], pomdp.followed_weight[x, r, t]
+            assert pomdp.low[x, r, 0, t] // 4 == count
+            low, up = pomdp.followed_low[x, r, 0, t], pomdp.followed_weight[x, r, 0, t]
             assert low // 4 == (low + 1) // 4 == min(count + 1, 2)
             mean = (1 - up) * pomdp.grid.theta[low] + up * pomdp.grid.theta[low + 1]
             assert mean == pytest.approx(by_hand(theta, count, right), abs=1e-12)

@@ -20,7 +20,7 @@ from assist.certify import upper_bound
 from assist.learning import Log, infer_goals
 from assist.live import Assistant, Session
 from assist.people import Goals, HumanModel, Population
-from assist.people.goals import given_likeliest, sharpened
+from assist.people.hidden_type import HiddenType
 from assist.person import AssistPOMDP, qmdp
 from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
@@ -227,14 +227,14 @@ def test_goals_occur_as_often_as_the_prior_says() -> None:
 
 
 def test_a_policy_does_not_see_the_goal() -> None:
-    """Histories with equal actions and beliefs lead to equal states, whatever the goal."""
+    """It is shown the mean cost-to-go under its belief."""
     pool = Pool.sample(TASKS["tiny"], 2, seed=2, setting=Setting(knowledge="exact"))
-    states = len(pool.choices(0)) // 3
+    tables = TASKS["tiny"].tables.values()
 
     def looks(team: Any) -> Any:
-        assert (team.x < states).all()
-        with pytest.raises(ValueError, match="the cost-to-go: expected people whose goal is known"):
-            team.cost_to_go()
+        h = np.stack([table.lookup(team.x) for table in tables], axis=2)
+        share = team.belief.reshape(*team.x.shape, 3, -1).sum(axis=3)
+        np.testing.assert_allclose(team.cost_to_go(), np.where(team.active, (share * h).sum(axis=2), 0.0))
         return team.act(np.full(len(team.x), -1), np.zeros_like(team.x))
 
     simulate(pool, looks, humans=2, episodes=5, seed=1)
@@ -269,7 +269,7 @@ def test_a_policy_may_assume_the_likeliest_goal_itself(policy: str) -> None:
 
 def test_the_most_probable_goal_alone() -> None:
     belief = np.array([[[0.1, 0.1], [0.3, 0.0], [0.2, 0.3]], [[0.5, 0.0], [0.2, 0.3], [0.0, 0.0]]])
-    found = given_likeliest(belief, 3)
+    found = HiddenType(PRIOR, np.ones(1)).given_likeliest(belief)
     np.testing.assert_allclose(found, [[[0, 0], [0, 0], [0.4, 0.6]], [[1, 0], [0, 0], [0, 0]]])
 
 
@@ -366,8 +366,7 @@ def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:
     pool = Pool.sample(goals, 2, seed=1)
     expected = "expected people whose goal is known, and there are 3 goals"
     for refused in (
-        lambda: upper_bound(pool, paths=30), lambda: pool.policy("reactive"),
-        lambda: problem_of(goals, execute=True), lambda: Assistant(goals, ["ann"], policy="reactive"),
+        lambda: upper_bound(pool, paths=30), lambda: problem_of(goals, execute=True),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=expected):
             refused()
@@ -404,16 +403,14 @@ def test_an_answer_is_a_bayesian_update_and_worth_what_it_changes(error: float) 
     goal, worth = ask.best(policy, x, belief, np.ones(4))
 
     def reached(b: np.ndarray, at: int) -> float:
-        rows = policy.pomdp.model.choices.of_goals(x[at : at + 1])[:, 0]
-        each = [(b.reshape(3, -1)[g] * benefit(policy)[row]).sum() for g, row in enumerate(rows)]
-        return float(max(each))
+        return float((b * benefit(policy)[at]).reshape(3, -1).sum(axis=1).max())
 
     for at, one in enumerate(belief):
         shares, found = one.reshape(3, -1).sum(axis=1), []
         for g in range(3):
             yes = (1 - error) * shares[g] + error * (1 - shares[g])
-            after = [reached(answered(one, g, 3, said, error), at) for said in (True, False)]
-            assert answered(one, g, 3, True, error).reshape(3, -1).sum(axis=1)[g] == pytest.approx(
+            after = [reached(answered(one, policy.pomdp.hidden, g, said, error), at) for said in (True, False)]
+            assert answered(one, policy.pomdp.hidden, g, True, error).reshape(3, -1).sum(axis=1)[g] == pytest.approx(
                 (1 - error) * shares[g] / yes
             )
             found.append(yes * after[0] + (1 - yes) * after[1] - reached(one, at))
@@ -442,10 +439,12 @@ def test_questions_are_asked_where_they_are_worth_their_cost() -> None:
 
 def test_sharper_probabilities_lie_between_the_posterior_and_the_likeliest_goal() -> None:
     belief = problem_of(TASKS["tiny"]).prior[None]
-    assert sharpened(belief, 3, 1) is belief
-    square = sharpened(belief, 3, 2).reshape(3, -1).sum(axis=1)
-    np.testing.assert_allclose(square, np.array([0.25, 0.04, 0.09]) / 0.38)
-    np.testing.assert_allclose(sharpened(belief, 3, 200), given_likeliest(belief, 3), atol=1e-12)
+    known = replace(problem_of(TASKS["tiny"]).hidden, sharpness=1)
+    assert known.acting(belief) is belief
+    square = replace(known, sharpness=2).acting(belief)
+    np.testing.assert_allclose(known.marginal(square, "goal")[0], np.array([0.25, 0.04, 0.09]) / 0.38)
+    sharp, likeliest = replace(known, sharpness=200), replace(known, assume_likeliest=True)
+    np.testing.assert_allclose(sharp.acting(belief), likeliest.acting(belief), atol=1e-12)
     with pytest.raises(ValueError, match="sharpness 0: expected a number from 1 upwards"):
         replace(TASKS["tiny"], sharpness=0)
 
@@ -462,8 +461,6 @@ def test_the_command(tmp_path: Path) -> None:
     invoke(*given, "--policy", "none", "--trace", tmp_path / "trace.jsonl")
     trace = [json.loads(line) for line in (tmp_path / "trace.jsonl").read_text().splitlines()]
     assert {row["goal"] for row in trace} == {"travel", "mend", "mount"}
-    result = invoke(*given, "--policy", "reactive")
-    assert (result.exit_code, "expected people whose goal is known" in result.stderr) == (1, True)
     result = invoke(*given[:2], *given[4:], "--goal-prior", "travel=1")
     assert (result.exit_code, "--goal-prior: expected --goals, too" in result.stderr) == (2, True)
     asks = invoke(*given, "--ask", "0.1", "--trace", tmp_path / "asked.jsonl", "--json")

@@ -14,7 +14,7 @@ from test_unknown_goals import SMALL, TASKS
 
 from assist.people import Grid, HumanModel, ImpossibleObservationError
 from assist.people.choices import Choices
-from assist.people.decision import choice, influence, lapse, trust
+from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.person import AssistPOMDP, JointBelief, ObservationModel, qmdp
 from assist.person.joint_belief import said_in
 from assist.person.observation_model import Evidence
@@ -61,14 +61,14 @@ def by_enumeration(pomdp: AssistPOMDP, steps: Steps, *, works: bool = True) -> n
 
     The last action may have reached the goal unless they are known to work on.
     """
-    c, grid, q = pomdp.model.choices, pomdp.grid, pomdp.model.q
-    states, value = len(c) // c.goal_count, np.where(pomdp.model.choices.goal, 0.0, -pomdp.model.q.min(axis=1))
-    found = np.zeros((states, c.goal_count, *grid.shape))
+    c, grid, each = pomdp.model.choices, pomdp.grid, pomdp.model.of_each_goal
+    values, found = [perceived_value(*one) for one in each], np.zeros((len(c), len(c.goals), *grid.shape))
 
-    def follow(row: int, b: int, weights: np.ndarray, left: Steps) -> None:
+    def follow(row: int, g: int, b: int, weights: np.ndarray, left: Steps) -> None:
         if not left:
-            found[row % states, row // states, b] += weights
+            found[row, g, b] += weights
             return
+        goal, q, value = c.goals.goal[g], each[g][1], values[g]
         (model, suggestion, seen), *rest = left
         names = [c.name(row, n) for n in range(int(c.applicable[row].sum()))]
         slot = names.index(suggestion) if suggestion in names else -1
@@ -77,16 +77,16 @@ def by_enumeration(pomdp: AssistPOMDP, steps: Steps, *, works: bool = True) -> n
             after = [float(trust(t, value[row], value[c.targets[row, slot]], 0.2)) for t in grid.theta]
             moved = np.array([[np.interp(t, grid.theta, column) for column in np.eye(len(grid.theta))] for t in after])
         p = choice(q[row], c.applicable[row], grid.beta[b])
-        each = [lapse(influence(p, slot, t), c.applicable[row], 0.01) for t in grid.theta]
+        chances = [lapse(influence(p, slot, t), c.applicable[row], 0.01) for t in grid.theta]
         for a in range(len(names)):
             to, chance = int(c.targets[row, a]), chance_of_seeing(model, c, row, a, seen)
-            if chance and not (c.goal[to] and (works or rest)):
-                follow(to, b, (weights * chance * [one[a] for one in each]) @ moved, rest)
+            if chance and not (goal[to] and (works or rest)):
+                follow(to, g, b, (weights * chance * [one[a] for one in chances]) @ moved, rest)
 
-    prior = pomdp.prior.reshape(c.goal_count, *grid.shape)
-    for goal in range(c.goal_count):
+    prior = pomdp.prior.reshape(len(c.goals), *grid.shape)
+    for g in range(len(c.goals)):
         for b in range(len(grid.beta)):
-            follow(goal * states + c.initial % states, b, prior[goal, b], steps)
+            follow(c.initial, g, b, prior[g, b], steps)
     return found
 
 

@@ -32,7 +32,7 @@ def index_of(pomdp: AssistPOMDP, x: int, b: int, t: int) -> float:
             np.add.at(P[robot], (states, choices.targets[:, slot]), chance)
             cost[robot] += chance * choices.costs[:, slot]
     padding = (np.arange(R)[:, None] >= pomdp.robot_actions) & (np.arange(R)[:, None] > 0)
-    working = ~pomdp.final
+    working = ~pomdp.ends
 
     def advantage(price: float) -> float:
         """Return what presence brings, less the price of this step; staying silently is presence as well."""
@@ -56,7 +56,7 @@ def test_indices_equal_those_by_bisection(tiny: Table) -> None:
     policy = Whittle.of(pool.policies, setting.travel(2), np.linspace(0, 1, 51).tolist())
     B, T = pomdp.prior.shape
     compared = 0
-    for x in np.flatnonzero(~pomdp.final).tolist():
+    for x in np.flatnonzero(~pomdp.ends).tolist():
         b, t = int(rng.integers(B // 2)), int(rng.integers(T // 2, T))
         belief = np.zeros((1, 2, B, T))
         belief[:, :, b, t] = 1

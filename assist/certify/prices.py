@@ -3,6 +3,16 @@
 The prices are the dual variables of the constraint that M robots attend to at most M people in each step. A stochastic
 subgradient method raises the price of a step in which more than M robots would be busy, and lowers it otherwise. Every
 price vector gives a valid bound; the method approaches the tightest one.
+
+**People whose goals are unknown.** The bound is the mean over their goals, as if these were known. If person k pursues
+goal g with probability p_k(g), the claim of `certify.team_bound` holds with sum_g p_k(g) V_kg(lambda) in place of
+V_k(lambda), where V_kg is the optimal value of their subproblem if the goal is known to be g.
+
+Proof. A robot that knows all goals from the beginning can ignore them, so that no policy is better than its optimum.
+For each vector of goals the claim bounds this optimum. Its mean over the goals is as stated, since prices do not depend
+on goals and the sum over people is linear; goals of different people may depend on each other. The robot actions of
+V_kg are those with the unknown goal: steps that are optimal for any goal may be suggested. V_kg ends when the goal is
+reached, where a robot that does not see this could only pay for more.
 """
 
 from __future__ import annotations
@@ -19,7 +29,6 @@ from planner.system.progress import Progress
 
 from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, likely
 from ..people.decision import Floats
-from ..person.known_goals import of_each_goal
 from ..person.memory_needed import first_bounds_bytes, policy_bytes, require_room
 from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
 from ..simulation.pool import Pool
@@ -43,7 +52,7 @@ class SubproblemKind:
     pool : Pool
     visits : AttentionSubproblem
         Their subproblem at prices of 0; without prices if the task is truncated.
-    tail : float array, shape (P * n, B, T)
+    tail : float array, shape (P * n, H, T)
         Upper bound on the value with free attention, by robot position and task state.
     places : tuple of int
         Their places in the team.
@@ -72,15 +81,14 @@ class SubproblemKind:
         return len(self.places) * self.share
 
     def best(self, visits: AttentionSubproblem) -> QMDP:
-        """Solve the subproblem with observed beta and theta, backwards from the steps with free attention."""
+        """Solve the subproblem with observed type and theta, backwards from the steps with free attention."""
         return backwards(visits, self.tail)
 
     def with_free_attention(self) -> float:
         """Return an upper bound on the value at any prices: that with free attention and observed beta and theta."""
-        visits = self.visits
-        rows = visits.pomdp.model.choices.of_goals(np.array([visits.pomdp.model.choices.initial]))[:, 0]
-        value = self.tail[visits.layout.position[rows] * visits.layout.states + visits.layout.x[rows]]
-        return float((value.reshape(visits.pomdp.prior.shape) * visits.pomdp.prior).sum())
+        pomdp, layout, begin = self.visits.pomdp, self.visits.layout, self.visits.pomdp.model.choices.initial
+        value = self.tail[layout.position[begin] * layout.states + layout.x[begin]]
+        return float((value * pomdp.prior).sum())
 
     def at(self, price: Floats) -> AttentionSubproblem:
         """Return the subproblem at given prices, as in `AttentionSubproblem.priced`; the number of steps may differ."""
@@ -174,7 +182,7 @@ def kinds_of(
             kept_mb=room,
         )  # fmt: skip
         if beyond is None:
-            goals = of_each_goal(pool.policies[model].pomdp)
+            goals = pool.policies[model].pomdp.given_goals()
             beyond = [(chance, TruncatedProblem(problem)) for chance, problem in goals]
         parts += [(chance, problem, key) for chance, problem in beyond]
     _require_room_for_all([one for _, one, _ in parts], [key[2] for _, _, key in parts], window, memory_limit_mb)
@@ -201,8 +209,9 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5,
     of actions. Free actions do not count: if the plan costs less than so many of the cheapest actions that are not
     free, then it counts as that many.
     """
-    begins = {id(c): (c, c.of_goals(np.array([c.initial]))[:, 0]) for c in map(pool.choices, team)}
-    shortest = max(min(c.plan_length(x), float(c.h[x]) / c.unit) for c, rows in begins.values() for x in rows.tolist())
+    tasks = {id(task): task for task in map(pool.choices, team)}
+    each = [one for task in tasks.values() for one in task.of_each_goal]
+    shortest = max(min(one.plan_length(one.initial), float(one.h[one.initial]) / one.unit) for one in each)
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
     steps = np.arange(math.ceil(plans * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)

@@ -31,7 +31,7 @@ confidence level. It uses the subproblems at the prices, or those without prices
 without prices need no step in their states, so that the solver gets further in the same time, and the sample paths
 account for the conflicts.
 
-Why the bound also holds for people with unknown goals and for robots that differ stands at `person.known_goals` and
+Why the bound also holds for people with unknown goals and for robots that differ stands at `certify.prices` and
 `team.robots`. Prices of actions lower that of robots that differ (`certify.action_prices`).
 
 The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated
@@ -125,10 +125,8 @@ class TeamBound(Result):
         Raises
         ------
         ValueError
-            There are prices, and the task is truncated or people's goals are unknown.
+            There are prices, and the task is truncated.
         """
-        if len(self.price):
-            self.pool.choices(self.team[0]).require_one_goal("the policy at a bound's prices")
         without = 0.0 if 1 < len(self.team) <= len(self.pool.setting.robots) else None
         return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else without)
 

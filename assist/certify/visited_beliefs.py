@@ -47,12 +47,12 @@ class BeliefRecorder:
         """
         found = [one for place in places for one in self.visited[place] if len(one[1])]
         if not found:
-            return np.empty(0, dtype=np.int64), np.empty((0, *visits.pomdp.grid.shape))
+            return np.empty(0, dtype=np.int64), np.empty((0, *visits.pomdp.prior.shape))
         states = np.concatenate([visits.layout.number(step, here, x) for step, x, here, _ in found])
         steps = np.concatenate([np.full(len(x), step) for step, x, _, _ in found])
         beliefs = np.concatenate([belief for *_, belief in found])
         rounded = np.column_stack([states, np.rint(beliefs.reshape(len(states), -1) / (1 / 200))])
         first = np.unique(rounded.astype(np.int32), axis=0, return_index=True)[1]
-        first = first[(states[first] >= 0) & ~visits.pomdp.final[states[first]]]
+        first = first[(states[first] >= 0) & ~visits.pomdp.ends[states[first]]]
         first = first[np.argsort(-steps[first], kind="stable")]
         return states[first], beliefs[first]

@@ -266,7 +266,7 @@ class TeamEnv(gymnasium.Env):
         draws = self._draws = CommonRandomNumbers(self._seed, np.array([self._episode]), teams.x.shape[1])
         drawn = draws.team(len(teams.pool.people))
         people = np.array([options["team"]], dtype=np.int64) if "team" in options else drawn
-        teams.begin(np.zeros(1, dtype=np.int64), people, lambda: draws.draw(0, np.zeros(1, dtype=np.int64)))
+        teams.begin(np.zeros(1, dtype=np.int64), people, lambda kind: draws.draw(kind, np.zeros(1, dtype=np.int64)))
         self._seen = []
         return self._observation(), self._info(np.zeros(teams.location.shape[1:], dtype=bool))
 
@@ -420,7 +420,7 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
 
     def _begin(self, rows: NDArray[np.int64], draws: CommonRandomNumbers) -> None:
         people = draws.team(len(self.pool.people))[rows]
-        self._desk.teams.begin(rows, people, lambda: draws.draw(0, rows))
+        self._desk.teams.begin(rows, people, lambda kind: draws.draw(kind, rows))
 
     def step(
         self, actions: NDArray[np.int64]

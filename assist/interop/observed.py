@@ -183,8 +183,8 @@ class Observed:
             return None
         thetas = np.arange(len(pomdp.grid.theta))
         matrix = np.zeros((len(thetas), len(thetas)))
-        matrix[thetas, pomdp.low[x, r]] = 1 - pomdp.weight[x, r]
-        matrix[thetas, pomdp.low[x, r] + 1] += pomdp.weight[x, r]
+        matrix[thetas, pomdp.low[x, r, 0]] = 1 - pomdp.weight[x, r, 0]
+        matrix[thetas, pomdp.low[x, r, 0] + 1] += pomdp.weight[x, r, 0]
         return None if (matrix == np.eye(len(thetas))).all() else matrix
 
 

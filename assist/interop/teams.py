@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner import load, sweep
 
 from ..people.decision import NOTHING, Floats
+from ..people.hidden_type import drawn_goals, mean_over_goals
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..person.dynamics import PeopleArrays
@@ -91,8 +92,8 @@ class Teams:
     ----------
     x, finished, erred, theta, ... : arrays, shape (N, K)
         As in `TeamState`; `people` are indices into the pool.
-    belief : float array, shape (N, K, B, T), or None
-        The belief over (beta, theta) of each person; None without `filters`.
+    belief : float array, shape (N, K, H, T), or None
+        The belief in each person's type and theta; None without `filters`.
     location, busy_until : int arrays, shape (N, M)
         Where each robot is or is going, and the step of its arrival.
     clock : int array, shape (N,)
@@ -117,7 +118,6 @@ class Teams:
         pool.setting.require_all_seen("an environment")
         for policy in pool.policies:
             policy.require_enumerated("pool")
-            policy.pomdp.model.choices.require_one_goal("an environment")
         self.pool, self.on_grid = pool, world == "model"
         self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
         self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}
@@ -135,7 +135,7 @@ class Teams:
         self.clock = np.zeros(teams, dtype=np.int64)
         self.location, self.busy_until = np.zeros((2, teams, len(self.fleet)), dtype=np.int64)
 
-    def begin(self, rows: NDArray[np.int64], people: NDArray[np.int64], draw: Callable[[], Floats]) -> None:
+    def begin(self, rows: NDArray[np.int64], people: NDArray[np.int64], draw: Callable[[int], Floats]) -> None:
         """Begin an episode in some teams.
 
         Parameters
@@ -144,19 +144,23 @@ class Teams:
         people : int array, shape (m, K)
             Indices into the pool.
         draw : callable
-            Returns uniform numbers, shape (m, K), that draw (beta, theta) from the prior. Called in the world "model"
-            only.
+            Returns uniform numbers, shape (m, K), of a kind of `CommonRandomNumbers`. They draw people's goals or, in
+            the world "model", their types and theta from the prior.
         """
-        self.people[rows], self.model[rows], self.who[rows] = people, self.pool.model[people], self._row[people]
+        self.people[rows], self.model[rows] = people, self.pool.model[people]
         self.beta[rows], self.theta[rows] = np.moveaxis(self._hidden[people], -1, 0)
         self.seen[rows] = 0
         self.x[rows], self.finished[rows], self.erred[rows] = self._initial[people], self._at_goal[people], False
         if self.belief is not None:
             self.belief[rows] = self._prior[self.model[rows]]
         self.location[rows], self.busy_until[rows], self.clock[rows] = BASE, 0, 0
+        pomdps = [solved.pomdp for solved in self.pool.policies]
         if self.on_grid:
-            pomdps = [solved.pomdp for solved in self.pool.policies]
-            _, self.who[rows], self.beta[rows], self.theta[rows] = from_the_prior(pomdps, self.model[rows], draw())
+            _, self.who[rows], self.beta[rows], self.theta[rows] = from_the_prior(pomdps, self.model[rows], draw(0))
+        else:
+            self.who[rows] = self._row[people]
+            if self.pool.goals > 1:
+                self.who[rows] += drawn_goals([pomdp.hidden.goals for pomdp in pomdps], self.model[rows], draw(4))
 
     def free(self) -> NDArray[np.bool_]:
         """Return which robots are not under way, shape (N, M)."""
@@ -243,7 +247,7 @@ class Teams:
             group = self.groups[number]
             charged[at] = group.arrays.robot_costs[people.x[at], people.robot[at]]
             group.act(at, people)
-            self.finished.reshape(-1)[at] = group.arrays.goal[people.x[at]]
+            self.finished.reshape(-1)[at] = group.ended(at, people)
         self.clock[rows] += 1
         return people.slot.reshape(self.x.shape), (people.cost + charged).reshape(self.x.shape)
 
@@ -258,7 +262,7 @@ class Sight:
     states, models : int
         The number of states of the largest model, and the number of models.
     hidden : tuple of int
-        B and T, the shape of a belief.
+        H and T, the shape of a belief.
     largest : float
         The value that stands for the infinite cost-to-go of a dead end: 1 above the largest finite one (cost units).
     """
@@ -266,21 +270,21 @@ class Sight:
     def __init__(self, teams: Teams, *, beliefs: bool) -> None:
         self.teams, self.beliefs = teams, beliefs
         pomdps = [policy.pomdp for policy in teams.pool.policies]
-        self.hidden = pomdps[0].grid.shape
+        self.hidden, self._prior = pomdps[0].prior.shape, np.array([pomdp.prior for pomdp in pomdps])
         lengths = [len(pomdp.robot_actions) for pomdp in pomdps]
         self.robots = max(pomdp.suggested.shape[1] for pomdp in pomdps)
         self.states, self.models = max(lengths), len(pomdps)
         self._offset = np.cumsum([0, *lengths[:-1]])
         self._count = np.concatenate([pomdp.robot_actions for pomdp in pomdps])
-        h = np.concatenate([pomdp.model.choices.h for pomdp in pomdps])
+        h = np.concatenate([pomdp.model.choices.goals.h for pomdp in pomdps], axis=1)
         self.largest = float(h[np.isfinite(h)].max()) + 1.0
         self._h = np.where(np.isfinite(h), h, self.largest).astype(np.float32)
 
     @cached_property
     def _alone(self) -> Floats:
-        """Probabilities of doing what each robot action suggests, without it; shape (states of all models, R, B).
+        """Probabilities of doing what each robot action suggests, without it; shape (states of all models, R, H).
 
-        Entry [x, r, b] is the probability that a person of expertise b chooses the action that robot action r suggests.
+        Entry [x, r, h] is the probability that a person of type h chooses the action that robot action r suggests.
         For r = 0, nothing, it is the probability of an optimal action.
         """
         parts = []
@@ -290,13 +294,15 @@ class Sight:
             part = np.zeros((len(slot), self.robots, pomdp.chosen.shape[2]))
             suggests = (pomdp.suggested != NOTHING)[:, :, None]
             part[:, : slot.shape[1]] = np.where(suggests, np.take_along_axis(pomdp.chosen, slot, axis=1), 0.0)
-            part[:, 0] = np.where(pomdp.model.choices.optimal[:, :, None], pomdp.chosen, 0.0).sum(axis=1)
+            part[:, 0] = np.where(pomdp.model.choices.goals.optimal[:, :, pomdp.hidden.goal_of], pomdp.chosen, 0.0).sum(
+                axis=1
+            )
             parts.append(part)
         return np.concatenate(parts).clip(0.0, 1.0)
 
     @cached_property
     def _alone_at_first(self) -> NDArray[np.float32]:
-        """The mean of `_alone` over expertise b under the robot's prior, shape (states of all models, R)."""
+        """The mean of `_alone` over types under the robot's prior, shape (states of all models, R)."""
         prior = np.concatenate([
             np.broadcast_to(policy.pomdp.prior.sum(axis=1), (len(policy.pomdp.robot_actions), len(policy.pomdp.prior)))
             for policy in self.teams.pool.policies
@@ -308,6 +314,16 @@ class Sight:
         teams = self.teams
         count = np.where(teams.finished, 1, self._count[self._offset[teams.model] + teams.x])
         return (np.arange(self.robots) < count[:, :, None]).astype(np.int8)
+
+    def _cost_to_go(self, row: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the mean cost-to-go over the goals, shape (N, K), under the beliefs or, without them, the prior."""
+        known = self.teams.pool.policies[0].pomdp.hidden
+        if len(known.goals) == 1:
+            return self._h[0, row]
+        belief = self._prior[self.teams.model] if self.teams.belief is None else self.teams.belief
+        return mean_over_goals(
+            np.moveaxis(self._h[:, row].astype(np.float64), 0, -1), known.marginal(belief, "goal")
+        ).astype(np.float32)
 
     def seen(self) -> dict[str, NDArray[Any]]:
         """Return the observation of all people, each array of shape (N, K) or (N, K, ...)."""
@@ -322,7 +338,7 @@ class Sight:
         seen: dict[str, NDArray[Any]] = {
             "active": active.astype(np.int8),
             "alone": alone * active[:, :, None],
-            "cost_to_go": self._h[row] * active,
+            "cost_to_go": self._cost_to_go(row) * active,
             "erred": (teams.erred & active).astype(np.int8),
             "model": teams.model.copy(),
             "state": teams.x.copy(),

@@ -18,25 +18,27 @@ from ..person.qmdp import sweep_order
 
 
 def bellman_backup(pomdp: AssistPOMDP, value: Floats) -> Floats:
-    """Return the Bellman backup of values, shape (n, B, T), for a problem with one more step.
+    """Return the Bellman backup of values, shape (n, H, T), for a problem with one more step.
 
     The values of final states do not change.
     """
-    arrays, order, found = ProblemArrays.of(pomdp), read_only(sweep_order(pomdp)), value.copy()
+    arrays, found = ProblemArrays.of(pomdp), value.copy()
+    orders = [read_only(sweep_order(pomdp, goal)) for goal in range(len(pomdp.final))]
     with ThreadPoolExecutor(processors()) as pool:
-        list(pool.map(lambda b: _backup(found, value, order, b, arrays), range(value.shape[1])))
+        types = enumerate(arrays.goal_of.tolist())
+        list(pool.map(lambda one: _backup(found, value, orders[one[1]], one[0], arrays), types))
     return found
 
 
 @njit(nogil=True)
-def _backup(found: Floats, value: Floats, order: NDArray[np.int64], b: int, m: ProblemArrays) -> None:
-    """Fill `found` with the Bellman backups of `value`, for one beta."""
+def _backup(found: Floats, value: Floats, order: NDArray[np.int64], h: int, m: ProblemArrays) -> None:
+    """Fill `found` with the Bellman backups of `value`, for one type."""
     thetas = len(m.theta)
     q = np.empty((m.suggested.shape[1], thetas))
     expected, mean, declined = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     for x in order:
-        action_values(q, expected, mean, declined, value, x, b, BEST, m)
+        action_values(q, expected, mean, declined, value, x, h, BEST, m)
         for t in range(thetas):
-            found[x, b, t] = q[0, t]
+            found[x, h, t] = q[0, t]
             for r in range(1, m.robot_actions[x]):
-                found[x, b, t] = max(found[x, b, t], q[r, t])
+                found[x, h, t] = max(found[x, h, t], q[r, t])

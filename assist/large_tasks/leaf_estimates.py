@@ -31,12 +31,12 @@ class LeafEstimates:
     ----------
     states : int array, shape (m,)
         States of the truncated task in ascending order, without the frontier.
-    value : float array, shape (m, P, B, T)
-        Values with observed beta and theta, in cost units, for each of P positions of the robot. P is 1 if the robot is
+    value : float array, shape (m, P, H, T)
+        Values with observed type and theta, in cost units, for each of P positions of the robot. P is 1 if the robot is
         always there.
     level : float array, shape (L,)
         Distinct values of the cost-to-go, in ascending order.
-    mean : float array, shape (L, P, B, T)
+    mean : float array, shape (L, P, H, T)
         Mean value of the states of each level.
     costs : float array
         Costs of the task's actions.
@@ -114,7 +114,7 @@ class LeafEstimates:
         return estimates
 
     def at(self, states: NDArray[np.int64], h: Floats) -> Floats:
-        """Return the values of states, shape (N, P, B, T).
+        """Return the values of states, shape (N, P, H, T).
 
         Parameters
         ----------
@@ -131,7 +131,7 @@ class LeafEstimates:
         return values
 
     def beyond(self, h: Floats) -> Floats:
-        """Return estimates of the value of states with a given cost-to-go, shape (N, P, B, T).
+        """Return estimates of the value of states with a given cost-to-go, shape (N, P, H, T).
 
         The estimate is the mean of the nearest level that is not higher, or else of the lowest level. It is scaled by
         the ratio of the upper bounds `never_erring` of the state and of the level.

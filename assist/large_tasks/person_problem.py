@@ -13,11 +13,10 @@ from planner import CostToGo, Table, known_costs
 from planner.system.arrays import outline
 
 from ..people.arguments import whole
-from ..people.decision import perceived_cost
 from ..people.goals import Goals, each_of, first_of
-from ..people.human import HumanModel, Population
+from ..people.human import Human, HumanModel, Population
 from ..people.memory import choices_of
-from ..people.misconception import perceived_cost_to_go
+from ..people.misconception import Misconception
 from ..people.mixture import Mixture
 from ..people.trust_rules import TrustRule, trust_rule
 from ..person.memory_needed import depth_within, first_bounds_bytes
@@ -76,7 +75,7 @@ class PersonProblem:
     pomdp : AssistPOMDP
         Its `frontier` is None if it covers the whole task.
     states : int array, shape (n,)
-        Number in the task of each state that a policy distinguishes.
+        Number of each state in the task.
     """
 
     known: CostToGo | Goals
@@ -155,7 +154,7 @@ class PersonProblem:
                 model, chooses=(population or Population()).typical, population=population, execute=execute,
                 c_execute=c_execute, **robot,
             )  # fmt: skip
-            return cls(known, pomdp, model.choices.of_task(np.arange(model.choices.task_states))[: pomdp.task_states])
+            return cls(known, pomdp, model.choices.of_task(np.arange(model.choices.task_states)))
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
         _require_plain(states, sigma, execute, population)
@@ -169,7 +168,7 @@ class PersonProblem:
                 break
             region = TruncatedTask.of(known, start=start, states=states, population=population, time_limit=time_limit)
             problem = region.problem(population=population, **person, **robot)
-        return cls(known, problem, region.states[: problem.task_states])
+        return cls(known, problem, region.states)
 
 
 def _model(
@@ -179,8 +178,10 @@ def _model(
     if isinstance(known, Goals) and people.weights:
         raise ValueError("people with weights of terms: expected one goal")
     choices = known.choices() if isinstance(known, Goals) else choices_of(known, people.weights)
-    h = perceived_cost_to_go(choices, sigma, np.random.default_rng(seed)) if sigma else choices.h
-    return HumanModel(choices, perceived_cost(choices, h), **person)
+    if not sigma:
+        return HumanModel.exact(choices, **person)
+    mistaken = Misconception.drawn(sigma, np.random.default_rng(seed))
+    return HumanModel.own(choices, Human(1.0, 0.5, sigma, mistaken), **person)
 
 
 def _require_plain(states: int, sigma: float, execute: bool, population: Population | Mixture | None) -> None:

@@ -59,8 +59,7 @@ class StateCache:
         Parameters
         ----------
         states : int array, shape (N,)
-            Numbers of states in `known`. They are the first rows of each goal, in this order, and a state may occur
-            twice.
+            Numbers of states in `known`. They are the first states, in this order, and a state may occur twice.
         then : int array, shape (M,)
             Successor states that are expanded as well, so that they are not on the frontier.
         ahead : bool

@@ -141,7 +141,7 @@ class OuterRelaxation:
     ----------
     visits : AttentionSubproblem
         The person's problem on it, with a robot that comes and goes.
-    value : float array, shape (m, B, T)
+    value : float array, shape (m, H, T)
         Upper bound on the value in each of its states, in cost units.
     place : int array, shape (n,)
         Index of each state of the inner truncated task in the outer one; -1 if it is not contained.
@@ -157,7 +157,7 @@ class OuterRelaxation:
         return self.value.nbytes + sum(array.nbytes for array in _arrays(self.visits.pomdp))
 
     def priced(self, price: Floats) -> Iterator[tuple[int, Floats]]:
-        """Yield each step and upper bounds, shape (m, B, T), with prices of attention; from the last step to the first.
+        """Yield each step and upper bounds, shape (m, H, T), with prices of attention; from the last step to the first.
 
         `price` holds the prices of the steps from 0 on. After the last of them, the first to be yielded, attention is
         free.
@@ -173,7 +173,7 @@ class OuterRelaxation:
         """Return the inner subproblem with prices, with the values of this relaxation at its frontier.
 
         A robot on its way has at most the value of one that is present. Free attention is an upper bound, too: `free`,
-        shape (P * n, B, T), by position and state.
+        shape (P * n, H, T), by position and state.
         """
         layout, frontier = visits.layout, visits.pomdp.frontier
         assert frontier is not None
@@ -410,7 +410,7 @@ def likely(alone: AssistPOMDP, steps: int, most: int, *, advised: float = 0.3, h
     choose without a suggestion. Visits are counted up to `horizon` times the number of steps.
     """
     choices = alone.model.choices
-    row, slot = np.nonzero(choices.applicable & ~alone.final[:, None])
+    row, slot = np.nonzero(choices.applicable & ~alone.ends[:, None])
     target, optimal = choices.targets[row, slot], choices.optimal[row, slot].astype(float)
     optimal /= np.maximum(np.bincount(row, optimal, len(choices)), 1)[row]
     chance = np.zeros((steps + 1, len(choices)))
@@ -421,7 +421,7 @@ def likely(alone: AssistPOMDP, steps: int, most: int, *, advised: float = 0.3, h
         for step in range(horizon * steps):
             chance[min(step, steps)] += there
             there = np.bincount(target, there[row] * follows, len(choices)).astype(float)
-    chance[:, alone.final] = 0.0
+    chance[:, alone.ends] = 0.0
     kept, order = np.zeros(chance.size, dtype=bool), np.argsort(-chance, axis=None, kind="stable")[:most]
     kept[order] = chance.ravel()[order] > 0.0
     return kept.reshape(chance.shape)
@@ -439,7 +439,7 @@ def _affordable(problem: AssistPOMDP, hidden: int, until: float, kept_mb: float)
 def _values(
     problem: AssistPOMDP, comply: Floats | None, entry: float, until: float, memory_limit_mb: float
 ) -> tuple[AttentionSubproblem, Floats]:
-    """Return upper bounds for a robot that comes and goes and observes beta and theta, shape (m, B, T).
+    """Return upper bounds for a robot that comes and goes and observes beta and theta, shape (m, H, T).
 
     `comply`, shape (n, B), holds the bounds of the compliance relaxation, if there are any.
     """

@@ -12,7 +12,7 @@ problem.
 
 If people pursue one of several goals, values are computed for one goal after another, each on a truncated task of its
 own: QMDP counts the goal as known from the next step on. So the memory for the computation is that of one goal, and a
-policy keeps the values of each. The local problem is that of all goals, with a row for each goal and state.
+policy keeps the values of each. The local problem is that of all goals.
 """
 
 from __future__ import annotations
@@ -282,14 +282,12 @@ class LocalProblem(Policy):
 
     @cached_property
     def _policy(self) -> QMDP:
-        here = self.pomdp.model.choices.of_goals(np.arange(self.count)).ravel()
-        return self._look_ahead(self.pomdp, self._values(self.source.prepare())[:, 0], here)
+        return self._look_ahead(self.pomdp, self._values(self.source.prepare())[:, 0], np.arange(self.count))
 
     def _values(self, each: tuple[LeafEstimates, ...]) -> Floats:
-        """Return estimates of the value of all rows, shape (n, P, B, T), from those of each goal."""
-        states = self.states[: self.pomdp.task_states]
-        every = np.split(self.region.choices.h, len(each))
-        return np.concatenate([one.at(states, h) for one, h in zip(each, every, strict=True)])
+        """Return estimates of the value of all states, shape (n, P, H, T), from those of each goal."""
+        h = self.region.choices.goals.h
+        return np.concatenate([one.at(self.states, own) for one, own in zip(each, h, strict=True)], axis=2)
 
     def with_robot(self, robot: VisitingRobot) -> SolvedSubproblem:
         """Return the solved problem of a robot that comes and goes, computed by the first call for this robot."""
@@ -297,13 +295,13 @@ class LocalProblem(Policy):
             visits = _visits(self.pomdp, robot)
             layout = visits.layout
             value = self._values(self.source.with_robot(robot))[layout.x, layout.position]
-            here = np.flatnonzero(layout.x % self.pomdp.task_states < self.count)
+            here = np.flatnonzero(layout.x < self.count)
             policy = self._look_ahead(visits.at_price(key[-1]), value, here)
             self.solved[key] = SolvedSubproblem.of(visits, policy)
         return self.solved[key]
 
     def _look_ahead(self, pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64]) -> QMDP:
-        value[pomdp.model.choices.goal] = 0.0
+        value[pomdp.model.choices.goals.goal[pomdp.hidden.goal_of].T] = 0.0
         return look_ahead(pomdp, value, states)
 
     def rows(self, states: NDArray[np.int64], *, deep: bool = True) -> NDArray[np.int64] | None:

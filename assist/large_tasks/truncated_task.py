@@ -62,12 +62,11 @@ class TruncatedTask:
     known : CostToGo or Goals
         Cost-to-go of the task, or of each goal.
     choices : Choices
-        Choices in the states of the truncated task; frontier states have none. With several goals, they have n rows:
-        one for each pair of a goal and a state (`people.goals`).
+        Choices in the n states of the truncated task; frontier states have none.
     states : int array, shape (n,)
-        Number in `known` of the state of each row.
+        Number of each state in `known`.
     frontier : int array, shape (m,)
-        Rows of the frontier states, without those in which the row's goal is reached.
+        The frontier states, without those in which all goals are reached.
     """
 
     known: CostToGo | Goals
@@ -130,20 +129,17 @@ class TruncatedTask:
     ) -> TruncatedTask:
         """Return a truncated task with the choices of each goal in some states, shape (m,).
 
-        `cut` are the indices of states without known choices. They are the frontier, except where a goal is reached.
+        `cut` are the indices of states without known choices. They are the frontier, except where all goals are
+        reached.
         """
-        ends = [number * len(states) + cut[~one.goal[cut]] for number, one in enumerate(each)]
-        return cls(known, joined(known, each), np.tile(states, len(each)), np.concatenate(ends))
+        choices = joined(known, each)
+        return cls(known, choices, states, cut[~choices.goal[cut]])
 
     def local(self, states: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the rows, shape (N,), of states that are numbered as in `known`; -1 outside the truncated task.
-
-        With several goals, they are rows of the first one.
-        """
-        own = self.states[: self.choices.task_states]
-        order = np.argsort(own)
-        at = np.minimum(np.searchsorted(own, states, sorter=order), len(order) - 1)
-        return np.where(own[order[at]] == states, order[at], -1)
+        """Return the rows, shape (N,), of states that are numbered as in `known`; -1 outside the truncated task."""
+        order = np.argsort(self.states)
+        at = np.minimum(np.searchsorted(self.states, states, sorter=order), len(order) - 1)
+        return np.where(self.states[order[at]] == states, order[at], -1)
 
     def problem(
         self,
@@ -175,9 +171,14 @@ class TruncatedTask:
         every step.
         """
         costs = np.append(first_of(self.known).task.action_costs, 1.0)  # a wait costs 1
-        upper = never_erring(self.choices.h[self.frontier], costs, gamma)
+        upper = never_erring(self.choices.goals.h[:, self.frontier].T, costs, gamma)
         floor = -float(costs.max()) / (1 - gamma)
-        return LeafBounds(self.frontier, np.full((len(upper), thetas), floor), upper, floor)
+        return LeafBounds(self.frontier, self._unless_reached(floor, thetas), upper[:, :, None], floor)
+
+    def _unless_reached(self, value: float, thetas: int) -> Floats:
+        """Return a value at the frontier for each goal and theta, shape (m, G, T); 0 where the goal is reached."""
+        reached = self.choices.goals.goal[:, self.frontier].T
+        return np.where(reached[:, :, None], 0.0, np.full(thetas, value))
 
     def bounds(
         self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float, trust: TrustRule | None = None
@@ -192,7 +193,7 @@ class TruncatedTask:
         assumed for a trust rule that is neither equation 7 nor constant.
         """
         levels = CostLevels.of(first_of(self.known))
-        dear, several = float(levels.prices[-1]), self.choices.goal_count > 1
+        dear, several = float(levels.prices[-1]), len(self.choices.goals) > 1
         anybody = self.bounds_of_anybody(gamma, len(grid.theta))
         floor = -(dear + (0.0 if several else c_suggest)) / (1 - gamma)
         by_equation = trust is None or isinstance(trust, EquationSeven)
@@ -200,17 +201,15 @@ class TruncatedTask:
             model = replace(model, eta=trust.eta, utility_scale=trust.utility_scale)
         if trust == constant() or several:
             model, by_equation = replace(model, eta=0.0), True
-        lower = np.full((len(self.frontier), len(grid.theta)), floor)
-        every = np.split(self.choices.h, self.choices.goal_count)
-        goal = self.frontier // len(every[0])
-        for number, (known, own) in enumerate(zip(each_of(self.known), every, strict=True)):
-            survey, at = _Survey.of(known, own), np.flatnonzero(goal == number)
-            h = self.choices.h[self.frontier[at]]
+        lower, goals = self._unless_reached(floor, len(grid.theta)), self.choices.goals
+        for number, (known, own) in enumerate(zip(each_of(self.known), goals.h, strict=True)):
+            survey, at = _Survey.of(known, own), np.flatnonzero(~goals.goal[number, self.frontier])
+            h = own[self.frontier[at]]
             if survey.highest <= 10_000 and by_equation:
                 value = _advised(survey, levels, floor, grid, model, gamma, None if several else c_suggest)
                 reached = np.isfinite(h)
-                lower[at[reached]] = value[np.rint(h[reached] / levels.step).astype(np.int64)]
-            lower[at[np.isinf(h)]] = -dear / (1 - gamma)  # in a dead end the robot does nothing
+                lower[at[reached], number] = value[np.rint(h[reached] / levels.step).astype(np.int64)]
+            lower[at[np.isinf(h)], number] = -dear / (1 - gamma)  # in a dead end the robot does nothing
         return LeafBounds(self.frontier, lower, anybody.upper, anybody.floor)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from ..explain.explanation import Explanation
 from ..people.belief import Grid
 from ..people.decision import Floats
+from ..people.hidden_type import HiddenType
 from ..people.spread import Spread
 
 
@@ -235,8 +236,10 @@ class PersonState:
         Number of the person's actions in this task.
     grid : Grid
         The values of beta and theta that the belief distinguishes.
-    belief : float array, shape (B, T) or (G * B, T)
-        Probability of each pair of beta and theta, or of each goal and pair if there are several goals.
+    hidden : HiddenType
+        The types that the belief distinguishes.
+    belief : float array, shape (H, T)
+        Probability of each type and theta.
     goals : mapping of str to float
         Probability of each goal, if the person pursues one of several.
     states : mapping of int to float
@@ -256,6 +259,7 @@ class PersonState:
     cost_to_go: float
     steps: int
     grid: Grid
+    hidden: HiddenType
     belief: Floats
     goals: Mapping[str, float] = field(default_factory=dict)
     states: Mapping[int, float] = field(default_factory=dict)
@@ -268,9 +272,9 @@ class PersonState:
     @property
     def beta(self) -> Spread:
         """The belief about the person's expertise beta: its mean and interval."""
-        return self.grid.spreads(self.belief)[0]
+        return self.grid.spreads(self.belief, self.hidden)[0]
 
     @property
     def theta(self) -> Spread:
         """The belief about the robot's influence theta on the person: its mean and interval."""
-        return self.grid.spreads(self.belief)[1]
+        return self.grid.spreads(self.belief, self.hidden)[1]

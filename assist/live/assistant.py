@@ -225,12 +225,11 @@ class Assistant:
         part, row = problem.at(problem.initial)
         before = self._team.part(record)[0]
         here, there = before.policy.pomdp.grid, part.policy.pomdp.grid
+        goals, next_goals = len(before.choices.goals), len(part.choices.goals)
         if not (np.array_equal(here.beta, there.beta) and np.array_equal(here.theta, there.theta)):
             raise ValueError(f"{person}: the next task distinguishes other values of beta and theta; expected the same")
-        if before.choices.goal_count != part.choices.goal_count:
-            raise ValueError(
-                f"{person}: the next task has {part.choices.goal_count} goals; expected {before.choices.goal_count}"
-            )
+        if goals != next_goals:
+            raise ValueError(f"{person}: the next task has {next_goals} goals; expected {goals}")
         record.past.add(record.problem, record.steps, record.told)
         record.problem, record.steps, record.told = problem, [], []
         begin_task(self._team, record, part)
@@ -561,7 +560,7 @@ class Assistant:
         return PersonState(
             person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names,
             self._team.suggestion(record), self.cost_to_go(person), len(record.steps), part.policy.pomdp.grid,
-            self._team.belief[k].copy(), goals_of(self._team, k),
+            part.policy.pomdp.hidden, self._team.belief[k].copy(), goals_of(self._team, k),
             {} if record.joint is None else record.joint.states(choices), record.question,
             (record.told[-1].goal, record.told[-1].yes) if record.told else None,
         )  # fmt: skip

@@ -15,9 +15,8 @@ import numpy as np
 
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import NOTHING
-from ..people.goals import goal_shares
 from ..people.spread import Spread
-from ..person.belief_update import update_belief
+from ..person.belief_update import mistaken, update_belief
 from ..person.joint_belief import JointBelief, same_suggestions
 from ..person.observation_model import ObservationModel
 from ..person.ties import first_best
@@ -39,15 +38,13 @@ def is_uncertain(record: RosterEntry, model: ObservationModel | None) -> bool:
 
 def begin_task(team: Roster, record: RosterEntry, part: TaskPart) -> None:
     """Keep the belief in a person who begins a task, but for the goal, which each task has of its own."""
-    belief, goals = team.belief[record.place], part.choices.goals
-    if goals is not None and part.choices.goal_count > 1:
-        person_alone = belief.reshape(-1, *part.policy.pomdp.grid.shape).sum(axis=0)
-        belief[:] = np.concatenate([share * person_alone for share in goals.values()])
+    belief, hidden = team.belief[record.place], part.policy.pomdp.hidden
+    belief[:] = hidden.with_goals(hidden.of_people(belief))
     record.before, record.joint, record.earlier = belief.copy(), None, None
 
 
 def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> bool:
-    """Update the belief in a person by a step, and return whether it was (probably) not an optimal choice.
+    """Update the belief in a person by a step, and return whether it was (probably) a mistake.
 
     Raises
     ------
@@ -61,9 +58,11 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
         record.joint = joint_after(record, belief, step, setting.observation)
         record.earlier, team.belief[record.place] = earlier, record.joint.belief
         return record.joint.erred > 1 / 2
+    optimal = choices.goals.optimal[row, step.slot]
+    mistake = bool(mistaken(optimal[None], belief[None], np.array([row]), part.arrays)[0])
     with suppress(ImpossibleObservationError):  # in a model without lapses; the action says nothing about the person
         update_belief(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
-    return not choices.optimal[choices.of_goals(np.array([row]))[:, 0], step.slot].any()
+    return mistake
 
 
 def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Setting) -> None:
@@ -75,14 +74,15 @@ def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Se
         An answer is impossible under the belief. Nothing has changed.
     """
     belief, joint = team.belief[record.place], record.joint
-    goals = list(team.part(record)[0].choices.goals or ())
+    hidden = team.part(record)[0].policy.pomdp.hidden
+    goals = list(hidden.goals)
     try:
         for told in answers:
-            asked = goals.index(told.goal), len(goals), told.yes, setting.ask_error
+            asked = goals.index(told.goal)
             if joint is None:
-                belief = answered(belief, *asked)
+                belief = answered(belief, hidden, asked, told.yes, setting.ask_error)
             else:
-                joint = joint.told(likelihood_of(*asked))
+                joint = joint.told(likelihood_of(asked, len(goals), told.yes, setting.ask_error), hidden)
                 belief = joint.belief
     except (ImpossibleObservationError, ValueError):
         key = "impossible_yes" if told.yes else "impossible_no"
@@ -140,12 +140,13 @@ def worth_of_asking(team: Roster, record: RosterEntry, setting: Setting) -> tupl
     if record.joint is None or not record.steps:
         return 0.0, {}
     part, _ = team.part(record)
-    goals, found = list(part.choices.goals or ()), dict[str, JointBelief]()
+    hidden, found = part.policy.pomdp.hidden, dict[str, JointBelief]()
+    goals = list(hidden.goals)
     for name, after in after_answers(record, setting.observation).items():
         with suppress(ImpossibleObservationError):
             for told in _told_at(record, len(record.steps)):
                 likelihood = likelihood_of(goals.index(told.goal), len(goals), told.yes, setting.ask_error)
-                after = replace(then := after.told(likelihood), evidence=then.evidence * after.evidence)
+                after = replace(then := after.told(likelihood, hidden), evidence=then.evidence * after.evidence)
             found[name] = after
     if not found:
         return 0.0, {}
@@ -164,17 +165,17 @@ def _told_at(record: RosterEntry, steps: int) -> list[Told]:
 
 def goals_of(team: Roster, k: int) -> dict[str, float]:
     """Return the probability of each goal of the person at a place; nothing if it is known."""
-    choices = team.parts[team.model[k]].choices
-    if choices.goals is None or choices.goal_count == 1:
+    hidden = team.parts[team.model[k]].policy.pomdp.hidden
+    if len(hidden.goals) == 1:
         return {}
-    return dict(zip(choices.goals, goal_shares(team.belief[k], choices.goal_count).tolist(), strict=True))
+    return dict(zip(hidden.goals, hidden.marginal(team.belief[k], "goal").tolist(), strict=True))
 
 
 def likeliest_cost_to_go(team: Roster, record: RosterEntry) -> float:
     """Return the cost-to-go of a person's present state, in cost units, for the most probable goal."""
     part, row = team.part(record)
-    share = goal_shares(team.belief[record.place], part.choices.goal_count)
-    return float(part.choices.h[part.choices.of_goals(np.array([row]))[share.argmax(), 0]])
+    share = part.policy.pomdp.hidden.marginal(team.belief[record.place], "goal")
+    return float(part.choices.goals.h[share.argmax(), row])
 
 
 def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.0) -> Reason:
@@ -185,7 +186,7 @@ def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.
     policy, belief = team.parts[team.model[k]].policy, team.belief[k]
     q = team.answers_about(worth_of_actions, int(team.model[k]), np.array([k]))[0]
     saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0]) - extra
-    beta, theta = policy.pomdp.grid.spreads(belief)
+    beta, theta = policy.pomdp.grid.spreads(belief, policy.pomdp.hidden)
     follow = _follow(team, k, robot or 1 + int(first_best(q[1:])))
     steps = team.records[k].steps
     answered = [step for step in steps if step.suggestion is not None and step.action is not None]

@@ -416,7 +416,7 @@ class Course:
             "beta": [known.beta.low, known.beta.mean, known.beta.high],
             "theta": [known.theta.low, known.theta.mean, known.theta.high],
             "grid": {"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
-            "belief": known.belief.reshape(-1, *known.grid.shape).sum(axis=0).tolist(),
+            "belief": known.hidden.with_theta(known.belief, "beta").tolist(),
             **({"goals": dict(known.goals)} if known.goals else {}),
         }
 
@@ -432,8 +432,7 @@ class Course:
         if not self._notes[person].times:
             return None
         known = self._state(person)
-        belief: Floats = known.belief.reshape(-1, *known.grid.shape).sum(axis=0)
-        return belief
+        return known.hidden.of_people(known.belief)
 
     def beliefs(self) -> dict[str, bytes]:
         """Return the belief about each present person, as the bytes of its array."""

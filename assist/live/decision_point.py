@@ -20,7 +20,6 @@ from ..explain.contrast import Contrast, contrast
 from ..explain.explanation import Cause, Explanation, Prospect, WhyNothing, WhyPerson, WhyQuestion, WhyStep
 from ..people.choices import Choices
 from ..people.decision import Floats, same_cost
-from ..people.goals import goal_shares
 from ..person.joint_belief import JointBelief, is_certain
 from ..person.policy import Policy
 from ..person.ties import first_best
@@ -194,7 +193,7 @@ class DecisionPoint:
         """Return whether a person has certainly reached their goal."""
         _, part, row = self._at(place)
         joint = self.joint.get(place) or JointBelief.at(row, self.belief[place])
-        return is_certain(joint.finished(part.choices))
+        return is_certain(joint.finished(part.arrays))
 
     def nothing_at_all(self) -> Explanation:
         """Return why there is no suggestion."""
@@ -235,24 +234,20 @@ class DecisionPoint:
 
     def _known(self, place: int, robot: int) -> tuple[Choices | CostToGo, int]:
         """Return all choices of a person's task, and their state there, with the goal that a suggestion is for."""
-        problem, part, _ = self._at(place)
-        row = self._row(place, robot)[0]
-        return problem.policy.task_of(row // part.policy.pomdp.task_states), problem.place(part, row)
+        problem, part, row = self._at(place)
+        return problem.policy.task_of(self._goal(place, robot)[0]), problem.place(part, row)
 
-    def _row(self, place: int, robot: int) -> tuple[int, str | None, float]:
-        """Return the row of the goal that a suggestion is for, with its name (None if it is known) and probability.
+    def _goal(self, place: int, robot: int) -> tuple[int, float]:
+        """Return the number of the goal that a suggestion is for, and its probability.
 
         It is the most probable of the goals for which the suggestion is optimal, or of all if there is none.
         """
         _, part, row = self._at(place)
-        choices = part.choices
-        if choices.goals is None or choices.goal_count == 1:
-            return row, None, 1.0
-        rows = choices.of_goals(np.array([row]))[:, 0]
-        share = goal_shares(self.belief[place], len(rows))
-        optimal = choices.optimal[rows, part.policy.pomdp.suggested[row, robot]] & ~choices.goal[rows]
+        pomdp, goals = part.policy.pomdp, part.choices.goals
+        share = pomdp.hidden.marginal(self.belief[place], "goal")
+        optimal = goals.optimal[row, pomdp.suggested[row, robot]] & ~goals.goal[:, row]
         goal = int(np.where(optimal if optimal.any() else True, share, -1.0).argmax())
-        return int(rows[goal]), list(choices.goals)[goal], float(share[goal])
+        return goal, float(share[goal])
 
     def _contrast(self, place: int, robot: int, step: str, alternative: str, probability: float) -> Contrast:
         say = self.problems[place].say
@@ -263,14 +258,13 @@ class DecisionPoint:
         _, part, row = self._at(place)
         pomdp, choices = part.policy.pomdp, part.choices
         applicable = choices.applicable[row]
-        each = pomdp.chosen[choices.of_goals(np.array([row]))[:, 0]]
-        p = np.einsum("gab,gb->a", each, self.belief[place].sum(axis=1).reshape(len(each), -1))
+        p = np.einsum("ah,h->a", pomdp.chosen[row], self.belief[place].sum(axis=1))
         return np.where(applicable, (1 - pomdp.model.lapse) * p + pomdp.model.lapse / applicable.sum(), 0.0)
 
     def _why_step(self, place: int, robot: int) -> WhyStep:
-        part = self._at(place)[1]
-        row, goal, share = self._row(place, robot)
-        choices, own = part.choices, int(part.policy.pomdp.suggested[row, robot])
+        _, part, row = self._at(place)
+        goal, share = self._goal(place, robot)
+        choices, own = part.choices.of_goal(goal), int(part.policy.pomdp.suggested[row, robot])
         chances = self._chances(place)
         in_all = np.where(choices.applicable[row], choices.costs[row] + choices.h[choices.targets[row]], -np.inf)
         others = choices.applicable[row] & (np.arange(len(chances)) != own)
@@ -280,7 +274,7 @@ class DecisionPoint:
             slot = int(np.where(worse if worse.any() else others, chances, -1.0).argmax())
             names = choices.name(row, own), choices.name(row, slot)
             likely = self._contrast(place, robot, *names, float(chances[slot]))
-        return WhyStep(choices.name(row, own), float(chances[own]), likely, goal, share)
+        return WhyStep(choices.name(row, own), float(chances[own]), likely, part.choices.goals.shown(goal), share)
 
     def _why_person(self, place: int, robot: int, arrived: bool) -> WhyPerson:
         mine, others = self._prospect(place, robot), list[Prospect]()

@@ -35,7 +35,7 @@ class LiveQuestions:
     def __init__(self, setting: Setting, policies: Sequence[Policy]) -> None:
         assert setting.c_ask is not None
         self._setting, self._cost = setting, setting.c_ask
-        several = [policy for policy in policies if policy.pomdp.model.choices.goal_count > 1]
+        several = [policy for policy in policies if len(policy.pomdp.hidden.goals) > 1]
         self._goals = Questions(several, self._cost, setting.ask_error)
         self._known: dict[int, tuple[tuple[int, float, int], Question | None]] = {}
 
@@ -64,16 +64,16 @@ class LiveQuestions:
 
     def _about_goal(self, team: Roster, record: RosterEntry, attention: float) -> Question | None:
         part, _ = team.part(record)
-        if part.choices.goal_count == 1 or part.choices.goals is None or "goal" in record.asked:
+        if len(part.choices.goals) == 1 or "goal" in record.asked:
             return None
         goal, worth = self._goals.best_of(part.policy, team.joint(record.place), attention)
-        return Question(record.name, list(part.choices.goals)[goal], (), worth) if worth > NEAR else None
+        return Question(record.name, part.choices.goals.names[goal], (), worth) if worth > NEAR else None
 
     def _about_action(self, team: Roster, record: RosterEntry, *, least: float = 0.01) -> Question | None:
         if record.joint is None or len(record.joint.x) == 1 or "action" in record.asked:
             return None
         part, _ = team.part(record)
-        if part.choices.goal_count == 1 and worth_of_knowing(part.policy, record.joint) <= self._cost:
+        if worth_of_knowing(part.policy, record.joint) <= self._cost:
             return None  # an answer is worth no more than to know all
         worth, chances = worth_of_asking(team, record, self._setting)
         if worth <= self._cost + NEAR:

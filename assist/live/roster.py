@@ -200,7 +200,7 @@ class Roster:
     erred, present, ended : bool arrays, shape (P,)
         Whether the last action was not an optimal choice; whether the person is present, and has (probably) reached
         the goal.
-    belief : float array, shape (P, G * B, T)
+    belief : float array, shape (P, H, T)
     """
 
     def __init__(self, places: int) -> None:
@@ -245,15 +245,13 @@ class Roster:
     def add(self, name: str, problem: LiveTask, belief: ArrayLike | None = None) -> None:
         """Add a new person at the first free place, with a belief or the prior. `grow` makes places."""
         part, row = problem.at(problem.initial)
-        prior = part.policy.pomdp.prior
-        carried = None if belief is None else _distribution(name, belief, part.policy.pomdp.grid.shape)
+        prior, hidden = part.policy.pomdp.prior, part.policy.pomdp.hidden
+        carried = None if belief is None else _distribution(name, belief, hidden.of_people(prior).shape)
         if not self.records:
             self.belief = np.zeros((len(self), *prior.shape))
         elif prior.shape != self.belief.shape[1:]:
             raise ValueError(f"{name}: a belief of shape {prior.shape}; expected {self.belief.shape[1:]}, as in others")
-        before = prior if carried is None else carried
-        if carried is not None and part.choices.goals is not None and part.choices.goal_count > 1:
-            before = np.concatenate([share * carried for share in part.choices.goals.values()])
+        before = prior if carried is None else hidden.with_goals(carried)
         record = RosterEntry(
             name, len(self.records), self, before.copy(), FinishedTasks(self._actions), carried=carried
         )  # fmt: skip
@@ -308,9 +306,10 @@ class Roster:
     def finished(self, record: RosterEntry) -> float:
         """Return the probability that a person has reached their goal, of which several may be possible."""
         part, row = self.part(record)
-        if record.joint is None and part.choices.goal_count == 1:
-            return float(part.choices.goal[row])
-        return self.joint(record.place).finished(part.choices)
+        reached = part.arrays.goal[:, row]
+        if record.joint is None and reached.all() == reached.any():
+            return float(reached[0])
+        return self.joint(record.place).finished(part.arrays)
 
     def stopped(self, record: RosterEntry) -> bool:
         """Return whether a person has certainly reached their goal."""

@@ -1,7 +1,7 @@
 """Belief over a person's expertise and influence.
 
-The hidden pair (beta, theta) takes the values of a small `Grid`. A belief is an array of probabilities of shape
-(..., B, T), or (..., G * B, T) if a person pursues one of G goals. Beta never changes. Theta moves by a known map. Its
+Beta and theta take the values of a small `Grid`. A belief is an array of probabilities of shape (..., H, T), with an
+axis of types (`hidden_type`), which never change, and one of theta. Theta moves by a known map. Its
 result is divided between the two neighbouring grid points, so that its mean is exact (`shares`). Rounding to the
 nearest point would freeze trust whenever a step is shorter than half a cell.
 """
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.system.arrays import frozen
 
 from .decision import Floats
+from .hidden_type import HiddenType
 from .human import Population
 from .mixture import Mixture
 from .spread import Cells, Spread
@@ -80,15 +81,14 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The shape (B, T) of a belief."""
+        """The numbers of values of beta and of theta."""
         return len(self.beta), len(self.theta)
 
-    def spreads(self, belief: Floats) -> tuple[Spread, Spread]:
-        """Return the means and intervals of beta and theta under a belief, shape (B, T) or (G * B, T)."""
-        belief = belief.reshape(-1, *self.shape).sum(axis=0)
+    def spreads(self, belief: Floats, hidden: HiddenType) -> tuple[Spread, Spread]:
+        """Return the means and intervals of beta and theta under a belief, shape (H, T), over some types."""
         each = belief.sum(axis=0).reshape(-1, len(self.values)).sum(axis=0)  # over the counts of outcomes
         beta, theta = self._cells
-        return beta.spread(belief.sum(axis=1)), theta.spread(each)
+        return beta.spread(hidden.marginal(belief, "beta")), theta.spread(each)
 
     @cached_property
     def _cells(self) -> tuple[Cells, Cells]:
@@ -143,19 +143,19 @@ class Grid:
 def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: Floats) -> Floats:
     """Return beliefs after an observation: Bayes' rule, followed by the trust update of theta.
 
-    b'(beta, theta') proportional to sum over theta of b(beta, theta) P(a | x, r, beta, theta) T(theta' | theta)
+    b'(h, theta') proportional to sum over theta of b(h, theta) P(a | x, r, h, theta) T(theta' | theta)
 
     Parameters
     ----------
-    belief : float array, shape (N, B, T)
-    likelihood : float array, shape (N, B, T)
+    belief : float array, shape (N, H, T)
+    likelihood : float array, shape (N, H, T)
         Probability of the observation.
-    low, weight : int and float arrays, shape (N, T) or (N, B, T)
+    low, weight : int and float arrays, shape (N, T) or (N, H, T)
         New theta of each grid point, as `Grid.shares` returns it.
 
     Returns
     -------
-    float array, shape (N, B, T)
+    float array, shape (N, H, T)
 
     Raises
     ------

@@ -7,8 +7,7 @@ state `x`. The rest of this package uses these arrays, and does not depend on PD
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from planner import Table, Transitions
 from planner.system.arrays import outline, read_only
 
+from .hidden_type import KNOWN, OfGoals
 from .state_keys import keys_of
 
 T = TypeVar("T", bound=np.generic)
@@ -60,13 +60,10 @@ class Choices:
         Value of each term for each choice.
     key : uint64 array, shape (n,), or None
         Key of each row's task state (`keys_of`). None if the state's number is the key.
-    goals : mapping of str to float, or None
-        Prior probability of each goal, if a row is a task state of a person who pursues one of several
-        (`goals.Goals`). None if the goal is known.
-    assume_likeliest : bool
-        Whether the robot acts as if the most probable goal were certain.
-    sharpness : float
-        Power of the goals' probabilities on which the robot acts (`goals.Goals`).
+    unknown_goal : OfGoals, or None
+        The arrays of each goal, if a person pursues one of several. Then `h` is the least over the goals, `goal`
+        tells whether all are reached, and `optimal` whether a choice is optimal for one that is not reached. None if
+        the goal is known.
     offered : bool array, shape (n, A), or None
         Whether the robot may suggest each choice as an optimal one. None if `optimal` says so: the robot may also
         suggest what is optimal for another goal, if it does not know which one the person pursues.
@@ -85,9 +82,7 @@ class Choices:
     terms: tuple[str, ...] | None = None
     features: NDArray[np.float64] | None = None
     key: NDArray[np.uint64] | None = None
-    goals: Mapping[str, float] | None = None
-    assume_likeliest: bool = False
-    sharpness: float = 1.0
+    unknown_goal: OfGoals | None = None
     offered: NDArray[np.bool_] | None = None
 
     __repr__ = outline
@@ -159,21 +154,31 @@ class Choices:
         return len(self.h)
 
     @property
-    def goal_count(self) -> int:
-        """The number of goals, one of which a person pursues."""
-        return 1 if self.goals is None else len(self.goals)
+    def goals(self) -> OfGoals:
+        """What differs between goals, as arrays with an axis of G goals; G is 1 if the goal is known."""
+        if self.unknown_goal is not None:
+            return self.unknown_goal
+        return OfGoals({KNOWN: 1.0}, self.h[None], self.goal[None], self.optimal[:, :, None])
 
-    def of_goals(self, x: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the rows of each goal, shape (G, N), in the task states of some rows, shape (N,)."""
-        if self.goal_count == 1:
-            return x[None]
-        states = len(self) // self.goal_count
-        return np.asarray(x % states + states * np.arange(self.goal_count)[:, None])
+    def of_goal(self, goal: int) -> Choices:
+        """Return the choices of a person of whom one goal, given by its number, is known."""
+        if self.unknown_goal is None:
+            return self
+        own = self.unknown_goal
+        return replace(
+            self, h=own.h[goal], goal=own.goal[goal], optimal=np.ascontiguousarray(own.optimal[:, :, goal]),
+            unknown_goal=None,
+        )  # fmt: skip
+
+    @property
+    def of_each_goal(self) -> tuple[Choices, ...]:
+        """The choices with each of the goals known."""
+        return tuple(map(self.of_goal, range(len(self.goals))))
 
     def require_one_goal(self, what: str) -> None:
         """Raise a `ValueError` that names `what`, if a person's goal is one of several."""
-        if self.goal_count > 1:
-            raise ValueError(f"{what}: expected people whose goal is known, and there are {self.goal_count} goals")
+        if len(self.goals) > 1:
+            raise ValueError(f"{what}: expected people whose goal is known, and there are {len(self.goals)} goals")
 
     @property
     def unit(self) -> float:
@@ -217,8 +222,8 @@ class Choices:
         return row if self.state is None else int(self.state[row])
 
     def row(self, state: int) -> int:
-        """Return the row of a task state without memory, or any of its rows if there is none; of the first goal."""
-        if self.state is None or self.goals is not None:
+        """Return the row of a task state without memory, or any of its rows if there is none."""
+        if self.state is None:
             return state
         return self.initial if self.state[self.initial] == state else int(np.searchsorted(self.state, state))
 

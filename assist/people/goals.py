@@ -1,14 +1,13 @@
 """Several goals, one of which a person pursues, in place of a task whose goal is known.
 
-`Goals` holds the cost-to-go of each goal and a prior. Its `Choices` have a row for each pair of a goal and a task
-state. Row g * m + x is task state x of a person who pursues goal g, with m task states. A person stays in the rows of
-their goal, so that a problem on these rows is one problem for each goal, side by side. The robot sees x only.
+`Goals` holds the cost-to-go of each goal and a prior. The other functions take a task of either kind: a cost-to-go is
+that of its only goal. What the robot believes about goals is in `hidden_type`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -18,9 +17,9 @@ from planner import CostToGo, Table, Transitions, optimal_choices
 
 from .choices import WAIT, Choices
 from .decision import Floats
+from .hidden_type import OfGoals
 
 Task = TypeVar("Task", bound=CostToGo)
-Value = TypeVar("Value", bound=np.generic)
 
 
 def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None) -> Floats:
@@ -52,47 +51,6 @@ def prior_over(goals: Mapping[str, CostToGo], prior: Mapping[str, float] | None)
     return shares / shares.sum()
 
 
-def goal_shares(belief: Floats, goals: int) -> Floats:
-    """Return the probability of each goal, shape (..., G), under beliefs, shape (..., G * B, T).
-
-    Parameters
-    ----------
-    belief : float array, shape (..., G * B, T)
-    goals : int
-        The number G.
-    """
-    return np.asarray(belief.reshape(*belief.shape[:-2], goals, -1).sum(axis=-1))
-
-
-def in_task_states(values: NDArray[Value], goals: int) -> NDArray[Value]:
-    """Return values of all rows, shape (G * m, ..., C), by task state: shape (m, ..., G * C). `goals` is G."""
-    parts = np.moveaxis(values.reshape(goals, -1, *values.shape[1:]), 0, -2)
-    return np.ascontiguousarray(parts.reshape(*parts.shape[:-2], -1))
-
-
-def given_likeliest(belief: Floats, goals: int) -> Floats:
-    """Return each belief conditioned on its most probable goal; arguments as in `goal_shares`.
-
-    Ties favour the first goal.
-    """
-    share = goal_shares(belief, goals)[..., None, None]
-    best = share == share.max(axis=-3, keepdims=True)
-    best &= best.cumsum(axis=-3) == 1
-    parts = belief.reshape(*belief.shape[:-2], goals, -1, belief.shape[-1])
-    return np.where(best, parts / np.where(best, share, 1.0), 0.0).reshape(belief.shape)
-
-
-def sharpened(belief: Floats, goals: int, power: float) -> Floats:
-    """Return beliefs with the probability of each goal raised to a power; other arguments as in `goal_shares`."""
-    if power == 1:
-        return belief
-    share = goal_shares(belief, goals)
-    weight = (share / share.max(axis=-1, keepdims=True)) ** power
-    factor = weight / weight.sum(axis=-1, keepdims=True) / np.where(share > 0, share, 1.0)
-    parts = belief.reshape(*belief.shape[:-2], goals, -1, belief.shape[-1])
-    return np.asarray(parts * factor[..., None, None]).reshape(belief.shape)
-
-
 def first_of(task: Task | Goals) -> Task | Table:
     """Return the task of the first of several goals, and any other task as it is."""
     return next(iter(task.tables.values())) if isinstance(task, Goals) else task
@@ -119,36 +77,24 @@ def optimal_for_each(task: CostToGo | Goals, states: NDArray[np.int64], rows: Tr
 
 
 def joined(task: CostToGo | Goals, each: Sequence[Choices]) -> Choices:
-    """Return the choices of all goals, from those of each goal in the same m states: m rows for each goal.
+    """Return the choices of people who pursue one of the goals, from those with each goal in the same states.
 
-    Where no action is applicable, people wait unless they have reached their goal. Rows of one state have the same
-    choices, since the robot does not see which goal was reached.
+    Where no action is applicable, people wait unless all goals are reached: the robot does not see which one was.
     """
-    first, count, m = each[0], len(each), len(each[0])
+    first = each[0]
     if not isinstance(task, Goals):
         return first
-    waiting = [np.flatnonzero(one.applicable[:, 0] & (one.actions[:, 0] == WAIT)) for one in each]
-    waits = np.concatenate([one + number * m for one in waiting for number in range(count)])
-
-    def every(name: str) -> np.ndarray:
-        return np.concatenate([getattr(one, name) for one in each])
-
-    applicable, costs = every("applicable"), every("costs")
-    applicable[waits, 0], costs[waits, 0] = True, 1.0
-    return Choices(
-        every("h"), every("goal"), applicable, every("actions"),
-        np.concatenate([one.targets + number * m for number, one in enumerate(each)]), costs, every("optimal"),
-        first.names, first.initial, state=np.tile(np.arange(m), count),
-        key=None if first.key is None else np.tile(first.key, count), goals=task.prior,
-        assume_likeliest=task.assume_likeliest, sharpness=task.sharpness,
+    goals = OfGoals(
+        task.prior, np.stack([one.h for one in each]), np.stack([one.goal for one in each]),
+        np.stack([one.optimal for one in each], axis=2), task.assume_likeliest, task.sharpness,
     )  # fmt: skip
-
-
-def acting_belief(choices: Choices, belief: Floats) -> Floats:
-    """Return the beliefs, shape (..., G * B, T), on which the robot acts."""
-    if choices.assume_likeliest:
-        return given_likeliest(belief, choices.goal_count)
-    return belief if choices.goal_count == 1 else sharpened(belief, choices.goal_count, choices.sharpness)
+    waits = np.any([one.applicable[:, 0] & (one.actions[:, 0] == WAIT) for one in each], axis=0)
+    applicable, costs = first.applicable.copy(), first.costs.copy()
+    applicable[waits, 0], costs[waits, 0] = True, 1.0
+    return replace(
+        first, h=goals.h.min(axis=0), goal=np.asarray(goals.goal.all(axis=0)), applicable=applicable, costs=costs,
+        optimal=np.asarray((goals.optimal & ~goals.goal.T[:, None]).any(axis=2)), unknown_goal=goals,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,17 +147,9 @@ class Goals:
         return next(iter(self.tables.values())).method
 
     def __len__(self) -> int:
-        """Return the number of rows of the choices."""
+        """Return the number of pairs of a goal and a state."""
         return sum(map(len, self.tables.values()))
 
     def choices(self) -> Choices:
-        """Return the choices of all goals: m rows for each, in the order of the goals."""
+        """Return the choices of people who pursue one of the goals."""
         return joined(self, [Choices.of(table) for table in self.tables.values()])
-
-
-def drawn_goals(every: Sequence[Choices], model: NDArray[np.int64], uniform: Floats) -> NDArray[np.int64]:
-    """Return the number of each person's goal, drawn from their model's prior by uniform numbers."""
-    priors = [list((choices.goals or {}).values()) for choices in every]
-    below = np.cumsum(priors, axis=1)[model]
-    last = np.array([np.flatnonzero(shares)[-1] for shares in priors])[model]  # rounding must not select beyond it
-    return np.minimum((uniform[..., None] >= below).sum(axis=-1), last)

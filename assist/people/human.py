@@ -6,7 +6,7 @@ the robot's model of a person whose beta and theta it does not know. How people 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, get_args
 
@@ -126,13 +126,14 @@ class Population:
     def sample(self, choices: Choices | None, count: int, rng: np.random.Generator) -> list[Human]:
         """Return people drawn for a task; weights do not change their other parameters.
 
-        Without `choices`, the same people are returned in a form that suits any part of any task.
+        Without `choices`, the same people are returned in a form that suits any part of any task. So they are if the
+        goal is one of several.
         """
         people = []
         for _ in range(count):
             beta, theta, sigma = (float(rng.uniform(*span)) for span in (self.beta, self.theta, self.sigma))
             mistaken = Misconception.drawn(sigma, rng, self.noise)
-            h = mistaken if choices is None else mistaken.of(choices)
+            h = mistaken if choices is None or choices.unknown_goal is not None else mistaken.of(choices)
             people.append(Human(beta, theta, sigma, h, self._model(rng)))
         return people
 
@@ -167,7 +168,7 @@ class HumanModel:
     Attributes
     ----------
     choices : Choices
-    q : float array, shape (n, A)
+    q : float array, shape (n, A), or (n, A, G) if the goal is one of several
         The person's perceived costs, or the exact costs if the robot does not know them.
     eta : float
         Learning rate of the trust update.
@@ -198,12 +199,18 @@ class HumanModel:
             )
         object.__setattr__(self, "q", frozen(self.q))
 
+    @property
+    def of_each_goal(self) -> list[tuple[Choices, Floats]]:
+        """The choices and perceived costs, shape (n, A), with each of the goals known."""
+        q = self.q.reshape(*self.q.shape[:2], -1)
+        return [(own, np.ascontiguousarray(q[:, :, goal])) for goal, own in enumerate(self.choices.of_each_goal)]
+
     @classmethod
     def exact(
         cls, choices: Choices, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
     ) -> HumanModel:
         """Return the model of a person of whom only the task is known (`knowledge="exact"`): h* in place of h."""
-        q = perceived_cost(choices, choices.h)
+        q = _of_goals(perceived_cost(own, own.h) for own in choices.of_each_goal)
         return cls(choices, q, eta=eta, lapse=lapse, utility_scale=utility_scale)
 
     @classmethod
@@ -211,5 +218,11 @@ class HumanModel:
         cls, choices: Choices, human: Human, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
     ) -> HumanModel:
         """Return the model of a person whose perceived costs are known (`knowledge="own"`, as in the paper)."""
-        q = perceived_cost(choices, human.expects(choices))
+        q = _of_goals(perceived_cost(own, human.expects(own)) for own in choices.of_each_goal)
         return cls(choices, q, eta=eta, lapse=lapse, utility_scale=utility_scale)
+
+
+def _of_goals(each: Iterable[Floats]) -> Floats:
+    """Return arrays of shape (n, A) for each goal as one of shape (n, A, G); that of a single goal as it is."""
+    found = list(each)
+    return np.stack(found, axis=2) if len(found) > 1 else found[0]

@@ -1,7 +1,7 @@
 """Policies represented by alpha vectors, as point-based solvers return them.
 
 An alpha vector belongs to a state x and to a plan that begins with one robot action. It holds the plan's return for
-each hidden pair (beta, theta). The value of state x at belief b is at least the largest alpha . b over the vectors of x
+each type and theta. The value of state x at belief b is at least the largest alpha . b over the vectors of x
 (Smallwood and Sondik, "The optimal control of partially observable Markov processes over a finite horizon", 1973).
 Every observed state has its own set of vectors (Ong, Png, Hsu and Lee, "POMDPs for robotic tasks with mixed
 observability", 2009).
@@ -19,11 +19,11 @@ from planner.system.arrays import outline
 from planner.system.jit import njit
 
 from ..people.decision import Floats
+from ..people.type_kernels import leave_out_reached
 from .belief_filter import child, split
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
-from .reached_goals import leave_out_reached
 
 
 @dataclass(frozen=True)
@@ -33,18 +33,18 @@ class VectorPolicy(Policy):
     Attributes
     ----------
     pomdp : AssistPOMDP
-    vectors : float array, shape (m, G * B, T)
+    vectors : float array, shape (m, H, T)
         Alpha vectors, sorted by state. They hold values in cost units, that is, minus costs.
     robot : int array, shape (m,)
         First robot action of each vector's plan.
     first : int array, shape (n + 1,)
-        The vectors of state x are `vectors[first[x] : first[x + 1]]`. A goal state needs none: its value is 0. If the
-        goal is one of several, n is the number of task states.
+        The vectors of state x are `vectors[first[x] : first[x + 1]]`. A state in which all
+        goals are reached needs none: its value is 0.
 
     Raises
     ------
     ValueError
-        The shapes do not match, or a state that is no goal has no vector.
+        The shapes do not match, or a state in which a goal is not reached has no vector.
     """
 
     pomdp: AssistPOMDP
@@ -55,7 +55,7 @@ class VectorPolicy(Policy):
     __repr__ = outline
 
     def __post_init__(self) -> None:
-        states, count, hidden = self.pomdp.task_states, len(self.robot), self.pomdp.prior.shape
+        states, count, hidden = len(self.pomdp.robot_actions), len(self.robot), self.pomdp.prior.shape
         if self.vectors.shape != (count, *hidden) or self.first.shape != (states + 1,):
             raise ValueError(
                 f"vectors {self.vectors.shape}, robot {self.robot.shape}, first {self.first.shape}: expected "
@@ -63,7 +63,7 @@ class VectorPolicy(Policy):
             )
         if self.first[0] != 0 or self.first[-1] != count or (np.diff(self.first) < 0).any():
             raise ValueError(f"first: expected ascending offsets from 0 to {count}")
-        without = (np.diff(self.first) == 0) & ~self.pomdp.model.choices.goal.reshape(-1, states).all(axis=0)
+        without = (np.diff(self.first) == 0) & ~self.pomdp.model.choices.goal
         if without.any():
             raise ValueError(f"state {int(without.argmax())}: expected one alpha vector or more")
         state = np.repeat(np.arange(states), np.diff(self.first))
@@ -78,7 +78,7 @@ class VectorPolicy(Policy):
 
     @cached_property
     def _arrays(self) -> ProblemArrays:
-        return ProblemArrays.of_hidden_goal(self.pomdp)
+        return ProblemArrays.of(self.pomdp)
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R): one exact Bellman backup of the vectors' values.
@@ -86,14 +86,14 @@ class VectorPolicy(Policy):
         Parameters
         ----------
         x : int array, shape (N,)
-        belief : float array, shape (N, G * B, T)
+        belief : float array, shape (N, H, T)
             The beliefs need not be normalised; the values scale with their mass.
         """
         q = np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
-        of_state, own = (read_only(self.vectors), read_only(self.first)), x % self.pomdp.task_states
-        _look_ahead(q, read_only(own, np.int64), read_only(belief, float), *of_state, self._arrays)
+        of_state = read_only(self.vectors), read_only(self.first)
+        _look_ahead(q, read_only(x, np.int64), read_only(belief, float), *of_state, self._arrays)
         if self.pomdp.frontier is not None:
-            broken_off = self.pomdp.final[x] & ~self.pomdp.model.choices.goal[x]
+            broken_off = self.pomdp.ends[x] & ~self.pomdp.model.choices.goal[x]
             q[broken_off, 0] = self.value(x[broken_off], belief[broken_off])
         return q
 
@@ -108,8 +108,8 @@ class VectorPolicy(Policy):
 
     def _best(self, x: NDArray[np.int64], belief: Floats) -> tuple[Floats, NDArray[np.int64]]:
         value, best = np.zeros(len(x)), np.full(len(x), -1, dtype=np.int64)
-        of_state, own = (read_only(self.vectors), read_only(self.first)), x % self.pomdp.task_states
-        _maximise(value, best, read_only(own, np.int64), read_only(belief, float), *of_state)
+        of_state = read_only(self.vectors), read_only(self.first)
+        _maximise(value, best, read_only(x, np.int64), read_only(belief, float), *of_state)
         return value, best
 
 
@@ -124,7 +124,7 @@ def _dot(alpha: Floats, belief: Floats) -> float:
 
 @njit()
 def _best_vector(y: int, belief: Floats, vectors: Floats, first: NDArray[np.int64]) -> tuple[float, int]:
-    """Return the largest alpha . b in state y, and its vector; `belief` and `vectors` are flat, (..., B * T)."""
+    """Return the largest alpha . b in state y, and its vector; `belief` and `vectors` are flat, (..., H * T)."""
     if first[y] == first[y + 1]:
         return 0.0, -1
     value, best = -np.inf, -1
@@ -162,17 +162,17 @@ def _look_ahead(
     complied, going_on = np.empty(cells) if m.uses_answer else lapsed, np.empty(cells)
     for i in range(len(x)):
         s = x[i]
-        if m.final[s]:
+        if m.ends[s]:
             q[i, 0] = 0.0
             continue
         mass = beliefs[i].sum()
         for h in range(cells):
             going_on[h] = beliefs[i, h]
-        leave_out_reached(going_on, s, m)
+        leave_out_reached(going_on, mass, s, m.goal, m.goal_of)
         for r in range(m.robot_actions[s]):
             q[i, r] = -m.robot_costs[s, r] * mass
             acting, slot = split(going_on, followed, declined, complied, lapsed, s, r, m)
-            if m.final[acting]:
+            if m.ends[acting]:
                 continue
             for a in range(m.counts[acting]):
                 chance = child(after, acting, a, slot, followed, declined, complied, lapsed, m)

@@ -18,6 +18,7 @@ from .belief_filter import update
 from .problem_arrays import ProblemArrays
 
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 IMPOSSIBLE = "an action has probability 0 under the belief; a lapse rate above 0 in the model rules this out"
 
@@ -38,17 +39,16 @@ def influence(theta: Floats, p: Floats, others: Floats) -> tuple[Floats, Floats]
 
 
 def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArrays) -> tuple[Floats, Floats]:
-    """Return unnormalised posteriors after one choice each, shape (N, H), and their masses, shape (N,).
+    """Return unnormalised posteriors after one choice each, shape (N, H, T), and their masses, shape (N,).
 
     Parameters
     ----------
-    belief : float array, shape (N, H)
+    belief : float array, shape (N, H, T)
     x, robot, slot : int arrays, shape (N,)
-        States, rows of one goal; the robot actions towards the people, and the slots of their choices.
+        States, the robot actions towards the people, and the slots of their choices.
     m : ProblemArrays
     """
-    betas, thetas = m.chosen.shape[2], len(m.theta)
-    cells = belief.reshape(len(x), betas, thetas)
+    cells, (types, thetas) = belief, belief.shape[1:]
     acting, suggested = m.afterstate[x, robot], m.suggested[x, robot]
     steady, uniform = 1.0 - m.lapse, m.lapse / m.counts[acting]
     after, mass = np.empty_like(cells), np.empty(len(x))
@@ -60,44 +60,38 @@ def posteriors(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArray
 
     rows = np.flatnonzero(suggested >= 0)
     if not len(rows):
-        return after.reshape(belief.shape), mass
+        return after, mass
     x, robot, slot, suggested, uniform = x[rows], robot[rows], slot[rows], suggested[rows], uniform[rows]
     answers = (slot == suggested)[:, None]
     factors = influence(m.theta, m.chosen[x, suggested][:, :, None], m.unsuggested[x, robot][:, :, None])
     factor = np.where(answers[:, :, None], *factors)
     plain = steady * m.chosen[x, slot]
     joint = cells[rows] * (plain[:, :, None] * factor + uniform[:, None, None])
-    mass[rows] = in_order(joint.reshape(len(rows), betas * thetas))
-    at = np.where(answers, m.followed_low[x, robot], m.low[x, robot])
-    up = np.where(answers, m.followed_weight[x, robot], m.weight[x, robot])
-    parts = np.stack([joint * (1.0 - up)[:, None], joint * up[:, None]], axis=-1)
-    first = np.arange(len(rows) * betas).reshape(-1, betas, 1, 1) * thetas
-    places = first + np.stack([at, at + 1], axis=-1)[:, None]
+    mass[rows] = in_order(joint.reshape(len(rows), types * thetas))
+    followed = answers[:, :, None]
+    at = np.where(followed, m.followed_low[x, robot], m.low[x, robot])[:, m.goal_of]
+    up = np.where(followed, m.followed_weight[x, robot], m.weight[x, robot])[:, m.goal_of]
+    parts = np.stack([joint * (1.0 - up), joint * up], axis=-1)
+    first = np.arange(len(rows) * types).reshape(-1, types, 1, 1) * thetas
+    places = first + np.stack([at, at + 1], axis=-1)
     sums = np.bincount(places.ravel(), parts.ravel(), minlength=joint.size)  # which adds in the order of the places
     after[rows] = sums[: joint.size].reshape(joint.shape)
-    return after.reshape(belief.shape), mass
+    return after, mass
 
 
 def updated(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArrays) -> Floats:
-    """Return the beliefs, shape (N, G * B, T), after one choice each; arguments as in `posteriors`.
+    """Return the beliefs, shape (N, H, T), after one choice each; arguments as in `posteriors`.
 
-    The rows `x` may be those of any goal. A choice of probability 0 raises an `ImpossibleObservationError`.
+    A choice of probability 0 raises an `ImpossibleObservationError`.
     """
-    betas, people = m.chosen.shape[2], len(x)
-    goals = belief.shape[1] // betas
-    states = len(m.counts) // goals
-    old, mass, after = belief.reshape(people, goals, betas * len(m.theta)), np.zeros(people), np.empty(belief.shape)
-    for goal in range(goals):
-        part, own = posteriors(old[:, goal], goal * states + x % states, robot, slot, m)
-        after[:, goal * betas : (goal + 1) * betas] = part.reshape(people, betas, len(m.theta))
-        mass += own
+    after, mass = posteriors(belief, x, robot, slot, m)
     if not (mass > 0.0).all():
         raise ImpossibleObservationError(IMPOSSIBLE)
     return after * (1.0 / mass)[:, None, None]
 
 
 def _update_one(belief: Floats, _: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> None:
-    """Do what `belief_filter.update` does to one belief, shape (G * B, T)."""
+    """Do what `belief_filter.update` does to one belief, shape (H, T)."""
     belief[:] = updated(belief[None], np.array([x]), np.array([robot]), np.array([slot]), m)[0]
 
 
@@ -106,16 +100,32 @@ update_belief = ReadableFirst(_update_one, update, lambda *_: 150_000)
 
 
 def without_reached(belief: Floats, x: Ints, m: ProblemArrays) -> Floats:
-    """Return beliefs, shape (N, G * B, T), conditioned on the goal not being reached in rows `x`, shape (N,).
+    """Return beliefs, shape (N, H, T), conditioned on the goal not being reached in states `x`, shape (N,).
 
     A belief in which every goal is reached does not change.
     """
-    betas = m.chosen.shape[2]
-    goals = belief.shape[1] // betas
-    states = len(m.counts) // goals
-    parts = belief.reshape(len(x), goals, betas * len(m.theta))
-    reached = m.goal[np.arange(goals) * states + (x % states)[:, None]]
-    left = in_order(np.where(reached, 0.0, in_order(parts)))
-    some = left > 0.0
-    kept = np.where(reached[:, :, None], 0.0, parts) / np.where(some, left, 1.0)[:, None, None]
-    return np.where(some[:, None, None], kept, parts).reshape(belief.shape)
+    reached = _reached(x, m)
+    left = in_order(np.where(reached, 0.0, in_order(belief)))
+    some = reached.any(axis=1) & (left > 0.0)
+    kept = np.where(reached[:, :, None], 0.0, belief) / np.where(some, left, 1.0)[:, None, None]
+    return np.where(some[:, None, None], kept, belief)
+
+
+def mistaken(optimal: Bools, belief: Floats, x: Ints, m: ProblemArrays) -> Bools:
+    """Return which actions are optimal for no goal that is possible, shape (N,): probable, and not reached in `x`.
+
+    Parameters
+    ----------
+    optimal : bool array, shape (N, G)
+        Whether the action is optimal for each goal.
+    belief : float array, shape (N, H, T)
+    x : int array, shape (N,)
+    m : ProblemArrays
+    """
+    possible = (belief > 0.0).any(axis=2) & ~_reached(x, m)
+    return np.asarray(~(optimal[:, m.goal_of] & possible).any(axis=1))
+
+
+def _reached(x: Ints, m: ProblemArrays) -> Bools:
+    """Return whether the goal of each type is reached in states, shape (N, H)."""
+    return m.goal[:, x].T[:, m.goal_of]

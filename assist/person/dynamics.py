@@ -17,10 +17,11 @@ from planner.system.readable import ReadableFirst
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import update_trust, weigh_by_influence
+from ..people.type_kernels import exclude_reached, is_mistake
 from .belief_filter import update
-from .belief_update import in_order, updated, without_reached
-from .problem_arrays import ProblemArrays
-from .reached_goals import exclude_reached
+from .belief_update import in_order, mistaken, updated, without_reached
+from .pomdp import AssistPOMDP
+from .problem_arrays import ProblemArrays, read_only
 
 
 # numba accepts and caches compiled code for named tuples of arrays, but not for dataclasses.
@@ -34,20 +35,20 @@ class PeopleArrays(NamedTuple):
     robot : int array, shape (N,)
         Robot action towards the person; 0 is nothing.
     who : int array, shape (N,)
-        Row of `Minds` with the person's choices.
+        Row of `Minds` with the person's choices; it tells their goal, too.
     theta : float array, shape (N,)
     seen : int array, shape (N,)
         Number of outcomes of suggestions that the person has seen, if the trust rule counts them.
     uniform : float array, shape (N, 2)
         Uniform numbers in [0, 1): for the choice, and for the grid point of theta.
-    belief : float array, shape (N, B, T)
+    belief : float array, shape (N, H, T)
         The robot's beliefs; without rows if the policy uses none.
     slot : int array, shape (N,)
         Slot of the person's choice; -1 if the robot's execution has reached the goal.
     cost : float array, shape (N,)
         Cost of the choice.
     erred : bool array, shape (N,)
-        Whether the choice was not optimal: no optimal plan begins with it.
+        Whether the choice was a mistake: for no goal that is possible, an optimal plan begins with it.
     """
 
     x: NDArray[np.int64]
@@ -79,16 +80,20 @@ class PeopleArrays(NamedTuple):
 
 
 class Minds(NamedTuple):
-    """The choices of people, and the values that their trust depends on.
+    """The choices of people, each of whom pursues a goal, and the values that their trust depends on.
 
     Attributes
     ----------
+    goal : int array, shape (m,)
+        Number of the goal.
     p : float array, shape (m, n, A)
         Probability of each choice without a suggestion.
     value : float array, shape (m, n)
         Perceived values V(x) of equation 7.
-    optimal : bool array, shape (n, A)
-        Whether each choice is optimal.
+    optimal : bool array, shape (n, A, G)
+        Whether each choice is optimal for each goal.
+    possible : float array, shape (H, 1)
+        Probability of each type at the beginning, for a robot without beliefs.
     eta : float
         Rate of the trust update, divided by the unit of value.
     lapse : float
@@ -97,12 +102,23 @@ class Minds(NamedTuple):
         Whether theta moves between grid points at random, as in the robot's model.
     """
 
+    goal: NDArray[np.int64]
     p: Floats
     value: Floats
     optimal: NDArray[np.bool_]
+    possible: Floats
     eta: float
     lapse: float
     on_grid: bool
+
+    @classmethod
+    def of_model(cls, pomdp: AssistPOMDP) -> Minds:
+        """Return the people of the robot's model of one, by their type."""
+        return cls(
+            read_only(pomdp.hidden.goal_of), np.ascontiguousarray(np.moveaxis(pomdp.chosen, 2, 0)), np.empty((0, 0)),
+            read_only(pomdp.model.choices.goals.optimal), read_only(pomdp.prior.sum(axis=1, keepdims=True)),
+            eta=0.0, lapse=float(pomdp.model.lapse), on_grid=True,
+        )  # fmt: skip
 
 
 @njit(nogil=True)
@@ -117,7 +133,8 @@ def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
     for i in rows:
         x, robot, theta = people.x[i], people.robot[i], people.theta[i]
         acting, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
-        if m.goal[acting]:
+        g = minds.goal[people.who[i]]
+        if m.goal[g, acting]:
             people.x[i], people.slot[i], people.cost[i], people.erred[i] = acting, -1, 0.0, False
             continue
         count = m.counts[acting]
@@ -129,13 +146,14 @@ def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
         slot = _draw(p, count, minds.lapse, people.uniform[i, 0])
         y = m.targets[acting, slot]
         people.slot[i], people.cost[i] = slot, m.costs[acting, slot]
-        people.erred[i] = not minds.optimal[acting, slot]
+        known = people.belief[i] if has_beliefs else minds.possible
+        people.erred[i] = is_mistake(minds.optimal[acting, slot], known, acting, m.goal, m.goal_of)
         if suggestion >= 0:
             if minds.on_grid:
                 t = people.seen[i] * each + np.searchsorted(m.theta[:each], theta)
-                low, up = m.low[x, robot, t], m.weight[x, robot, t]
+                low, up = m.low[x, robot, g, t], m.weight[x, robot, g, t]
                 if slot == suggestion:
-                    low, up = m.followed_low[x, robot, t], m.followed_weight[x, robot, t]
+                    low, up = m.followed_low[x, robot, g, t], m.followed_weight[x, robot, g, t]
                 after_it = low + (people.uniform[i, 1] < up)
                 people.theta[i], people.seen[i] = m.theta[after_it], after_it // each
             else:
@@ -145,8 +163,8 @@ def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
                 people.theta[i] = update_trust(theta, minds.eta, gain)
         if has_beliefs:
             update(people.belief[i], after, x, robot, slot, m)
-            if len(after) > m.chosen.shape[2] and not m.goal[y]:
-                exclude_reached(people.belief[i], y, m)
+            if not m.goal[g, y]:
+                exclude_reached(people.belief[i], y, m.goal, m.goal_of)
         people.x[i] = y
 
 
@@ -170,12 +188,12 @@ def _draw(p: Floats, count: int, lapse: float, uniform: float) -> int:
 
 def act_readable(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
     """Let the people of some rows, all of one model, act once: the definition in numpy."""
-    x, robot = people.x[rows], people.robot[rows]
-    done = m.goal[m.afterstate[x, robot]]
+    x, robot, goal = people.x[rows], people.robot[rows], minds.goal[people.who[rows]]
+    done = m.goal[goal, m.afterstate[x, robot]]
     stay = rows[done]
     people.x[stay], people.slot[stay] = m.afterstate[x[done], robot[done]], NOTHING
     people.cost[stay], people.erred[stay] = 0.0, False
-    rows, x, robot = rows[~done], x[~done], robot[~done]
+    rows, x, robot, goal = rows[~done], x[~done], robot[~done], goal[~done]
     if not len(rows):
         return
     theta, who = people.theta[rows], people.who[rows]
@@ -199,14 +217,14 @@ def act_readable(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
 
     y = m.targets[acting, slot]
     people.slot[rows], people.cost[rows] = slot, m.costs[acting, slot]
-    people.erred[rows] = ~minds.optimal[acting, slot]
+    known = people.belief[rows] if len(people.belief) else minds.possible[None]
+    people.erred[rows] = mistaken(minds.optimal[acting, slot], known, acting, m)
     advised = np.flatnonzero(suggestion >= 0)
     _trust(advised, rows, x, robot, slot == suggestion, people, minds, m)
     if len(people.belief):
         after = updated(people.belief[rows], x, robot, slot, m)
-        on = np.flatnonzero(~m.goal[y])
-        if after.shape[1] > m.chosen.shape[2]:
-            after[on] = without_reached(after[on], y[on], m)
+        on = np.flatnonzero(~m.goal[goal, y] & m.goal[:, y].any(axis=0))
+        after[on] = without_reached(after[on], y[on], m)
         people.belief[rows] = after
     people.x[rows] = y
 
@@ -222,8 +240,9 @@ def _trust(
         each = int(np.argmin(np.append(np.diff(m.theta) > 0, False))) + 1  # thetas repeat for each count of outcomes
         t = seen * each + np.searchsorted(m.theta[:each], theta)
         answers = followed[advised]
-        low = np.where(answers, m.followed_low[x, robot, t], m.low[x, robot, t])
-        up = np.where(answers, m.followed_weight[x, robot, t], m.weight[x, robot, t])
+        at = x, robot, minds.goal[people.who[rows]], t
+        low = np.where(answers, m.followed_low[at], m.low[at])
+        up = np.where(answers, m.followed_weight[at], m.weight[at])
         after = low + (people.uniform[rows, 1] < up)
         people.theta[rows], people.seen[rows] = m.theta[after], after // each
         return

@@ -3,7 +3,7 @@
 **Upper bound.** Each state has a `UpperHull`: beliefs with known bounds, from which `upper_hull` derives the bound at
 any other. The search uses a few pivots of its linear program, so that the bound is not exactly convex.
 
-**Lower bound.** Each state has `AlphaVectors`: the returns of plans, for each (beta, theta).
+**Lower bound.** Each state has `AlphaVectors`: the returns of plans, for each type and theta.
 
 `trials` improves both bounds along sampled paths, and `renew` repeats old backups. `solver` calls them in turn and
 returns the result.
@@ -20,8 +20,8 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from ..people.influence_kernels import influence_factors
+from ..people.type_kernels import leave_out_reached
 from .belief_filter import child, split
-from .reached_goals import leave_out_reached
 from .rounding import rounding
 from .upper_hull import new_program, solve
 
@@ -38,9 +38,9 @@ class UpperHull(NamedTuple):
 
     Attributes
     ----------
-    corner : float array, shape (n, H)
-        Upper bounds for a known hidden state, H = G * B * T; n is the number of task states.
-    belief, inverse : float arrays, shape (capacity, H)
+    corner : float array, shape (n, cells)
+        Upper bounds for a known type and theta, a cell: there are H * T of them.
+    belief, inverse : float arrays, shape (capacity, cells)
         Beliefs of mass 1, and the reciprocal of each entry.
     drop : float array, shape (capacity,)
         d_i in `upper_hull`, below 0: the bound at each belief minus corner . belief.
@@ -349,7 +349,7 @@ def _expand_children(d, r, work, trial, m):
     x = trial.state[d]
     complied = work[3] if m.uses_answer else work[2]
     acting, slot = split(trial.belief[d], work[0], work[1], complied, work[2], x, r, m)
-    if not m.final[acting]:
+    if not m.ends[acting]:
         for a in range(m.counts[acting]):
             trial.mass[d, r, a] = child(trial.after[d, r, a], acting, a, slot, work[0], work[1], complied, work[2], m)
     return acting
@@ -361,7 +361,7 @@ def _bound_above(d, r, work, room, trial, hull, m):
     x = trial.state[d]
     value = -m.robot_costs[x, r]
     acting = _expand_children(d, r, work, trial, m)
-    if not m.final[acting]:
+    if not m.ends[acting]:
         for a in range(m.counts[acting]):
             trial.child[d, r, a] = upper(m.targets[acting, a], trial.after[d, r, a], hull, room)
             value += m.gamma * trial.child[d, r, a] - m.costs[acting, a] * trial.mass[d, r, a]
@@ -389,7 +389,7 @@ def _bound_below(d, r, work, trial, picked, vectors, m):
     x = trial.state[d]
     value = -m.robot_costs[x, r]
     acting = m.afterstate[x, r] if trial.known[d, r] else _expand_children(d, r, work, trial, m)
-    if not m.final[acting]:
+    if not m.ends[acting]:
         for a in range(m.counts[acting]):
             v, picked[a] = lower(m.targets[acting, a], trial.after[d, r, a], vectors)
             value += m.gamma * v - m.costs[acting, a] * trial.mass[d, r, a]
@@ -403,18 +403,16 @@ def _backup_vector(x, r, picked, vector, vectors, m):
     The margin `rounding` moves each entry downwards, so that the vector is a lower bound in floating-point arithmetic
     too.
     """
-    thetas, betas = len(m.theta), m.chosen.shape[2]
-    states = len(m.counts) * betas * thetas // len(vector)
+    thetas = len(m.theta)
     acting, slot = m.afterstate[x, r], m.suggested[x, r]
-    if m.final[acting]:
+    if m.ends[acting]:
         _fill(vector, -m.robot_costs[x, r])
         return
     count, margin = m.counts[acting], rounding(m.targets.shape[1])
     declined, mean, followed, complied = np.empty(thetas), np.empty(thetas), np.empty(thetas), np.empty(thetas)
-    for hidden in range(len(vector) // thetas):
-        goal, b = hidden // betas, hidden % betas
-        row, part = goal * states + acting, vector[hidden * thetas : (hidden + 1) * thetas]
-        if m.goal[row]:
+    for h in range(len(vector) // thetas):
+        part = vector[h * thetas : (h + 1) * thetas]
+        if m.goal[m.goal_of[h], acting]:
             _fill(part, 0.0)
             continue
         _fill(declined, 0.0)
@@ -422,9 +420,9 @@ def _backup_vector(x, r, picked, vector, vectors, m):
         _fill(followed, 0.0)
         _fill(complied, 0.0)
         for a in range(count):
-            p, c, i = m.chosen[row, a, b], m.costs[acting, a], picked[a]
+            p, c, i = m.chosen[acting, a, h], m.costs[acting, a], picked[a]
             for t in range(thetas):
-                u = m.gamma * vectors.vector[i, hidden * thetas + t] - c
+                u = m.gamma * vectors.vector[i, h * thetas + t] - c
                 if a == slot:
                     followed[t] = p * u
                 else:
@@ -436,19 +434,20 @@ def _backup_vector(x, r, picked, vector, vectors, m):
         for t in range(thetas):
             v = (1.0 - m.lapse) * declined[t] + m.lapse * mean[t]
             if slot >= 0:
-                v = _entry_after_suggestion(followed, declined, complied, mean, goal * states + x, r, b, t, m)
+                v = _entry_after_suggestion(followed, declined, complied, mean, x, r, h, t, m)
             v -= m.robot_costs[x, r]
             part[t] = v - margin * abs(v)
 
 
 @njit()
-def _entry_after_suggestion(followed, declined, complied, mean, x, r, b, t, m):
-    """Return the entry of an alpha vector at beta b and theta t after a suggestion, which influences and moves theta.
+def _entry_after_suggestion(followed, declined, complied, mean, x, r, h, t, m):
+    """Return the entry of an alpha vector at type h and theta t after a suggestion, which influences and moves theta.
 
     This is the transpose of `belief_filter.split`.
     """
-    slot, at, up = m.suggested[x, r], m.low[x, r, t], m.weight[x, r, t]
-    follow_factor, decline_factor = influence_factors(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
+    g = m.goal_of[h]
+    slot, at, up = m.suggested[x, r], m.low[x, r, g, t], m.weight[x, r, g, t]
+    follow_factor, decline_factor = influence_factors(m.theta[t], m.chosen[x, slot, h], m.unsuggested[x, r, h])
     if not m.uses_answer:
         return (1.0 - m.lapse) * (
             (1.0 - up) * (follow_factor * followed[at] + decline_factor * declined[at])
@@ -456,7 +455,7 @@ def _entry_after_suggestion(followed, declined, complied, mean, x, r, b, t, m):
         ) + m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])
     v = (1.0 - m.lapse) * decline_factor * ((1.0 - up) * declined[at] + up * declined[at + 1])
     v += m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])
-    at, up = m.followed_low[x, r, t], m.followed_weight[x, r, t]
+    at, up = m.followed_low[x, r, g, t], m.followed_weight[x, r, g, t]
     v += (1.0 - m.lapse) * follow_factor * ((1.0 - up) * followed[at] + up * followed[at + 1])
     v += m.lapse * ((1.0 - up) * complied[at] + up * complied[at + 1])
     return v
@@ -485,12 +484,11 @@ def _backup_lower(d, step, work, trial, backup, vectors, m):
 def start_node(d, belief, mass, q, trial, m):
     """Put belief / mass on the trial, with upper bounds on the Q-values that do not need the children.
 
-    If the goal is hidden, the belief is conditioned on the fact that the person goes on. Return the mass of the rest.
+    The belief is conditioned on the fact that the person goes on. Return the mass of the rest.
     """
     x, own = trial.state[d], trial.belief[d]
     _copy(own, belief)
-    if len(own) > m.chosen.shape[2] * len(m.theta):
-        mass = leave_out_reached(own, x, m)
+    mass = leave_out_reached(own, mass, x, m.goal, m.goal_of)
     for h in range(len(own)):
         own[h] = own[h] / mass if mass > 0.0 else 0.0
     for r in range(m.robot_actions[x]):
@@ -552,14 +550,14 @@ def _descend(gap, fineness, rng, work, room, trial, vectors, hull, q, m):
         r = most_promising(depth, work, room, trial, hull, m)
         trial.robot[depth] = r
         acting = m.afterstate[x, r]
-        if m.final[acting] or depth + 1 == len(trial.state):
+        if m.ends[acting] or depth + 1 == len(trial.state):
             break
         beyond, chosen = 0.0, NONE
         target /= m.gamma
         reach *= m.gamma
         for a in range(m.counts[acting]):
             y = m.targets[acting, a]
-            if m.final[y]:
+            if m.ends[y]:
                 continue
             apart = trial.child[depth, r, a] - lower(y, trial.after[depth, r, a], vectors)[0]
             excess = apart - target * trial.mass[depth, r, a]

@@ -1,4 +1,4 @@
-"""The belief in a person whose actions are not all seen as they are: over the task state, beta and theta together.
+"""The belief in a person whose actions are not all seen as they are: over the task state, the type and theta together.
 
 The states that are possible are few at first, and grow with each uncertain observation. A `JointBelief` has a row for
 each of them; improbable ones are left out, and their probability is reported.
@@ -19,6 +19,8 @@ from planner.system.jit import njit
 from ..people.belief import ImpossibleObservationError
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
+from ..people.hidden_type import HiddenType
+from ..people.type_kernels import is_mistake, leave_out_reached
 from .belief_filter import posterior
 from .observation_model import Evidence
 from .pomdp import AssistPOMDP
@@ -34,11 +36,11 @@ class JointBelief:
     Attributes
     ----------
     x : int array, shape (S,)
-        The possible states; of the first goal, if a person pursues one of several.
-    joint : float array, shape (S, G * B, T)
-        Probability of each state with each type; the sum is 1.
+        The possible states.
+    joint : float array, shape (S, H, T)
+        Probability of each state with each type and theta; the sum is 1.
     erred : float
-        Probability that the last action was not an optimal choice.
+        Probability that the last action was a mistake.
     pruned : float
         Sum of the probabilities that were left out so far.
     evidence : float
@@ -53,7 +55,7 @@ class JointBelief:
 
     @classmethod
     def at(cls, x: int, belief: Floats) -> JointBelief:
-        """Return the belief in a person whose state is known, with a belief in their type, shape (G * B, T)."""
+        """Return the belief in a person whose state is known, with a belief, shape (H, T)."""
         return cls(np.array([x]), belief[None].copy())
 
     @cached_property
@@ -68,7 +70,7 @@ class JointBelief:
 
     @property
     def belief(self) -> Floats:
-        """The belief in the person's type, shape (G * B, T)."""
+        """The belief in the person, shape (H, T)."""
         return np.asarray(self.joint.sum(axis=0))
 
     def after(
@@ -100,7 +102,7 @@ class JointBelief:
             What was seen has probability zero.
         """
         x, joint, erred = _advance(
-            self.x, self.joint, suggestion, *evidence, choices.actions, choices.optimal, m, works
+            self.x, self.joint, suggestion, *evidence, choices.actions, choices.goals.optimal, m, works
         )
         total = float(joint.sum())
         if not total > 0:
@@ -129,7 +131,7 @@ class JointBelief:
     ) -> dict[int, JointBelief]:  # fmt: skip
         """Return what `after_some` does for each ground action that may have been taken, if it was that one."""
         before, found = self._unseen(suggestion, choices, m, miss, least), dict[int, JointBelief]()
-        rows = choices.of_goals(np.unique(np.concatenate([belief.x for _, belief, _ in before]))).ravel()
+        rows = np.unique(np.concatenate([belief.x for _, belief, _ in before]))
         for action in np.unique(choices.actions[rows][choices.applicable[rows]]).tolist():
             with suppress(ImpossibleObservationError):
                 found[action] = self._seen(before, evidence._replace(only=action), choices, m, miss, least)
@@ -160,7 +162,7 @@ class JointBelief:
             raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
         return replace(found[0].without(least), evidence=total * (1 - miss))
 
-    def told(self, likelihood: Floats, *, least: float = 1e-6) -> JointBelief:
+    def told(self, likelihood: Floats, hidden: HiddenType, *, least: float = 1e-6) -> JointBelief:
         """Return the belief after an answer about the goal, whose likelihood for each goal has the shape (G,).
 
         Raises
@@ -168,11 +170,11 @@ class JointBelief:
         ImpossibleObservationError
             The answer has probability zero.
         """
-        joint = self.joint.reshape(len(self.x), len(likelihood), -1) * likelihood[:, None]
+        joint = hidden.given_goal(self.joint, likelihood)
         total = float(joint.sum())
         if not total > 0:
             raise ImpossibleObservationError("the answer is impossible")
-        return replace(self, joint=(joint / total).reshape(self.joint.shape), evidence=total).without(least)
+        return replace(self, joint=joint / total, evidence=total).without(least)
 
     def without(self, least: float) -> JointBelief:
         """Return the belief without states of a probability below `least`."""
@@ -190,10 +192,10 @@ class JointBelief:
             found[state] = found.get(state, 0.0) + probability
         return found
 
-    def finished(self, choices: Choices) -> float:
+    def finished(self, m: ProblemArrays) -> float:
         """Return the probability that the person has reached their goal."""
-        reached = choices.goal[choices.of_goals(self.x).T]
-        return float(self.joint.reshape(*reached.shape, -1).sum(axis=2)[reached].sum())
+        reached = m.goal[:, self.x].T[:, m.goal_of]
+        return float(self.joint.sum(axis=2)[reached].sum())
 
     def mixed(self, other: JointBelief, share: float) -> JointBelief:
         """Return the mixture of this belief and another one of weight `share`."""
@@ -244,15 +246,13 @@ def _advance(
     actions: Ints, optimal: NDArray[np.bool_], m: ProblemArrays, works: bool,
 ) -> tuple[Ints, Floats, float]:  # fmt: skip
     """Return the possible states after an action, their unnormalised probabilities, and that of a mistake."""
-    betas, thetas = m.chosen.shape[2], len(m.theta)
-    goals = joint.shape[1] // betas
-    states, number, found = len(m.counts) // goals, 0, 0
+    types, thetas, number, found = joint.shape[1], joint.shape[2], 0, 0
     for s in range(len(x)):
         number += m.counts[x[s]] + 1
     row = np.full(len(m.counts), -1)
-    to = np.empty(min(number, states), dtype=np.int64)
-    moved = np.zeros((len(to), goals, betas * thetas))
-    before, after, erred = joint.reshape(len(x), goals, betas * thetas), np.empty(betas * thetas), 0.0
+    to = np.empty(min(number, len(m.counts)), dtype=np.int64)
+    moved, erred = np.zeros((len(to), types, thetas)), 0.0
+    working, after = np.empty((types, thetas)), np.empty((types, thetas))
     for s in range(len(x)):
         origin, spoken, applicable = x[s], 0, False
         for r in range(1, m.robot_actions[origin] if suggestion >= 0 else 0):
@@ -260,29 +260,30 @@ def _advance(
                 spoken = r
         for a in range(m.counts[origin]):
             applicable |= actions[origin, a] == seen
-        for goal in range(goals):
-            own = goal * states + origin
-            if m.goal[own] and unseen and not works:  # who has finished does nothing
+        working[:] = joint[s]
+        for h in range(types):
+            if not m.goal[m.goal_of[h], origin]:
+                continue
+            if unseen and not works:  # who has finished does nothing
                 if row[origin] < 0:
                     row[origin], to[found] = found, origin
                     found += 1
-                moved[row[origin], goal] += before[s, goal]
-            if m.goal[own]:
+                moved[row[origin], h] += joint[s, h]
+            working[h] = 0.0
+        for a in range(m.counts[origin]):
+            chance = _chance(likelihood, seen, rate, actions[origin, a], m.counts[origin], applicable)
+            if chance == 0.0 or (only != -2 and actions[origin, a] != only):
                 continue
-            for a in range(m.counts[own]):
-                chance = _chance(likelihood, seen, rate, actions[own, a], m.counts[own], applicable)
-                target = m.targets[own, a]
-                if only != -2 and actions[own, a] != only:
-                    continue
-                if chance == 0.0 or (works and m.goal[target]):
-                    continue
-                mass = posterior(before[s, goal], after, own, spoken, a, m)
-                if mass == 0.0:
-                    continue
-                target %= states
-                if row[target] < 0:
-                    row[target], to[found] = found, target
-                    found += 1
-                moved[row[target], goal] += chance * after
-                erred += 0.0 if optimal[own, a] else chance * mass
-    return to[:found], moved[:found].reshape(found, goals * betas, thetas), erred
+            target = m.targets[origin, a]
+            mass = posterior(working.reshape(types * thetas), after.reshape(types * thetas), origin, spoken, a, m)
+            if works:
+                mass = leave_out_reached(after.reshape(types * thetas), mass, target, m.goal, m.goal_of)
+            if mass == 0.0:
+                continue
+            if row[target] < 0:
+                row[target], to[found] = found, target
+                found += 1
+            moved[row[target]] += chance * after
+            if is_mistake(optimal[origin, a], joint[s], origin, m.goal, m.goal_of):
+                erred += chance * mass
+    return to[:found], moved[:found], erred

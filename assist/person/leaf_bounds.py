@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +23,16 @@ class LeafBounds:
     ----------
     states : int array, shape (m,)
         The frontier states.
-    lower : float array, shape (m, T) or (m, B, T)
-        Lower bound on the optimal value, in cost units, for each theta and all beta, or for each (beta, theta). It
-        equals `upper` where only an upper bound is wanted (`large_tasks.truncated_bound`). A solver's lower bound then
-        holds only for the truncated problem.
-    upper : float array, shape (m,) or (m, B, T)
-        Upper bound on the value of every policy; for each (beta, theta) if that is known.
+    lower : float array, shape (m, H, T)
+        Lower bound on the optimal value, in cost units, for each type and theta. It equals `upper` where only an upper
+        bound is wanted (`large_tasks.truncated_bound`). A solver's lower bound then holds only for the truncated
+        problem.
+    upper : float array, shape (m, H, T)
+        Upper bound on the value of every policy. In both arrays, an axis of length 1 stands for equal bounds. The
+        axis of types may be one of goals until the problem is made (`of_types`).
     floor : float, optional
         Lower bound on the value of every policy that makes no further suggestion.
-    away : float array, shape (m, B, T), optional
+    away : float array, shape (m, H, T), optional
         Upper bound on the value of every policy whose robot must first travel to the person. If it is given, the
         subproblem of a team ends at these states.
     value : float array, shape (m,), optional
@@ -52,3 +53,11 @@ class LeafBounds:
         for array in (self.states, self.lower, self.upper, self.away, self.value):
             if array is not None:
                 array.flags.writeable = False
+
+    def of_types(self, goal_of: NDArray[np.int64]) -> LeafBounds:
+        """Return the bounds with an axis of types, shape (m, H, T), in the place of one of goals."""
+
+        def by_type(bound: Floats) -> Floats:
+            return bound if bound.shape[1] in (1, len(goal_of)) else bound[:, goal_of]
+
+        return replace(self, lower=by_type(self.lower), upper=by_type(self.upper))

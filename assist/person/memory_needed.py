@@ -74,7 +74,7 @@ def states_within(limit_mb: float, goals: int, models: int) -> int:
 def first_bounds_bytes(pomdp: AssistPOMDP, depth: int = SolverOptions.depth) -> int:
     """Return the approximate memory, in bytes, that `solve` needs before its search begins."""
     slots, hidden = pomdp.model.choices.targets.shape[1], pomdp.prior.size
-    states, robots = pomdp.task_states, pomdp.suggested.shape[1]
+    states, robots = pomdp.suggested.shape
     # QMDP's values and a copy; the corners; vectors and witnesses of four policies; the values of one policy.
     return 8 * hidden * (states * (2 * robots + 12) + depth * (8 + robots * slots))
 

@@ -54,7 +54,7 @@ class Policy:
         Parameters
         ----------
         x : int array, shape (N,)
-        belief : float array, shape (N, B, T)
+        belief : float array, shape (N, H, T)
         """
         raise NotImplementedError
 
@@ -76,9 +76,8 @@ class Policy:
         return self.pomdp.model.choices
 
     def task_of(self, goal: int) -> Choices | CostToGo:
-        """Return the whole task, in which the states of a goal, given by its number, are those of `states`."""
-        del goal
-        return self.task
+        """Return the whole task with one of the goals, given by its number."""
+        return self.pomdp.model.choices.of_goal(goal)
 
     @property
     def size(self) -> float:

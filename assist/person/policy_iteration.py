@@ -1,7 +1,7 @@
-"""Values of a person's problem with observed beta and theta, by policy iteration on sparse matrices.
+"""Values of a person's problem with an observed type and theta, by policy iteration on sparse matrices.
 
-`improve` solves a problem for each beta, region by region: first the dead ends, from which no goal can be reached, then
-all other states. In a region, two steps alternate.
+`improve` solves a problem for each type, region by region: first the dead ends, from which the goal cannot be reached,
+then all other states. In a region, two steps alternate.
 
 - The *values of a policy* solve sparse linear equations. They are found by Gauss-Seidel sweeps over the equations, and
   where these are slow by a Krylov method (BiCGSTAB: van der Vorst, 1992) with such a sweep as its preconditioner.
@@ -12,7 +12,7 @@ The first policy is the given one, or else to do nothing. Theta has no effect on
 one unknown for each state. In a dead end, mostly no suggestion is worth its cost; then the first sweep is the last.
 A few sweeps are enough elsewhere. Equations that would take too much memory are left out; then sweeps alone go on.
 
-**Bounds and the stopping rule.** For one beta, let T be the Bellman operator on a region, or that of one policy, where
+**Bounds and the stopping rule.** For one type, let T be the Bellman operator on a region, or that of one policy, where
 all other states have fixed values.
 
 Assumptions.
@@ -43,7 +43,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -69,7 +69,7 @@ MOST_ENTRIES = 12_000_000
 
 FEW_SWEEPS = 20  # over a region, after which equations are solved rarely; a dozen are enough almost everywhere
 PLAIN_SWEEPS = 12  # sweeps over equations before a Krylov method takes over: they converge fast, or slowly
-ONLY = np.int64(0)  # the place of the only beta; numba would compile again for a literal
+ONLY = np.int64(0)  # the place of the only type; numba would compile again for a literal
 KRYLOV_STEPS = 200  # of two products each; 20 to 60 converge in all tasks that were tried
 AT_ONCE = 20_000_000  # entries that are read before the clock is; they take about 0.02 s
 INEXACT = 0.05  # equations of a policy that will change are solved to this share of the last change
@@ -98,7 +98,7 @@ class Limits:
 
 def improve(
     value: Floats,
-    regions: tuple[Ints, ...],
+    regions: Sequence[tuple[Ints, Ints]],
     robot: Ints,
     arrays: ProblemArrays,
     limits: Limits,
@@ -106,16 +106,16 @@ def improve(
     *,
     below: bool = False,
 ) -> bool:
-    """Replace values, shape (n, B, T), by those of the best policy or of a given one; return whether they converged.
+    """Replace values, shape (n, H, T), by those of the best policy or of a given one; return whether they converged.
 
     They are upper bounds, or lower ones with `below`, if the values at the start were. That is so, too, if a limit ends
     the iteration.
 
     Parameters
     ----------
-    value : float array, shape (n, B, T)
-    regions : tuple of int arrays
-        States in the order of a sweep: the dead ends, and all other states that are not final.
+    value : float array, shape (n, H, T)
+    regions : sequence of pairs of int arrays
+        States in the order of a sweep for each goal: the dead ends, and all other states that are not final.
     robot : int array, shape (n,)
         Robot action in each state; `BEST` stands for the best one.
     arrays : ProblemArrays
@@ -137,29 +137,41 @@ def improve(
             last = now
             progress(SOLVING, swept, None)
 
-    def one(b: int) -> bool:
-        # Contiguous copies of one beta's arrays keep more of a sweep in the processor's cache.
-        own = value[:, b : b + 1].copy()
-        chosen, unsuggested = read_only(arrays.chosen[:, :, b : b + 1]), read_only(arrays.unsuggested[:, :, b : b + 1])
-        m = arrays._replace(chosen=chosen, unsuggested=unsuggested)
-        dead, alive = regions
+    of_goals = [_of_goal(arrays, goal) for goal in range(len(regions))]
+
+    def one(h: int) -> bool:
+        # Contiguous copies of one type's arrays keep more of a sweep in the processor's cache.
+        own, goal = value[:, h : h + 1].copy(), int(arrays.goal_of[h])
+        chosen, unsuggested = read_only(arrays.chosen[:, :, h : h + 1]), read_only(arrays.unsuggested[:, :, h : h + 1])
+        m = of_goals[goal]._replace(chosen=chosen, unsuggested=unsuggested)
+        dead, alive = regions[goal]
         done = True
         for order in (dead, alive):
             region = _Region(own, read_only(order, np.int64), read_only(robot, np.int64), m, limits, stop, count, below)
             done = region.iterate(order is dead) and done
-        value[:, b] = own[:, 0]
+        value[:, h] = own[:, 0]
         return done
 
-    betas = range(value.shape[1])
+    types = range(value.shape[1])
     if value.size <= SMALL:
-        return all(list(map(one, betas)))
+        return all(list(map(one, types)))
     with ThreadPoolExecutor(processors()) as pool:
         try:
             # the list makes all threads finish: one failure cancels no other
-            return all(list(pool.map(one, betas)))
+            return all(list(pool.map(one, types)))
         except BaseException:  # after Ctrl-C no further sweep begins
             stopped = True
             raise
+
+
+def _of_goal(arrays: ProblemArrays, goal: int) -> ProblemArrays:
+    """Return the arrays of a problem in which one goal is known, but those of its types."""
+    own, of = slice(goal, goal + 1), (slice(None), slice(None), slice(goal, goal + 1))
+    return arrays._replace(
+        goal=read_only(arrays.goal[own]), final=read_only(arrays.final[own]), goal_of=read_only(np.zeros(1, np.int64)),
+        low=read_only(arrays.low[of]), weight=read_only(arrays.weight[of]),
+        followed_low=read_only(arrays.followed_low[of]), followed_weight=read_only(arrays.followed_weight[of]),
+    )  # fmt: skip
 
 
 def load_compiled(arrays: ProblemArrays) -> None:
@@ -175,7 +187,7 @@ def load_compiled(arrays: ProblemArrays) -> None:
 
 
 def rounding_error(value: Floats, arrays: ProblemArrays) -> Floats:
-    """Return how far rounding may move the values of a fixed point, shape (n, B, T), for each beta: shape (B, 1).
+    """Return how far rounding may move the values of a fixed point, shape (n, H, T), for each type: shape (H, 1).
 
     This is e / (1 - gamma) of the module's theorem.
     """
@@ -185,7 +197,7 @@ def rounding_error(value: Floats, arrays: ProblemArrays) -> Floats:
 
 @dataclass(frozen=True)
 class _Region:
-    """The iteration on one region for one beta; `value`, shape (n, 1, T), holds bounds and receives better ones."""
+    """The iteration on one region for one type; `value`, shape (n, 1, T), holds bounds and receives better ones."""
 
     value: Floats
     order: Ints
@@ -197,7 +209,7 @@ class _Region:
     below: bool
 
     def iterate(self, dead: bool) -> bool:
-        """Iterate and return whether the values converged; `dead` tells whether no goal can be reached."""
+        """Iterate and return whether the values converged; `dead` tells whether the goal cannot be reached."""
         m, order, tolerance = self.m, self.order, self.limits.tolerance
         if not len(order):
             return True
@@ -483,15 +495,15 @@ def _fill_rows(
             filled[i, t] = r
             acting, slot = m.afterstate[x, r], m.suggested[x, r]
             constant, k = -m.robot_costs[x, r], rows.first[row]
-            count = 0 if m.goal[acting] else m.counts[acting]
+            count = 0 if m.goal[0, acting] else m.counts[acting]
             followed, declined = 1.0, 1.0  # factors of the choice probabilities (equation 6)
             low, up, followed_low, followed_up = t, 0.0, t, 0.0
             if slot >= 0:
                 total = m.theta[t] * m.chosen[acting, slot, 0] + (1.0 - m.theta[t]) * m.unsuggested[x, r, 0]
                 if total > 0.0:
                     followed, declined = m.theta[t] / total, (1.0 - m.theta[t]) / total
-                low, up = m.low[x, r, t], m.weight[x, r, t]
-                followed_low, followed_up = m.followed_low[x, r, t], m.followed_weight[x, r, t]
+                low, up = m.low[x, r, 0, t], m.weight[x, r, 0, t]
+                followed_low, followed_up = m.followed_low[x, r, 0, t], m.followed_weight[x, r, 0, t]
             lapse = m.lapse / max(1, count)
             for a in range(count):
                 p = (1.0 - m.lapse) * m.chosen[acting, a, 0] * (followed if a == slot else declined) + lapse

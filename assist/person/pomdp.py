@@ -1,20 +1,18 @@
 """One person's assistance problem as a mixed-observability POMDP.
 
-The task state x is observed; the pair (beta, theta) is hidden and lies on a `Grid`. In each step the robot does
-nothing, suggests an action, or executes an action of the task. Then the person acts, and x changes. An `AssistPOMDP`
-holds the arrays of the model. It also has the two functions of a belief filter: the likelihood of a person's action,
-and the posterior belief. Every solver returns a `Policy` (`person.policy`).
+The task state x is observed; the person's type, that is their goal and their expertise beta, and theta are hidden
+(`people.hidden_type`). In each step the robot does nothing, suggests an action, or executes an action of the task. Then
+the person acts, and x changes. An `AssistPOMDP` holds the arrays of the model. It also has the two functions of a
+belief filter: the likelihood of a person's action, and the posterior belief. Every solver returns a `Policy`
+(`person.policy`).
 
-The robot actions of a state are numbered from 0: nothing, then the suggestions, then the executions.
-
-If a person pursues one of G goals (`people.goals`), the goal is hidden, too. There is then a row of the arrays for each
-pair of a goal and a task state, and a belief has the shape (G * B, T): one part for each goal, in their order. The
-robot actions are the same for all goals: what is optimal for one of them may be suggested.
+The robot actions of a state are numbered from 0: nothing, then the suggestions, then the executions. What is optimal
+for one of several goals may be suggested.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple, get_args
 
@@ -29,6 +27,7 @@ from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, chances, value
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
+from ..people.hidden_type import KNOWN, HiddenType
 from ..people.human import HumanModel, Population
 from ..people.mixture import Mixture
 from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule, counts_of, moved
@@ -42,19 +41,20 @@ class AssistPOMDP:
     """The problem of assisting one person.
 
     In the shapes, n is the number of states, R the largest number of robot actions in a state, A the largest number of
-    choices of the person, and (B, T) the shape of the grid.
+    choices of the person, H the number of types of G goals, and T the number of cells of theta.
 
     Attributes
     ----------
     model : HumanModel
+    hidden : HiddenType
+        The H types of a person.
     grid : Grid
-        The hidden values: B of beta and T of theta.
+        The values of beta and theta.
     gamma : float
         Discount factor per step, in (0, 1).
     c_suggest, c_execute : float
         Costs of a suggestion and of executing an action, in the task's cost units.
-    prior : float array, shape (G * B, T)
-        G is 1 if the goal is known.
+    prior : float array, shape (H, T)
     robot_actions : int array, shape (n,)
         Number of robot actions in each state.
     suggested : int array, shape (n, R)
@@ -63,22 +63,23 @@ class AssistPOMDP:
         State in which the person then acts: the successor after an execution, otherwise the state itself.
     robot_costs : float array, shape (n, R)
         Cost of each robot action.
-    chosen : float array, shape (n, A, B)
-        Probability of each choice without a suggestion and without lapses (equation 5).
-    unsuggested : float array, shape (n, R, B)
+    chosen : float array, shape (n, A, H)
+        Probability of each choice without a suggestion and without lapses (equation 5); 0 where the goal is reached.
+    unsuggested : float array, shape (n, R, H)
         Sum of `chosen` over all slots but the suggested one. It is stored because 1 - p loses precision for p close to
         1.
-    low, weight : int and float arrays, shape (n, R, T)
-        Interpolation of theta after each robot action, as returned by `Grid.shares`.
-    followed_low, followed_weight : int and float arrays, shape (n, R, T), or None
+    low, weight : int and float arrays, shape (n, R, G, T)
+        Interpolation of theta after each robot action, as returned by `Grid.shares`, for each goal.
+    followed_low, followed_weight : int and float arrays, shape (n, R, G, T), or None
         The same if the person does what was suggested; None if the trust rule does not use the answer.
     frontier : LeafBounds or None
         Frontier states and their bounds, if the problem is truncated.
-    order : int array, or None
-        States that are not final, in the order of a value-iteration sweep; ascending cost-to-go by default.
+    order : int array, shape (G, n), or None
+        All states in the order of a value-iteration sweep for each goal; ascending cost-to-go by default.
     """
 
     model: HumanModel
+    hidden: HiddenType
     grid: Grid
     gamma: float
     c_suggest: float
@@ -160,43 +161,69 @@ class AssistPOMDP:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
         robots = _RobotActions.of(model.choices, suggestions, c_suggest, c_execute if execute else None)
-        v = value(chooses, model.choices, model.q)
-        if frontier is not None:  # no choices are known at the leaves, hence no value of the next state
-            leaves = frontier.states
-            v[leaves] = -model.choices.h[leaves] if frontier.value is None else frontier.value
         rule = EquationSeven(model.eta, model.utility_scale) if trust is None else trust
         grid = (grid or Grid.regular(population)).with_counts(counts_of(rule))
-        chosen, unsuggested = _choice_probabilities(model, chooses, grid, robots.suggested)
-        low, weight = _trust_shares(model, grid, rule, v, robots.suggested, followed=False)
+        goals = model.choices.goals
+        hidden = HiddenType(goals.prior, grid.beta, goals.assume_likeliest, goals.sharpness)
+        chosen, unsuggested = _choice_probabilities(model, chooses, hidden, robots.suggested)
+        low, weight = _trust_shares(model, chooses, grid, rule, frontier, robots.suggested, followed=False)
         followed_low = followed_weight = None
         if rule.uses_answer:
-            followed_low, followed_weight = _trust_shares(model, grid, rule, v, robots.suggested, followed=True)
-        prior = grid.prior(population)
-        if model.choices.goals is not None:
-            prior = np.concatenate([share * prior for share in model.choices.goals.values()])
+            followed_low, followed_weight = _trust_shares(
+                model, chooses, grid, rule, frontier, robots.suggested, followed=True
+            )
         return cls(
-            model=model, grid=grid, gamma=gamma, c_suggest=c_suggest, c_execute=c_execute, prior=prior,
+            model=model, hidden=hidden, grid=grid, gamma=gamma, c_suggest=c_suggest, c_execute=c_execute,
+            prior=hidden.prior(grid.prior(population)),
             robot_actions=robots.number, suggested=robots.suggested, afterstate=robots.afterstate,
             robot_costs=robots.costs, chosen=chosen, unsuggested=unsuggested, low=low, weight=weight,
-            frontier=frontier, followed_low=followed_low, followed_weight=followed_weight,
+            frontier=None if frontier is None else frontier.of_types(hidden.goal_of),
+            followed_low=followed_low, followed_weight=followed_weight,
         )  # fmt: skip
 
-    @property
-    def task_states(self) -> int:
-        """The number of states that a policy distinguishes: task states if the goal is hidden, otherwise rows."""
-        return len(self.robot_actions) // self.model.choices.goal_count
+    def given_goals(self) -> list[tuple[float, AssistPOMDP]]:
+        """Return each possible goal's prior probability, and the problem of a person of whom that goal is known.
+
+        The robot actions are those of this problem, so that some suggestions may be useless to that person.
+        """
+        goals, found = self.model.choices.goals, list[tuple[float, AssistPOMDP]]()
+        if self.model.choices.unknown_goal is None:
+            return [(1.0, self)]
+        for g, ((choices, q), share) in enumerate(zip(self.model.of_each_goal, goals.prior.values(), strict=True)):
+            if share == 0:
+                continue
+            own, of, followed, by = self.hidden.goal_of == g, slice(g, g + 1), self.followed_low, self.followed_weight
+            found.append((share, replace(
+                self, model=replace(self.model, choices=choices, q=q),
+                hidden=replace(self.hidden, goals={KNOWN: 1.0}, assume_likeliest=False, sharpness=1.0),
+                prior=self.prior[own] / share, chosen=self.chosen[:, :, own], unsuggested=self.unsuggested[:, :, own],
+                low=self.low[:, :, of], weight=self.weight[:, :, of],
+                robot_actions=np.where(choices.goal, 1, self.robot_actions),
+                suggested=np.where(choices.goal[:, None], NOTHING, self.suggested),
+                followed_low=None if followed is None else followed[:, :, of],
+                followed_weight=None if by is None else by[:, :, of],
+                order=None if self.order is None else self.order[of],
+            )))  # fmt: skip
+        return found
 
     @cached_property
     def final(self) -> NDArray[np.bool_]:
-        """Whether the problem ends in each state, shape (n,): at goals and at frontier states."""
-        final = self.model.choices.goal.copy()
+        """Whether the problem ends in each state for each goal, shape (G, n): at the goal, and at the frontier."""
+        final = self.model.choices.goals.goal.copy()
         if self.frontier is not None:
-            final[self.frontier.states] = True
+            final[:, self.frontier.states] = True
         final.flags.writeable = False
         return final
 
+    @cached_property
+    def ends(self) -> NDArray[np.bool_]:
+        """Whether the problem ends in each state, whatever the goal, shape (n,)."""
+        ends = np.logical_and.reduce(self.final)
+        ends.flags.writeable = False
+        return ends
+
     def likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]) -> Floats:
-        """Return the likelihood P(action | x, robot, goal, beta, theta), shape (N, G * B, T).
+        """Return the likelihood P(action | x, robot, type, theta), shape (N, H, T).
 
         It combines choice and influence (equations 5 and 6) with the model's lapse rate.
 
@@ -205,11 +232,6 @@ class AssistPOMDP:
         x, robot, action : int arrays, shape (N,)
             Task state, robot action (0: nothing), and slot of the person's choice.
         """
-        rows = self.model.choices.of_goals(x)
-        return np.concatenate([self._likelihood(own, robot, action) for own in rows], axis=1)
-
-    def _likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]) -> Floats:
-        """Return the likelihood in rows of one goal, shape (N, B, T)."""
         suggestion, acting = self.suggested[x, robot], self.afterstate[x, robot]
         p = self.chosen[acting, action][:, :, None]
         followed = self.chosen[acting, np.maximum(suggestion, 0)][:, :, None]
@@ -227,28 +249,27 @@ class AssistPOMDP:
     def update(
         self, belief: Floats, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]
     ) -> Floats:
-        """Return the posterior beliefs, shape (N, G * B, T), after people's actions; arguments as in `likelihood`."""
-        rows = self.model.choices.of_goals(x).T
-        robots, betas = robot[:, None], len(self.grid.beta)
-        low, weight = self.low[rows, robots], self.weight[rows, robots]
+        """Return the posterior beliefs, shape (N, H, T), after people's actions; arguments as in `likelihood`."""
+        low, weight = self.low[x, robot], self.weight[x, robot]
         if self.followed_low is not None and self.followed_weight is not None:
-            follows = (action[:, None] == self.suggested[rows, robots])[:, :, None]
-            low = np.where(follows, self.followed_low[rows, robots], low)
-            weight = np.where(follows, self.followed_weight[rows, robots], weight)
-        low, weight = low.repeat(betas, axis=1), weight.repeat(betas, axis=1)
-        return beliefs.update(belief, self.likelihood(x, robot, action), low, weight)
+            follows = (action == self.suggested[x, robot])[:, None, None]
+            low = np.where(follows, self.followed_low[x, robot], low)
+            weight = np.where(follows, self.followed_weight[x, robot], weight)
+        of = self.hidden.goal_of
+        return beliefs.update(belief, self.likelihood(x, robot, action), low[:, of], weight[:, of])
 
     @cached_property
     def suggests_optimal(self) -> NDArray[np.bool_]:
-        """Whether each robot action suggests an optimal action, shape (n, R)."""
-        slot = np.maximum(self.suggested, 0)
-        suggests = (self.suggested != NOTHING) & np.take_along_axis(self.model.choices.optimal, slot, axis=1)
+        """Whether each robot action suggests an action that is optimal for each goal, shape (n, R, G)."""
+        slot = np.maximum(self.suggested, 0)[:, :, None]
+        optimal = np.take_along_axis(self.model.choices.goals.optimal, slot, axis=1)
+        suggests = (self.suggested != NOTHING)[:, :, None] & optimal
         suggests.flags.writeable = False
         return suggests
 
     @cached_property
     def first_optimal(self) -> NDArray[np.int64]:
-        """The first robot action of each state that suggests an optimal action, shape (n,); 0 if there is none."""
+        """The first robot action that suggests an optimal action for each goal, shape (n, G); 0 if there is none."""
         first = self.suggests_optimal.argmax(axis=1)
         first.flags.writeable = False
         return first
@@ -281,9 +302,6 @@ class _RobotActions(NamedTuple):
         best = choices.optimal if choices.offered is None else choices.offered
         offered = best if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
         offered = offered & ~choices.goal[:, None]
-        if choices.goal_count > 1:  # the same in the rows of all goals, even if one has been reached
-            count = choices.goal_count
-            offered = np.tile(offered.reshape(count, -1, offered.shape[1]).any(axis=0), (count, 1))
         count = offered.sum(axis=1)
         robot_actions = 1 + count * (2 if execute else 1)
         shape = (len(choices), int(robot_actions.max(initial=1)))
@@ -301,29 +319,38 @@ class _RobotActions(NamedTuple):
 
 
 def _choice_probabilities(
-    model: HumanModel, chooses: ChoiceModel, grid: Grid, suggested: NDArray[np.int64]
+    model: HumanModel, chooses: ChoiceModel, hidden: HiddenType, suggested: NDArray[np.int64]
 ) -> tuple[Floats, Floats]:
     """Return `AssistPOMDP.chosen` and `AssistPOMDP.unsuggested`."""
-    chosen = np.stack(list(chances(chooses, model.choices, model.q, grid.beta)), axis=-1)
+    each: list[Floats] = []
+    for goal, (choices, q) in enumerate(model.of_each_goal):
+        found = chances(chooses, choices, q, hidden.expertise[hidden.goal_of == goal])
+        each += list(np.where(choices.goal[:, None], 0.0, found))  # who has reached the goal acts by a lapse only
+    chosen = np.stack(each, axis=-1)
     # Such probabilities count as 0: the influence (equation 6) at theta = 0 or 1 divides by them.
     chosen[chosen < 1e-290] = 0.0
-    if model.choices.goal_count > 1:  # people who have reached their goal stop, so that a further action is a lapse
-        chosen[model.choices.goal] = 0.0
     slots = np.arange(chosen.shape[1])
     columns = [np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T]
     return chosen, np.stack(columns, axis=1)
 
 
 def _trust_shares(
-    model: HumanModel, grid: Grid, rule: TrustRule, v: Floats, suggested: NDArray[np.int64], *, followed: bool
-) -> tuple[NDArray[np.int64], Floats]:
-    """Return the grid's shares of theta after each robot action, where the person expects the values `v`."""
-    slot = np.maximum(suggested, 0)
-    perceived = PerceivedSuggestions.of(
-        np.take_along_axis(model.q, slot, axis=1)[:, :, None], model.q.min(axis=1)[:, None, None],
-        v[:, None, None], v[np.take_along_axis(model.choices.targets, slot, axis=1)][:, :, None],
-        np.take_along_axis(model.choices.optimal, slot, axis=1)[:, :, None],
-    )  # fmt: skip
-    theta, count = moved(rule, grid.theta, grid.count, perceived.event(followed, rule.feedback))
-    silent = suggested[:, :, None] == NOTHING  # then theta does not move
-    return grid.shares(np.where(silent, grid.theta, theta), np.where(silent, grid.count, count))
+    model: HumanModel, chooses: ChoiceModel, grid: Grid, rule: TrustRule, frontier: LeafBounds | None,
+    suggested: NDArray[np.int64], *, followed: bool,
+) -> tuple[NDArray[np.int64], Floats]:  # fmt: skip
+    """Return the grid's shares of theta after each robot action, for each goal, both of shape (n, R, G, T)."""
+    slot, silent = np.maximum(suggested, 0), suggested[:, :, None] == NOTHING  # then theta does not move
+    each = []
+    for choices, q in model.of_each_goal:
+        v = value(chooses, choices, q)
+        if frontier is not None:  # no choices are known at the leaves, hence no value of the next state
+            leaves = frontier.states
+            v[leaves] = -choices.h[leaves] if frontier.value is None else frontier.value
+        perceived = PerceivedSuggestions.of(
+            np.take_along_axis(q, slot, axis=1)[:, :, None], q.min(axis=1)[:, None, None],
+            v[:, None, None], v[np.take_along_axis(choices.targets, slot, axis=1)][:, :, None],
+            np.take_along_axis(choices.optimal, slot, axis=1)[:, :, None],
+        )  # fmt: skip
+        theta, count = moved(rule, grid.theta, grid.count, perceived.event(followed, rule.feedback))
+        each.append(grid.shares(np.where(silent, grid.theta, theta), np.where(silent, grid.count, count)))
+    return np.stack([low for low, _ in each], axis=2), np.stack([weight for _, weight in each], axis=2)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..people.goals import in_task_states
 from .pomdp import AssistPOMDP
 
 
@@ -27,7 +26,8 @@ class ProblemArrays(NamedTuple):
     """A problem in the form that compiled code reads; shapes as in `AssistPOMDP` and `Choices`.
 
     It is a named tuple because numba does not accept dataclasses. `counts` is the number of choices in each state, and
-    `final` is as in `AssistPOMDP`, or as `of_hidden_goal` says.
+    `goal` and `final` have the shape (G, n), and `ends` (n,), as in `AssistPOMDP`. `goal_of`, shape (H,), is the goal
+    of each type.
     """
 
     counts: NDArray[np.int64]
@@ -35,6 +35,8 @@ class ProblemArrays(NamedTuple):
     costs: Floats
     goal: NDArray[np.bool_]
     final: NDArray[np.bool_]
+    ends: NDArray[np.bool_]
+    goal_of: NDArray[np.int64]
     robot_actions: NDArray[np.int64]
     suggested: NDArray[np.int64]
     afterstate: NDArray[np.int64]
@@ -56,8 +58,9 @@ class ProblemArrays(NamedTuple):
         choices = pomdp.model.choices
         arrays = {
             "counts": choices.applicable.sum(axis=1), "targets": choices.targets, "costs": choices.costs,
-            "goal": choices.goal, "final": pomdp.final, "robot_actions": pomdp.robot_actions,
-            "suggested": pomdp.suggested, "afterstate": pomdp.afterstate, "robot_costs": pomdp.robot_costs,
+            "goal": choices.goals.goal, "final": pomdp.final, "ends": pomdp.ends, "goal_of": pomdp.hidden.goal_of,
+            "robot_actions": pomdp.robot_actions, "suggested": pomdp.suggested, "afterstate": pomdp.afterstate,
+            "robot_costs": pomdp.robot_costs,
             "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested, "low": pomdp.low, "weight": pomdp.weight,
             "theta": pomdp.grid.theta,
             "followed_low": pomdp.low if pomdp.followed_low is None else pomdp.followed_low,
@@ -69,13 +72,3 @@ class ProblemArrays(NamedTuple):
             gamma=float(pomdp.gamma),
             lapse=float(pomdp.model.lapse),
         )
-
-    @classmethod
-    def of_hidden_goal(cls, pomdp: AssistPOMDP) -> ProblemArrays:
-        """Return the arrays for a policy that does not see the goal.
-
-        With several goals, `final` has one entry for each task state: whether all goals are reached there. The other
-        arrays are those of `of`.
-        """
-        final = np.all(in_task_states(pomdp.final[:, None], pomdp.model.choices.goal_count), axis=1)
-        return cls.of(pomdp)._replace(final=read_only(np.asarray(final)))

@@ -1,14 +1,13 @@
-"""Values of one person's problem with observed beta and theta.
+"""Values of one person's problem with an observed type and theta.
 
 `qmdp` computes the optimal values by policy iteration (`policy_iteration`). It returns the QMDP policy (Littman,
-Cassandra and Kaelbling, "Learning policies for partially observable environments", 1995), which acts as if the hidden
-pair were observed from the next step on. The person's choices are a free source of information, so that little is lost.
-The values are an upper bound on the value of any policy, up to rounding (`policy_iteration.rounding_error`).
+Cassandra and Kaelbling, "Learning policies for partially observable environments", 1995), which acts as if what is
+hidden, the type and theta, were observed from the next step on. The person's choices are a free source of information,
+so that little is lost. The values are an upper bound on the value of any policy, up to rounding
+(`policy_iteration.rounding_error`).
 
 `evaluate` computes the values of a policy that depends on x only. Their mean under a belief is the return of that
 policy, hence a lower bound on the optimal value.
-
-If the goal is hidden (`people.goals`), it counts as observed from the next step on, too.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from planner.system.jit import njit
 from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
-from ..people.goals import acting_belief
 from .action_values import BEST, action_values
 from .policy import Policy
 from .policy_iteration import SOLVING, Limits, improve, rounding_error
@@ -44,9 +42,9 @@ class QMDP(Policy):
     Attributes
     ----------
     pomdp : AssistPOMDP
-    value_mdp : float array, shape (n, B, T)
-        Optimal expected discounted return with observed beta and theta, exact or slightly too high, in cost units.
-    q_mdp : float array, shape (n, R, B, T)
+    value_mdp : float array, shape (n, H, T)
+        Optimal expected discounted return with observed type and theta, exact or slightly too high, in cost units.
+    q_mdp : float array, shape (n, R, H, T)
         Q-values of the same problem; minus infinity in padding.
     """
 
@@ -66,23 +64,13 @@ class QMDP(Policy):
         Parameters
         ----------
         x : int array, shape (N,)
-        belief : float array, shape (N, G * B, T)
+        belief : float array, shape (N, H, T)
         """
-        choices = self.pomdp.model.choices
-        return self.expected(choices.of_goals(x), acting_belief(choices, belief))
-
-    def expected(self, rows: NDArray[np.int64], belief: Floats) -> Floats:
-        """Return what `q_values` does, where `rows`, shape (G, N), are the rows of each goal."""
-        q = np.full((rows.shape[1], self.q_mdp.shape[1]), -np.inf)
-        flat = read_only(belief, float).reshape(rows.shape[1], len(rows), self.q_mdp[0, 0].size)
-        for goal, x in enumerate(rows):
-            own = q if goal == 0 else np.full_like(q, -np.inf)
-            _expected(
-                own, read_only(x, np.int64), read_only(flat[:, goal]), read_only(self._flat),
-                read_only(self.pomdp.robot_actions),
-            )  # fmt: skip
-            if goal:
-                q += own
+        q = np.full((len(x), self.q_mdp.shape[1]), -np.inf)
+        _expected(
+            q, read_only(x, np.int64), read_only(self.pomdp.hidden.acting(belief), float).reshape(len(x), -1),
+            read_only(self._flat), read_only(self.pomdp.robot_actions),
+        )  # fmt: skip
         return q
 
     @cached_property
@@ -91,9 +79,7 @@ class QMDP(Policy):
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""
-        choices = self.pomdp.model.choices
-        value = self.value_mdp[choices.of_goals(x).T]
-        return np.einsum("nbt,nbt->n", value.reshape(belief.shape), belief)
+        return np.einsum("nht,nht->n", self.value_mdp[x], belief)
 
 
 @shows_progress
@@ -111,7 +97,7 @@ def qmdp(
     Parameters
     ----------
     pomdp : AssistPOMDP
-    above : float array, shape (n, B, T), optional
+    above : float array, shape (n, H, T), optional
         Upper bounds at which the iteration starts.
     tolerance : float
         Largest error of any value, in cost units. Where values are so large that rounding makes larger errors, these
@@ -151,21 +137,23 @@ def load_compiled(pomdp: AssistPOMDP) -> None:
 
 
 def initial_upper_bounds(pomdp: AssistPOMDP) -> Floats:
-    """Return upper bounds from which value iteration starts, shape (n, B, T); those of final states are their values.
+    """Return upper bounds from which value iteration starts, shape (n, H, T); those of final states are their values.
 
     Costs are positive, so that 0 is an upper bound. In a dead end, each step costs at least the cheapest choice of any
     dead end, unless the frontier bounds there are higher.
     """
-    choices = pomdp.model.choices
-    value = np.zeros((len(choices), *pomdp.grid.shape))
-    dead = np.isinf(choices.h) & ~pomdp.final
+    choices, types = pomdp.model.choices, pomdp.hidden.goal_of
+    value = np.zeros((len(choices), *pomdp.prior.shape))
+    hopeless = np.isinf(choices.goals.h[types].T)  # the goal cannot be reached
+    dead = hopeless & ~pomdp.final[types].T
     if dead.any():
-        value[dead] = -choices.costs[dead][choices.applicable[dead]].min() / (1 - pomdp.gamma)
+        some = dead.any(axis=1)
+        value[dead] = -choices.costs[some][choices.applicable[some]].min() / (1 - pomdp.gamma)
     if pomdp.frontier is not None:
-        beyond = np.isinf(choices.h[pomdp.frontier.states])
-        value[dead] = np.maximum(value[dead], pomdp.frontier.upper[beyond].max(initial=-np.inf))
-        upper = pomdp.frontier.upper
-        value[pomdp.frontier.states] = upper if upper.ndim == 3 else upper[:, None, None]
+        upper = np.broadcast_to(pomdp.frontier.upper, (len(pomdp.frontier.states), *pomdp.prior.shape))
+        beyond = hopeless[pomdp.frontier.states]
+        value[dead] = np.maximum(value[dead], upper[beyond].max(initial=-np.inf))
+        value[pomdp.frontier.states] = upper
     return value
 
 
@@ -178,7 +166,7 @@ def value_iteration(
     deadline: float = math.inf,
     progress: Progress | None = None,
 ) -> bool:
-    """Improve values, shape (n, B, T), in place, as `policy_iteration.improve` says; return whether they converged.
+    """Improve values, shape (n, H, T), in place, as `policy_iteration.improve` says; return whether they converged.
 
     The values of final states do not change. The other arguments are as in `qmdp`.
     """
@@ -187,26 +175,18 @@ def value_iteration(
 
 
 def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = None) -> QMDP:
-    """Return the policy that is greedy with respect to values, shape (n, B, T), by one exact Bellman backup.
+    """Return the policy that is greedy with respect to values, shape (n, H, T), by one exact Bellman backup.
 
     Parameters
     ----------
     pomdp : AssistPOMDP
-    value : float array, shape (n, B, T)
+    value : float array, shape (n, H, T)
     states : int array, optional
         States in which the policy will be used; all by default.
     """
-    order = sweep_order(pomdp) if states is None else states[~pomdp.final[states]]
-    ends = np.flatnonzero(pomdp.final) if states is None else states[pomdp.final[states]]
     # Rows of other states are never written to, so that they take neither time nor physical memory.
     q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
-    q[ends] = -np.inf
-    q[ends, 0] = value[ends]
-    if pomdp.model.choices.goal_count > 1:  # a suggestion after the goal costs, and does no more
-        useless = np.arange(1, q.shape[1]) < pomdp.robot_actions[ends, None]
-        q[ends, 1:] = np.where(useless, -pomdp.robot_costs[ends, 1:], -np.inf)[:, :, None, None]
-        q[ends, 1:] += value[ends, None]
-    _q_values(q, value, read_only(order), ProblemArrays.of(pomdp))
+    _q_values(q, value, read_only(np.arange(len(value)) if states is None else states), ProblemArrays.of(pomdp))
     return QMDP(pomdp, value, q)
 
 
@@ -218,7 +198,7 @@ def evaluate(
     deadline: float = math.inf,
     max_sweeps: int | None = None,
 ) -> Floats:
-    """Return the values of a policy that depends on x only, shape (n, B, T): exact or slightly too low.
+    """Return the values of a policy that depends on x only, shape (n, H, T): exact or slightly too low.
 
     Parameters
     ----------
@@ -238,42 +218,42 @@ def evaluate(
     RuntimeError
         The values did not converge within `MOST_SWEEPS`, and no other limit ended the computation.
     """
-    arrays, active = ProblemArrays.of(pomdp), ~pomdp.final
+    arrays, active = ProblemArrays.of(pomdp), ~pomdp.final[pomdp.hidden.goal_of].T
     # This is a lower bound: the largest cost in every step.
     worst = -(pomdp.robot_costs.max(initial=0.0) + pomdp.model.choices.costs.max(initial=0.0)) / (1 - pomdp.gamma)
     if pomdp.frontier is not None:
         worst = min(worst, pomdp.frontier.lower.min(initial=0.0))
-    value = np.zeros((len(active), *pomdp.grid.shape))
+    value = np.zeros((len(active), *pomdp.prior.shape))
     value[active] = worst
     if pomdp.frontier is not None:
-        lower = pomdp.frontier.lower
-        value[pomdp.frontier.states] = lower if lower.ndim == 3 else lower[:, None]
+        value[pomdp.frontier.states] = pomdp.frontier.lower
     limits = Limits(tolerance, max_sweeps or MOST_SWEEPS, deadline)
     converged = improve(value, regions(pomdp), robot, arrays, limits, below=True)
     if not converged and max_sweeps is None and time.perf_counter() < deadline:
         raise RuntimeError(f"a policy's values have not converged after {MOST_SWEEPS} sweeps")
-    value[active] -= rounding_error(value, arrays)
-    return value
+    return value - np.where(active[:, :, None], rounding_error(value, arrays), 0.0)
 
 
-def regions(pomdp: AssistPOMDP) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the dead ends of a problem and all other states that are not final, both in the order of a sweep."""
-    order = sweep_order(pomdp)
-    dead = np.isinf(pomdp.model.choices.h[order])
-    return order[dead], order[~dead]
+def regions(pomdp: AssistPOMDP) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Return the dead ends of each goal and all other states that are not final, both in the order of a sweep."""
+    found = []
+    for goal, h in enumerate(pomdp.model.choices.goals.h):
+        order = sweep_order(pomdp, goal)
+        dead = np.isinf(h[order])
+        found.append((order[dead], order[~dead]))
+    return found
 
 
-def sweep_order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
-    """Return the states of a problem in an order in which successors mostly precede their predecessors."""
-    if pomdp.order is not None:
-        return pomdp.order
-    states = np.flatnonzero(~pomdp.final)
-    return states[np.argsort(pomdp.model.choices.h[states], kind="stable")]
+def sweep_order(pomdp: AssistPOMDP, goal: int) -> NDArray[np.int64]:
+    """Return the states in which the problem goes on for a goal; successors mostly precede their predecessors."""
+    h = pomdp.model.choices.goals.h[goal]
+    order = np.argsort(h, kind="stable") if pomdp.order is None else pomdp.order[goal]
+    return order[~pomdp.final[goal, order]]
 
 
 @njit(nogil=True, fastmath={"reassoc", "contract"})
 def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, robots: NDArray[np.int64]) -> None:
-    """Fill `q`, shape (N, R), with the expected entries of a table of shape (n, R, B * T)."""
+    """Fill `q`, shape (N, R), with the expected entries of a table of shape (n, R, H * T)."""
     for i in range(len(x)):
         b = belief[i]
         for r in range(robots[x[i]]):
@@ -285,13 +265,21 @@ def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, ro
 
 
 @njit()
-def _q_values(q: Floats, value: Floats, order: NDArray[np.int64], m: ProblemArrays) -> None:
-    """Fill `q`, shape (n, R, B, T), with the Q-values of all robot actions; minus infinity in padding."""
+def _q_values(q: Floats, value: Floats, states: NDArray[np.int64], m: ProblemArrays) -> None:
+    """Fill `q`, shape (n, R, H, T), with the Q-values of all robot actions in some states; minus infinity in padding.
+
+    Where the problem has ended for a type, a suggestion costs, and does no more.
+    """
     robots, thetas = q.shape[1], len(m.theta)
     row, expected, mean, declined = np.empty((robots, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas)
-    for x in order:
-        for b in range(value.shape[1]):
-            action_values(row, expected, mean, declined, value, x, b, BEST, m)
+    for x in states:
+        for h in range(value.shape[1]):
+            if m.final[m.goal_of[h], x]:
+                for r in range(m.robot_actions[x]):
+                    for t in range(thetas):
+                        row[r, t] = value[x, h, t] - (m.robot_costs[x, r] if r > 0 else 0.0)
+            else:
+                action_values(row, expected, mean, declined, value, x, h, BEST, m)
             for r in range(robots):
                 for t in range(thetas):
-                    q[x, r, b, t] = row[r, t] if r < m.robot_actions[x] else -np.inf
+                    q[x, r, h, t] = row[r, t] if r < m.robot_actions[x] else -np.inf

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ..people.arguments import whole
 from ..people.decision import Floats
-from ..people.goals import Value, in_task_states
 from . import hsvi
 from .policy_iteration import rounding_error
 from .pomdp import AssistPOMDP
@@ -63,16 +62,17 @@ class Search:
     """The bounds of one problem during the search."""
 
     def __init__(self, pomdp: AssistPOMDP, best: QMDP, options: SolverOptions) -> None:
-        self.pomdp, self.arrays, self.options = pomdp, ProblemArrays.of_hidden_goal(pomdp), options
-        states, size = pomdp.task_states, pomdp.prior.size
-        margin = np.where(pomdp.final[:, None, None], 0.0, 2 * rounding_error(best.value_mdp, ProblemArrays.of(pomdp)))
-        corner = self.by_state(best.value_mdp + margin)
-        self.q = self.by_state(best.q_mdp + margin[:, None])
+        self.pomdp, self.arrays, self.options = pomdp, ProblemArrays.of(pomdp), options
+        states, size = len(pomdp.robot_actions), pomdp.prior.size
+        known = pomdp.final[pomdp.hidden.goal_of].T[:, :, None]
+        margin = np.where(known, 0.0, 2 * rounding_error(best.value_mdp, self.arrays))
+        corner = (best.value_mdp + margin).reshape(states, size)
+        self.q = (best.q_mdp + margin[:, None]).reshape(states, -1, size)
         self.hull = hsvi.empty_hull(corner, 2 * options.depth)
         self.vectors = hsvi.empty_vectors(states, size, 4 * states + 2 * options.depth)
         robots, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
         self.trial = hsvi.new_trial(options.depth, size, robots, slots)
-        order = sweep_order(pomdp) % states
+        order = np.concatenate([sweep_order(pomdp, goal) for goal in range(len(pomdp.final))])
         self.order = read_only(order[np.sort(np.unique(order, return_index=True)[1])])  # each state once
         self.renewed = len(self.order)  # position of the current renewal in this order
         self.tried = 0  # backups of trials since the last renewal began
@@ -85,25 +85,21 @@ class Search:
     def first_policies(self, best: QMDP, until: float) -> tuple[float, float]:
         """Add the vectors of policies that depend on x only; return the values of never and of always suggesting."""
         pomdp = self.pomdp
-        never = self.begin(np.zeros(pomdp.task_states, dtype=np.int64))
-        optimal = np.any(self.by_state(pomdp.suggests_optimal[:, :, None, None]), axis=2)
-        always = self.begin(self.informed(best, pomdp.prior, np.asarray(optimal)), until)
+        never = self.begin(np.zeros(len(pomdp.robot_actions), dtype=np.int64))
+        always = self.begin(self.informed(best, pomdp.prior, np.asarray(pomdp.suggests_optimal.any(axis=2))), until)
         trusting = np.zeros_like(pomdp.prior)
         trusting[:, -1] = pomdp.prior.sum(axis=1)
         for belief in (pomdp.prior, trusting):
             self.begin(self.informed(best, belief), until, self.options.first_sweeps)
         return never, always
 
-    def by_state(self, values: NDArray[Value]) -> NDArray[Value]:
-        """Return values of all rows, shape (G * n, ..., B, T), by state: shape (n, ..., G * B * T)."""
-        return in_task_states(values.reshape(*values.shape[:-2], -1), self.pomdp.model.choices.goal_count)
-
     def informed(self, best: QMDP, belief: Floats, among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
         """Return QMDP's action in each state for one belief, shape (n,).
 
         The choice is among all robot actions, or among those of the mask `among`, shape (n, R).
         """
-        q = np.einsum("nrh,h->nr", self.by_state(np.maximum(best.q_mdp, -1e300)), belief.reshape(-1))
+        values = np.maximum(best.q_mdp, -1e300).reshape(*best.q_mdp.shape[:2], -1)
+        q = np.einsum("nrh,h->nr", values, belief.reshape(-1))
         if among is not None:
             q = np.where(among, q, -np.inf)
         return q.argmax(axis=1)
@@ -149,8 +145,7 @@ class Search:
 
     def begin(self, robot: NDArray[np.int64], deadline: float = math.inf, max_sweeps: int | None = None) -> float:
         """Add the vectors of a policy that depends on x only; return its value at the root, or a lower bound on it."""
-        rows = np.tile(robot, self.pomdp.model.choices.goal_count)
-        value = self.by_state(evaluate(self.pomdp, rows, deadline=deadline, max_sweeps=max_sweeps))
+        value = evaluate(self.pomdp, robot, deadline=deadline, max_sweeps=max_sweeps).reshape(len(robot), -1)
         hsvi.add_vectors(value, robot, _own(self.pomdp.prior), self.vectors)
         return float((value[self.root] * self.prior).sum())
 

@@ -60,7 +60,8 @@ class SolutionCache:
 def _key(pomdp: AssistPOMDP, tolerance: float) -> bytes:
     """Return a digest of all that the values depend on."""
     digest = hashlib.sha256(repr(tolerance).encode())
-    for part in (*ProblemArrays.of(pomdp), initial_upper_bounds(pomdp), sweep_order(pomdp)):
+    orders = (sweep_order(pomdp, goal) for goal in range(len(pomdp.final)))
+    for part in (*ProblemArrays.of(pomdp), initial_upper_bounds(pomdp), *orders):
         array = np.ascontiguousarray(part)
         digest.update(f"{array.shape} {array.dtype}".encode())
         digest.update(array.data)

@@ -2,15 +2,12 @@
 
 The algorithm is heuristic search value iteration (Smith and Simmons, "Point-based POMDP algorithms: improved analysis
 and implementation", 2005), adapted to this problem: x is observed, so that every state has bounds of its own, over
-beliefs of B * T numbers.
-
-If the goal is hidden, too, a state is a task state, and beliefs have G * B * T numbers. A person who reaches their
-goal stops, which the robot sees.
+beliefs of H * T numbers. A person who reaches their goal stops, which the robot sees.
 
 - Lower bound: each state has alpha vectors. The first ones belong to policies that depend on x only (`qmdp.evaluate`).
   Each backup adds the vector of a robot action that is followed by existing vectors. So the lower bound is the value of
   a policy that can be executed.
-- Upper bound: each state has a hull. It starts at the values of the problem with observed beta and theta (`qmdp.qmdp`).
+- Upper bound: each state has a hull. It starts at the values of the problem with observed type and theta (`qmdp.qmdp`).
   Backups lower it at single beliefs.
 
 A trial starts at the initial state and the prior. It follows the robot action with the largest upper bound to a child,
@@ -21,7 +18,7 @@ time the trials have done as many backups as the hull has beliefs. It does so in
 in point-based value iteration: Pineau, Gordon and Thrun, 2003).
 
 Both bounds hold in floating-point arithmetic: every stored number is moved outwards by `rounding`. They are bounds
-for the problem on its grid of beta and theta, and for people as `AssistPOMDP` models them.
+for the problem on its types and grid of theta, and for people as `AssistPOMDP` models them.
 """
 
 from __future__ import annotations
@@ -63,9 +60,9 @@ class Solution(Result, Policy):
     Attributes
     ----------
     policy : VectorPolicy
-    corner : float array, shape (n, G * B, T)
-        Upper bound for known goal, beta and theta, in cost units.
-    point : float array, shape (p, G * B, T)
+    corner : float array, shape (n, H, T)
+        Upper bound for known type and theta, in cost units.
+    point : float array, shape (p, H, T)
         Beliefs with a lower upper bound, sorted by state.
     drop : float array, shape (p,)
         Upper bound at each of these beliefs minus the value of `corner` there; negative.
@@ -111,13 +108,13 @@ class Solution(Result, Policy):
     def save(self, file: str | Path, **more: Any) -> None:
         """Save the solution and its problem as arrays of one `.npz` file.
 
-        For n states, m alpha vectors, B values of beta and T of theta: `policy.vectors` (m, B, T) are the alpha
+        For n states, m alpha vectors, H types and T values of theta: `policy.vectors` (m, H, T) are the alpha
         vectors, sorted by state; `policy.robot` (m,) the robot action with which each plan begins; state x has the
-        vectors `policy.first[x]` to `policy.first[x + 1] - 1`. `corner` (n, B, T) is the upper bound where beta and
-        theta are known; `point` (p, B, T) and `drop` (p,) are beliefs with a lower upper bound and the differences,
+        vectors `policy.first[x]` to `policy.first[x + 1] - 1`. `corner` (n, H, T) is the upper bound where type and
+        theta are known; `point` (p, H, T) and `drop` (p,) are beliefs with a lower upper bound and the differences,
         and `first` (n + 1,) the first belief of each state. `policy.pomdp...` is the problem, as documented at
-        `AssistPOMDP`, `HumanModel`, `Choices` and `Grid`. Robot action 0 is to do nothing; r suggests the action
-        `names[actions[x, suggested[x, r]]]` of `policy.pomdp` and its `model.choices`.
+        `AssistPOMDP`, `HumanModel`, `Choices`, `HiddenType` and `Grid`. Robot action 0 is to do nothing; r
+        suggests the action `names[actions[x, suggested[x, r]]]` of `policy.pomdp` and its `model.choices`.
 
         Parameters
         ----------
@@ -157,7 +154,7 @@ class Solution(Result, Policy):
     def as_dict(self) -> dict[str, Any]:
         """Return the size of the problem, its bounds and the effort, as plain data."""
         return {
-            "states": self.pomdp.task_states,
+            "states": len(self.pomdp.robot_actions),
             "hidden": self.pomdp.prior.size,
             "lower": self.lower,
             "upper": self.upper,
@@ -176,7 +173,7 @@ class Solution(Result, Policy):
         Parameters
         ----------
         x : int array, shape (N,)
-        belief : float array, shape (N, G * B, T)
+        belief : float array, shape (N, H, T)
         """
         return self.policy.q_values(x, belief)
 
@@ -189,11 +186,11 @@ class Solution(Result, Policy):
 
         The arguments are as in `q_values`.
         """
-        value, size, own = np.empty(len(x)), self.pomdp.prior.size, x % self.pomdp.task_states
+        value, size = np.empty(len(x)), self.pomdp.prior.size
         beliefs = np.array(belief, dtype=float, order="C").reshape(len(x), size)  # writable, as in sampled bounds
         corner, point = (read_only(array).reshape(-1, size) for array in (self.corner, self.point))
         drop, first = read_only(self.drop), read_only(self.first)
-        convex_bound.uppers(value, read_only(own, np.int64), beliefs, corner, point, drop, first, convex_bound.PIVOTS)
+        convex_bound.uppers(value, read_only(x, np.int64), beliefs, corner, point, drop, first, convex_bound.PIVOTS)
         return value
 
 
@@ -225,7 +222,7 @@ def solve(
         Stop before vectors and beliefs take more memory, in MB.
     best : QMDP, optional
         The QMDP policy, if it is already known.
-    further_beliefs : int array, shape (m,), and float array, shape (m, B, T), optional
+    further_beliefs : int array, shape (m,), and float array, shape (m, H, T), optional
         Further states, none of them final, and beliefs at which the bounds should be tight. The last has priority in
         the upper bound's linear program. A third of the time limit is reserved for them. The work on them ends when
         nothing improves.
@@ -248,7 +245,7 @@ def solve(
             raise ValueError(f"{name} {number:g}: expected 0 or more")
     options = options or SolverOptions(depth=depth_within(pomdp, memory_limit_mb))
     require_room(
-        f"the first bounds on {pomdp.task_states:,} states take", first_bounds_bytes(pomdp, options.depth),
+        f"the first bounds on {len(pomdp.robot_actions):,} states take", first_bounds_bytes(pomdp, options.depth),
         memory_limit_mb, "fewer states, a coarser grid or more memory",
     )  # fmt: skip
     load_compiled(pomdp)
@@ -273,8 +270,7 @@ def solve(
     if further_beliefs is not None and len(further_beliefs[0]):
         widen(work, *further_beliefs, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
         work.tighten()
-    rows = pomdp.model.choices.of_goals(np.array([pomdp.model.choices.initial]))[:, 0]
-    observed = best.value_mdp[rows].reshape(pomdp.prior.shape) * pomdp.prior
+    observed = best.value_mdp[pomdp.model.choices.initial] * pomdp.prior
     return result_of(
         work, value_qmdp=float(observed.sum()), value_never=never, value_always=always,
         seconds=time.perf_counter() - start, stopped=stopped,
@@ -283,7 +279,7 @@ def solve(
 
 def result_of(search: Search, **facts: object) -> Solution:
     """Return the result of a search, sorted by state."""
-    pomdp, states = search.pomdp, search.pomdp.task_states
+    pomdp, states = search.pomdp, len(search.pomdp.robot_actions)
     shape = (-1, *pomdp.prior.shape)
     kept, first = _sorted(search.vectors.state, states)
     policy = VectorPolicy(

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from planner import LimitError, Table
 
 from ..people.arguments import require_goal
 from ..people.choices import Choices
-from ..people.goals import Goals, each_of
+from ..people.goals import Goals, each_of, first_of
 from ..people.human import Population
 from ..people.memory import choices_of
 from ..people.mixture import Mixture
@@ -61,24 +59,23 @@ def _choices(
 ) -> Choices:
     """Return the choices in an enumerated task, unless the policies would exceed the memory limit."""
     models = size if setting.knowledge == "own" else 1
-    goals = table.goal_count if isinstance(table, Choices) else len(each_of(table))
+    goals = len(table.goals) if isinstance(table, Choices) else len(each_of(table))
     # checked before the choices are built
-    _require_room_for_policies(policy_bytes(len(table)), len(table), models, memory_limit_mb, goals)
+    states = len(table) if isinstance(table, Choices) else len(first_of(table))
+    _require_room_for_policies(goals * policy_bytes(states), states, models, memory_limit_mb, goals)
     choices = table.choices() if isinstance(table, Goals) else choices_of(table, terms)
     require_goal(choices.h[choices.initial])
     offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
-    if goals > 1:  # what is offered for one goal is offered for all
-        offered = np.logical_or.reduce(offered.reshape(goals, -1, offered.shape[1]))
     robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.fleet.executes)
     one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
-    _require_room_for_policies(one, len(choices), models, memory_limit_mb, goals)
+    _require_room_for_policies(goals * one, len(choices), models, memory_limit_mb, goals)
     return choices
 
 
-def _require_room_for_policies(one: int, rows: int, models: int, limit_mb: float, goals: int) -> None:
-    """Raise a `LimitError` if the policies of `one` bytes each, with `rows` for all goals, exceed the memory limit."""
+def _require_room_for_policies(one: int, states: int, models: int, limit_mb: float, goals: int) -> None:
+    """Raise a `LimitError` if the policies of `one` bytes each exceed the memory limit."""
     who, less = ("one person", "") if models == 1 else (f"{models:,} people", ONE_FOR_ALL)
-    size = f"{rows // goals:,} states" + (f" and {goals} goals" if goals > 1 else "")
+    size = f"{states:,} states" + (f" and {goals} goals" if goals > 1 else "")
     what = f"policies for {who} on a task of {size} take"
     # a sorted copy of one policy's values exists temporarily
     require_room(what, (models + 1) * one, limit_mb, f"{less}a higher memory limit")

@@ -80,12 +80,13 @@ def beliefs_of_episode(
         world=world, trace=trace,
     )  # fmt: skip
     found, models = episodes[0], pool.model[episodes.people[0]]
-    grids = [pool.policies[model].pomdp.grid for model in models]
+    pomdps = [pool.policies[model].pomdp for model in models]
     rows = []
     for action in trace:
         place, step = action["place"], action["step"]
-        belief = watched.beliefs[step][place] if step in watched.beliefs else np.full(grids[place].shape, np.nan)
-        beta, theta = grids[place].spreads(belief)
+        pomdp = pomdps[place]
+        belief = watched.beliefs[step][place] if step in watched.beliefs else np.full(pomdp.prior.shape, np.nan)
+        beta, theta = pomdp.grid.spreads(belief, pomdp.hidden)
         rows.append(
             {
                 "place": place,

@@ -45,7 +45,7 @@ class CommonRandomNumbers:
 def from_the_prior(
     pomdps: Sequence[AssistPOMDP], model: NDArray[np.int64], drawn: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
-    """Draw the types of people in the robot's model: points of the grid, from the prior of their model.
+    """Draw people in the robot's model, from the prior of their model.
 
     Parameters
     ----------
@@ -59,14 +59,14 @@ def from_the_prior(
     Returns
     -------
     goal, mind, beta, theta : arrays of the same shape
-        Number of the goal, index of beta in the grid, and the values of beta and theta.
+        Number of the goal, number of the type, and the expertise and theta.
     """
-    goal = np.zeros(model.shape, dtype=np.int64)
-    mind, beta, theta = np.zeros(model.shape, dtype=np.int64), np.zeros(model.shape), np.zeros(model.shape)
+    goal, mind = np.zeros((2, *model.shape), dtype=np.int64)
+    beta, theta = np.zeros((2, *model.shape))
     for number, pomdp in enumerate(pomdps):
         at, prior = model == number, pomdp.prior.ravel()
         cell = np.searchsorted(np.cumsum(prior), drawn[at], side="right")
-        part, t = np.divmod(np.minimum(cell, np.flatnonzero(prior)[-1]), len(pomdp.grid.theta))
-        goal[at], b = np.divmod(part, len(pomdp.grid.beta))
-        mind[at], beta[at], theta[at] = b, pomdp.grid.beta[b], pomdp.grid.theta[t]
+        h, t = np.divmod(np.minimum(cell, np.flatnonzero(prior)[-1]), len(pomdp.grid.theta))
+        goal[at], mind[at] = pomdp.hidden.goal_of[h], h
+        beta[at], theta[at] = pomdp.hidden.expertise[h], pomdp.grid.theta[t]
     return goal, mind, beta, theta

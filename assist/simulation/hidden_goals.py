@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..people.goals import drawn_goals, given_likeliest
+from ..people.hidden_type import HiddenType, drawn_goals
 from ..person.ties import NEAR, first_best
 from ..team.questions import Questions, answered
 from ..team.state import by_model
@@ -50,23 +50,27 @@ class HiddenGoals:
     ) -> HiddenGoals:
         """Return people's goals: those given, or ones that are drawn from the prior of each model."""
         if goal is None:
-            every = [policy.pomdp.model.choices for policy in pool.policies]
-            goal = drawn_goals(every, model, random_numbers.draw(4, np.arange(len(model))))
+            priors = [policy.pomdp.hidden.goals for policy in pool.policies]
+            goal = drawn_goals(priors, model, random_numbers.draw(4, np.arange(len(model))))
         return cls(pool, model, goal, random_numbers, knowledge)
 
+    @property
+    def hidden(self) -> HiddenType:
+        """The types of the people; all have as many goals."""
+        return self.pool.policies[0].pomdp.hidden
+
     def first_beliefs(self, belief: Floats) -> Floats:
-        """Return the robot's first beliefs, shape (N, K, G * B, T): given the goals, if it knows them."""
+        """Return the robot's first beliefs, shape (N, K, H, T): given the goals, if it knows them."""
         if self.knowledge != "known":
             return belief
-        own = np.arange(self.pool.goals) == self.goal[:, :, None]
-        given = belief * own.repeat(belief.shape[2] // self.pool.goals, axis=2)[..., None]
+        given = self.hidden.given_goal(belief, np.arange(len(self.hidden.goals)) == self.goal[:, :, None])
         return np.asarray(given / given.sum(axis=(2, 3), keepdims=True))
 
     def acted_on(self, belief: Floats | None) -> Floats | None:
         """Return the beliefs on which the robot acts."""
         if belief is None or self.knowledge != "likeliest":
             return belief
-        return given_likeliest(belief, self.pool.goals)
+        return self.hidden.given_likeliest(belief)
 
     def ask(
         self, questions: Questions, active: NDArray[np.bool_], x: Ints, belief: Floats, told: Callable[..., None]
@@ -78,8 +82,8 @@ class HiddenGoals:
         questions : Questions
         active : bool array, shape (N, K)
         x : int array, shape (N, K)
-            Rows that the robot sees.
-        belief : float array, shape (N, K, G * B, T)
+            State of each person.
+        belief : float array, shape (N, K, H, T)
             Replaced by the beliefs after the answers.
         told : callable
             Receives each question and its answer, as `Run.asked_about`.
@@ -102,6 +106,6 @@ class HiddenGoals:
         asks = worth[teams, person] > NEAR
         for team, k in zip(teams[asks].tolist(), person[asks].tolist(), strict=True):
             goal, yes = int(about[team, k]), bool((self.goal[team, k] == about[team, k]) != wrong[team, k])
-            belief[team, k] = answered(belief[team, k], goal, self.pool.goals, yes, questions.error)
+            belief[team, k] = answered(belief[team, k], self.hidden, goal, yes, questions.error)
             told(team, k, goal, yes=yes, worth=float(worth[team, k]))
         return teams[asks], person[asks]

@@ -33,17 +33,15 @@ class ModelGroup:
     arrays : ProblemArrays
         Their problem.
     minds : Minds
-        Choices of each of them; in the robot's model, of each beta of the grid.
+        Choices of each of them with each goal; in the robot's model, of each type.
     people : int array
         Their numbers in the pool, in the order of `minds`.
     row : int array, shape (people,)
-        Row of each person of the pool in `minds`; 0 for people of other models.
+        First row of each person of the pool in `minds`, that of the first goal; 0 for people of other models.
     states : int array, shape (n,), or None
         Task state of each row of the problem; None if rows and states are the same.
     trust : TrustOfPeople or None
         How people's own theta changes, if not by equation 7 or as in the robot's model.
-    goals : int
-        Number of goals that are possible.
     """
 
     arrays: ProblemArrays
@@ -52,11 +50,10 @@ class ModelGroup:
     row: Ints
     states: Ints | None = None
     trust: TrustOfPeople | None = None
-    goals: int = 1
 
     @property
     def ends(self) -> NDArray[np.bool_]:
-        """Whether episodes end in each state, shape (n,).
+        """Whether episodes end in each state for each goal, shape (G, n).
 
         They also end at the frontier of a problem whose choices were given as those of the whole task.
         """
@@ -82,25 +79,31 @@ class ModelGroup:
         states : int array, shape (n,), optional
             As in the attributes of the class.
         """
-        model, choices = pomdp.model, pomdp.model.choices
-        row, trust = np.zeros(len(pool.people), dtype=np.int64), None
-        on_grid, eta = world == "model", model.eta / model.utility_scale
-        if on_grid:  # the problem defines the trust update
-            p, v, lapse = np.ascontiguousarray(np.moveaxis(pomdp.chosen, 2, 0)), np.empty((0, 0)), model.lapse
-        else:
-            minds = [_mind(pool.people[i], choices) for i in own.tolist()]
-            p, v, lapse = np.array([mind[0] for mind in minds]), np.array([mind[1] for mind in minds]), 0.0
-            row[own] = np.arange(len(own))
+        model, choices, row, trust = pomdp.model, pomdp.model.choices, np.zeros(len(pool.people), dtype=np.int64), None
+        minds = Minds.of_model(pomdp)  # the problem defines the trust update
+        if world == "people":
+            goals = choices.of_each_goal
+            found = [_mind(pool.people[i], own_choices) for i in own.tolist() for own_choices in goals]
+            p, v, q = (np.array(part) for part in zip(*found, strict=True))
+            row[own] = np.arange(len(own)) * len(goals)
+            eta = model.eta / model.utility_scale
             if pool.setting.trust not in (None, "paper"):
-                trust, eta = TrustOfPeople(pool.setting.trust_rule(), np.array([mind[2] for mind in minds])), 0.0
-        made = Minds(p, v, read_only(choices.optimal), eta=eta, lapse=lapse, on_grid=on_grid)
-        return cls(ProblemArrays.of(pomdp), made, own, row, states, trust, choices.goal_count)
+                trust, eta = TrustOfPeople(pool.setting.trust_rule(), q), 0.0
+            goal = read_only(np.tile(np.arange(len(goals)), len(own)))
+            minds = minds._replace(goal=goal, p=p, value=v, eta=eta, lapse=0.0, on_grid=False)
+        return cls(ProblemArrays.of(pomdp), minds, own, row, states, trust)
+
+    def mind(self, people: Ints, goal: Ints) -> Ints:
+        """Return the row of `minds` of some people, given by their numbers in the pool, with their goals."""
+        return self.row[people] + goal
+
+    def ended(self, rows: Ints, people: PeopleArrays) -> NDArray[np.bool_]:
+        """Return whether the episode has ended for the people of some rows."""
+        return np.asarray(self.ends[self.minds.goal[people.who[rows]], people.x[rows]])
 
     def states_of(self, rows: Ints) -> Ints:
-        """Return the task state of some rows of the problem, whatever the goal."""
-        if self.states is not None:
-            return self.states[rows]
-        return rows if self.goals == 1 else rows % (len(self.arrays.goal) // self.goals)
+        """Return the task state of some rows of the problem."""
+        return rows if self.states is None else self.states[rows]
 
     def act(self, rows: Ints, people: PeopleArrays) -> None:
         """Let the people of some rows, all of this model, act once."""

@@ -20,6 +20,7 @@ from ..people.arguments import Seed, entropy, require_goal, whole
 from ..people.choices import Choices
 from ..people.goals import Goals, costs_to_go, each_of, first_of
 from ..people.human import Human, Population
+from ..people.misconception import Misconception
 from ..people.mixture import Mixture
 from ..person.lazy_policy import LazyPolicy
 from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
@@ -103,7 +104,7 @@ class Pool(Result):
         shapes = {policy.pomdp.grid.shape for policy in self.policies}
         if len(shapes) > 1:
             raise ValueError(f"grids of shapes {sorted(shapes)}: expected the same for everybody")
-        goals = {policy.pomdp.model.choices.goal_count for policy in self.policies}
+        goals = {len(policy.pomdp.hidden.goals) for policy in self.policies}
         if len(goals) > 1:
             raise ValueError(
                 f"people with {' and '.join(map(str, sorted(goals)))} goals: expected as many for everybody"
@@ -112,6 +113,8 @@ class Pool(Result):
             if policy.pomdp.gamma != self.setting.gamma:
                 raise ValueError(f"gamma {policy.pomdp.gamma:g}: expected that of the setting, {self.setting.gamma:g}")
         for number, human in enumerate(self.people):
+            if isinstance(human.h, Misconception):
+                continue
             expected = human.expects(self.choices(number))
             if len(expected) != len(self.choices(number)):
                 raise ValueError(
@@ -228,7 +231,7 @@ class Pool(Result):
     @property
     def goals(self) -> int:
         """The number of goals, one of which each person pursues."""
-        return self.choices(0).goal_count
+        return len(self.policies[0].pomdp.hidden.goals)
 
     def choices(self, person: int) -> Choices:
         """Return the choices of a person's task."""

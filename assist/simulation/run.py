@@ -151,9 +151,8 @@ class Run:
         for number, rows in by_model(view.model.reshape(-1), flat, len(view.policies)):
             group = view.groups[number]
             group.act(rows, people)
-            to = people.x[rows]
-            self.finished.reshape(-1)[rows] = group.ends[to]
-            self.x.reshape(-1)[rows] = group.states_of(to)
+            self.finished.reshape(-1)[rows] = group.ended(rows, people)
+            self.x.reshape(-1)[rows] = group.states_of(people.x[rows])
         if self.observed is not None and said is not None:
             self.observed.observe(view, before, people, said, running, self.finished, self.erred, self.random_numbers)
         slot, cost = people.slot, people.cost.reshape(self.x.shape)
@@ -179,7 +178,7 @@ class Run:
         """Return the robots' action towards each person and its cost, both of shape (N, K), as chosen by the policy."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
         if self.goals is not None and self.questions is not None and self.belief is not None:
-            asked = self.goals.ask(self.questions, active, view.visible, self.belief, self.asked_about)
+            asked = self.goals.ask(self.questions, active, view.x, self.belief, self.asked_about)
             charged[asked] += self.questions.cost
             self.asked[asked[0]] += 1
         arrived = self.busy_until <= step
@@ -187,7 +186,7 @@ class Run:
         if not len(free):
             return robot, charged
         every = slice(None) if len(free) == len(self.x) else free
-        visible, belief = view.visible, self.belief
+        visible, belief = view.x, self.belief
         if self.observed is not None:
             visible, belief = self.observed.x, self.observed.beliefs
         elif self.goals is not None:

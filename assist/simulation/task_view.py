@@ -28,13 +28,11 @@ class StepView:
     groups : mapping of int to ModelGroup
         By the index of the policy.
     x : int array
-        Row of each person in their policy's problem, of the goal that they pursue.
+        Row of each person in their policy's problem.
     model : int array
         Index of each person's policy.
     who : int array
-        Row of each person in their group's `Minds`.
-    offset : int array
-        Number of rows before those of each person's goal.
+        Row of each person in their group's `Minds`, which has their goal.
     """
 
     policies: Sequence[Policy]
@@ -42,12 +40,6 @@ class StepView:
     x: Ints
     model: Ints
     who: Ints
-    offset: Ints
-
-    @property
-    def visible(self) -> Ints:
-        """Row of each person in their state, of the first goal: all that the robot sees."""
-        return np.asarray(self.x - self.offset)
 
 
 class TaskView:
@@ -57,8 +49,8 @@ class TaskView:
     ----------
     parts : TaskParts
     model, people, mind, goal : int arrays, shape (N, K)
-        Each person's model, their number in the pool, the index of their beta in the robot's model, and the number of
-        their goal.
+        Each person's model, their number in the pool, the number of their type in the robot's model, and that of their
+        goal.
     """
 
     def __init__(self, parts: TaskParts, model: Ints, people: Ints, mind: Ints, goal: Ints) -> None:
@@ -81,26 +73,23 @@ class TaskView:
         deep : bool
             Whether local problems must have the effect of every suggestion on trust, not only of those that are made.
         """
-        return self._view(x, active, deep) if self._whole is None else replace(self._whole, x=x + self._whole.offset)
+        return self._view(x, active, deep) if self._whole is None else replace(self._whole, x=x)
 
     def _view(self, x: Ints, active: Ints, deep: bool) -> StepView:
         policies, groups = list(self.parts.pool.policies), dict[int, ModelGroup]()
-        rows, who, offset = np.zeros((3, x.size), dtype=np.int64)
+        rows, who = np.zeros((2, x.size), dtype=np.int64)
         for number, flat in by_model(self.model.reshape(-1), active, len(policies)):
             states, people = x.reshape(-1)[flat], self.people.reshape(-1)[flat]
             part = self.parts.of(number, np.unique(states), np.unique(people), deep)
             own = part.policy.rows(states, deep=deep)
             assert own is not None
             policies[number], groups[number] = part.policy, part.group
-            offset[flat] = self._offset(part.policy, flat)
-            rows[flat] = own + offset[flat]
-            who[flat] = self.mind.reshape(-1)[flat] if self.parts.world == "model" else part.group.row[people]
-        rows, who, offset = (array.reshape(x.shape) for array in (rows, who, offset))
-        return StepView(policies, groups, rows, self.model, who, offset)
-
-    def _offset(self, policy: Policy, flat: Ints) -> Ints:
-        """Return the number of rows before those of the goals of some people in a policy's problem."""
-        return self.goal.reshape(-1)[flat] * policy.pomdp.task_states
+            rows[flat] = own
+            if self.parts.world == "model":
+                who[flat] = self.mind.reshape(-1)[flat]
+            else:
+                who[flat] = part.group.mind(people, self.goal.reshape(-1)[flat])
+        return StepView(policies, groups, rows.reshape(x.shape), self.model, who.reshape(x.shape))
 
     def after_suggestions(self, view: StepView, robot: Ints) -> StepView:
         """Return the view after the given robot actions, shape (N, K), which can be simulated from it.
@@ -110,11 +99,9 @@ class TaskView:
         """
         if self._whole is not None:
             return view
-        groups, policies, offset = dict(view.groups), list(view.policies), view.offset.copy()
+        groups, policies = dict(view.groups), list(view.policies)
         for number, flat in by_model(view.model.reshape(-1), np.flatnonzero(robot), len(policies)):
             again = policies[number].after_suggestions(view.x.reshape(-1)[flat], robot.reshape(-1)[flat])
             if again is not policies[number]:
                 groups[number], policies[number] = self.parts.group(again, groups[number].people), again
-                everybody = np.flatnonzero(view.model == number)
-                offset.reshape(-1)[everybody] = self._offset(again, everybody)
-        return replace(view, groups=groups, policies=policies, x=view.visible + offset, offset=offset)
+        return replace(view, groups=groups, policies=policies)

@@ -39,7 +39,7 @@ class TracedRun(Run):
 
     def asked_about(self, team: int, place: int, goal: int, *, yes: bool, worth: float) -> None:
         """Keep a question and its answer for the record of the person who was asked."""
-        name = list(self.pool.choices(int(self.people[team, place])).goals or ())[goal]
+        name = self.pool.choices(int(self.people[team, place])).goals.names[goal]
         self.said.setdefault((team, place), {})["question"] = {"goal": name, "answer": yes, "worth": worth}
 
     def watch(self, taken: StepTaken) -> None:
@@ -49,6 +49,7 @@ class TracedRun(Run):
             e, k = divmod(int(i), self.x.shape[1])
             pomdp = view.policies[view.model[e, k]].pomdp
             choices, x, r = pomdp.model.choices, int(taken.before[e, k]), int(taken.robot[e, k])
+            goal = int(self.task_view.goal[e, k])
             suggested = int(pomdp.suggested[x, r])
             place = int(pomdp.afterstate[x, r])
             there = [
@@ -66,11 +67,11 @@ class TracedRun(Run):
                 "place": k,
                 **({"robot_place": there[0]} if len(there) == 1 else {"robot_places": there}),
                 "cost": float(choices.costs[place, taken.slot[i]]) if taken.slot[i] >= 0 else 0.0,
-                "cost_to_go": finite(choices.h[x]),
-                "cost_to_go_after": finite(choices.h[view.x[e, k]]),
+                "cost_to_go": finite(choices.goals.h[goal, x]),
+                "cost_to_go_after": finite(choices.goals.h[goal, view.x[e, k]]),
                 "theta": float(taken.theta[e, k]),
                 "reward": float(taken.reward[e, k]),
-                **({} if self.goals is None else {"goal": list(choices.goals or ())[self.goals.goal[e, k]]}),
+                **({} if self.goals is None else {"goal": choices.goals.names[goal]}),
                 **self.said.get((e, k), {}),
             }
             self.traces[e].append(row)

@@ -21,7 +21,7 @@ class TrustOfPeople:
     ----------
     rule : TrustRule
     perceived : float array, shape (m, n, A)
-        Perceived costs of each of them.
+        Perceived costs of each row of `Minds`.
     """
 
     rule: TrustRule
@@ -47,7 +47,7 @@ class TrustOfPeople:
         who, x, slot = who[advised], before[advised], suggested[advised]
         perceived = PerceivedSuggestions.of(
             self.perceived[who, x, slot], self.perceived[who, x].min(axis=1), value[who, x],
-            value[who, arrays.targets[x, slot]], minds.optimal[x, slot],
+            value[who, arrays.targets[x, slot]], minds.optimal[x, slot, minds.goal[who]],
         )  # fmt: skip
         event = perceived.event(people.slot[rows[advised]] == slot, self.rule.feedback)
         people.theta[rows[advised]], people.seen[rows[advised]] = moved(self.rule, theta[advised], seen[advised], event)

@@ -168,7 +168,7 @@ def _part(task: CostToGo | Choices) -> tuple[Choices, LeafBounds | None]:
         return task, None
     region = StateCache(task).around(np.array([task.initial]))
     bound = np.zeros(len(region.frontier))
-    return region.choices, LeafBounds(region.frontier, np.zeros((len(bound), 2)), bound)
+    return region.choices, LeafBounds(region.frontier, np.zeros((len(bound), 1, 2)), bound[:, None, None])
 
 
 @cache
@@ -214,7 +214,7 @@ def check(study: Study, progress: Progress = lambda *_: None) -> None:
                 try:
                     choices, frontier = _part(_task(dict(study.instances)[name]))
                     setting.problem(choices, None, Population(), frontier=frontier)
-                    setting.require_questions(choices.goal_count)
+                    setting.require_questions(len(choices.goals))
                 except ValueError as error:
                     place = f"condition '{condition.name}', setting '{label}'" if label else "setting"
                     raise InputFileError(f"{study.file}: {place}: {error}") from None

@@ -30,13 +30,20 @@ class NoAssistance:
 class Reactive:
     """Go to a person whose last action was a mistake, and suggest an optimal action.
 
-    A mistake is an action that is not an optimal choice, that is, no optimal plan from the state begins with it.
-    (Whether h* decreased is another question, because costs differ between actions and may be 0.) Robots help as many
-    people as possible, the nearest ones: a robot stays with the present person if they have erred, and otherwise goes
-    to the first of the nearest. In a dead end no action is optimal, so that nothing is suggested.
+    A mistake is an action that is not an optimal choice, that is, no optimal plan from the state begins with it. If a
+    person pursues one of several goals, a mistake is no optimal choice for any that is possible, and the suggestion is
+    optimal for the most probable goal. (Whether h* decreased is another question, because costs differ between actions
+    and may be 0.) Robots help as many people as possible, the nearest ones: a robot stays with the present person if
+    they have erred, and otherwise goes to the first of the nearest. In a dead end no action is optimal, so that nothing
+    is suggested.
+
+    Attributes
+    ----------
+    uses_belief : bool
+        Whether people pursue one of several goals, about which the robot has a belief.
     """
 
-    uses_belief = False
+    uses_belief: bool = False
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return an action for a person who has erred, in every team that has one."""

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..people.goals import acting_belief
 from ..person.policy import Policy
 from ..person.qmdp import evaluate
 from .attention import AttentionSwitching
@@ -23,8 +22,8 @@ class AttentionAgainstNever(AttentionSwitching):
 
     Attributes
     ----------
-    never : ByPolicy of float arrays, shape (n, B, T)
-        This value, for known beta and theta.
+    never : ByPolicy of float arrays, shape (n, H, T)
+        This value, for known type and theta.
     """
 
     never: ByPolicy[Floats]
@@ -48,6 +47,5 @@ class AttentionAgainstNever(AttentionSwitching):
         return team.of_each(self._if_never)[:, :, 0]
 
     def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
-        choices = policy.pomdp.model.choices
-        never, belief = self.never[policy][choices.of_goals(x).T], acting_belief(choices, belief)
-        return np.einsum("nbt,nbt->n", never.reshape(belief.shape), belief)[:, None]
+        acting = policy.pomdp.hidden.acting(belief)
+        return np.einsum("nht,nht->n", self.never[policy][x], acting)[:, None]

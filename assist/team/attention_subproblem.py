@@ -8,7 +8,7 @@ After the last price attention is free.
 
 `AttentionSubproblem.of` builds this problem as an `AssistPOMDP`. Its observed state consists of the task state, the
 step as long as the price depends on it, and the robot's position (`TimeExpansion`). The robot's possible moves depend
-on its position only (`RobotMoves`). So every solver and bound for an `AssistPOMDP` of one goal applies.
+on its position only (`RobotMoves`). So every solver and bound for an `AssistPOMDP` applies.
 """
 
 from __future__ import annotations
@@ -91,19 +91,16 @@ class AttentionSubproblem:
         LimitError
             The states of a long way would exceed the available memory.
         """
-        price, one_goal = np.array(price, dtype=float), alone.model.choices.goal_count == 1
-        if len(price):  # whose states are those that are reachable from one initial state
-            alone.model.choices.require_one_goal(f"prices of {len(price)} steps")
+        price = np.array(price, dtype=float)
         positions = 2 + max(entry_steps, longest or 0)
         layout = TimeExpansion.of(alone, positions, len(price), kept)
         _require_memory(alone, layout)
         moves = RobotMoves.of(positions, alone.suggested.shape[1], entry_steps)
 
         x, position, own = layout.x, layout.position, np.arange(len(layout))
-        final = alone.final[x] | layout.cut
-        choices = _choices(alone.model.choices, layout, final)
-        # With several goals, the robot does not see which rows are final.
-        count = np.where(final & one_goal, 1, moves.count(position, alone.robot_actions[x]))
+        ends = alone.ends[x] | layout.cut
+        choices = _choices(alone.model.choices, layout, ends)
+        count = np.where(ends, 1, moves.count(position, alone.robot_actions[x]))
         used = np.arange(moves.meant.shape[1]) < count[:, None]
         row, meant = x[:, None], moves.meant[position]
         afterstate = layout.number(layout.step[:, None], moves.then[position], alone.afterstate[row, meant])
@@ -120,7 +117,7 @@ class AttentionSubproblem:
             weight=alone.weight[row, meant],
             followed_low=None if alone.followed_low is None else alone.followed_low[row, meant],
             followed_weight=None if alone.followed_weight is None else alone.followed_weight[row, meant],
-            order=_order(choices, layout, final),
+            order=np.stack([np.lexsort((h, -layout.step)) for h in choices.goals.h]),
             frontier=frontier_of(alone, layout, price, entry),
         )
         free = cls(pomdp, alone, np.zeros(len(price)), entry, entry_steps, layout)
@@ -152,7 +149,7 @@ class AttentionSubproblem:
         number = np.arange(self.pomdp.robot_costs.shape[1])
         under_way = self.layout.position[:, None] > HERE
         attended = ((number > 0) | under_way) & (number < self.pomdp.robot_actions[:, None])
-        return attended & ~(self.pomdp.final & (self.pomdp.model.choices.goal_count == 1))[:, None]
+        return attended & ~self.pomdp.ends[:, None]
 
     def acted(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which robot actions make a suggestion, and which execute an action, both of shape (m, R)."""
@@ -167,27 +164,27 @@ class AttentionSubproblem:
 
 
 def backwards(visits: AttentionSubproblem, tail: Floats) -> QMDP:
-    """Solve a subproblem with observed beta and theta, from the steps with free attention back to the first one.
+    """Solve a subproblem with observed type and theta, from the steps with free attention back to the first one.
 
     Parameters
     ----------
     visits : AttentionSubproblem
-    tail : float array, shape (P * n, B, T)
+    tail : float array, shape (P * n, H, T)
         Upper bound on the value with free attention, by position and task state.
     """
     layout = visits.layout
-    above = np.zeros((len(layout), *visits.pomdp.grid.shape))
+    above = np.zeros((len(layout), *visits.pomdp.prior.shape))
     last = layout.step == len(visits.price)
     above[last] = tail[layout.position[last] * layout.states + layout.x[last]]
     return qmdp(visits.pomdp, above=above, tolerance=1e-5)
 
 
-def _choices(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) -> Choices:
+def _choices(choices: Choices, layout: TimeExpansion, ends: NDArray[np.bool_]) -> Choices:
     """Return the person's choices in the time expansion: each one advances the step, and a travelling robot by one."""
     x, own = layout.x, np.arange(len(layout))
     position = np.where(layout.position > HERE, layout.position - 1, layout.position)
     targets = layout.number(layout.step[:, None] + 1, position[:, None], choices.targets[x])
-    applicable = choices.applicable[x] & ~final[:, None]
+    applicable = choices.applicable[x] & ~ends[:, None]
     return replace(
         choices,
         state=None,
@@ -201,21 +198,17 @@ def _choices(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) 
         targets=np.where(applicable, targets, own[:, None]),
         costs=choices.costs[x],
         optimal=choices.optimal[x],
+        offered=None,
+        unknown_goal=None if choices.unknown_goal is None else choices.unknown_goal.of_rows(x),
         initial=int(layout.number(0, AWAY, choices.initial)),
     )
 
 
-def _order(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the states that are not final, ordered from the last step to the first, then by the cost-to-go."""
-    order = np.lexsort((choices.h, -layout.step))
-    return order[~final[order]]
-
-
 def _require_memory(alone: AssistPOMDP, layout: TimeExpansion) -> None:
     """Raise a `LimitError` if a problem exceeds the available memory."""
-    betas, thetas = alone.grid.shape
+    types, thetas = alone.prior.shape
     slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
-    needed = policy_bytes(len(layout), slots=slots, robots=robots, betas=betas, thetas=thetas)
+    needed = policy_bytes(len(layout), slots=slots, robots=robots, betas=types, thetas=thetas)
     if needed > 100e6:  # below this, the available memory is not queried
         require_room(
             f"a person's problem with a robot that comes and goes has {len(layout):,} states, with ways of up to "

@@ -49,14 +49,12 @@ def named(
     Raises
     ------
     ValueError
-        The name is unknown, or the policy needs to enumerate a task that is too large, or to know each person's goal.
+        The name is unknown, or the policy needs to enumerate a task that is too large.
     """
     if name == "none":
         return NoAssistance()
     if name == "reactive":
-        for policy in policies:  # a mistake with one goal may be a step to another
-            policy.pomdp.model.choices.require_one_goal(f"policy {name!r}")
-        return Reactive()
+        return Reactive(uses_belief=any(len(policy.pomdp.hidden.goals) > 1 for policy in policies))
     if name == "attention":
         return AttentionSwitching()
     if name == "attention-never":

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
-from ..people.goals import acting_belief
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
@@ -212,11 +211,10 @@ class Priority:
     def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the values of an arrival in 1, 2, ... steps, followed by the Q-values with the robot present."""
         solved: SolvedSubproblem = policy.with_robot(self)
-        choices = policy.pomdp.model.choices
-        states, belief = solved.states[step][:, choices.of_goals(x)], acting_belief(choices, belief)
+        states = solved.states[step][:, x]
         if (states < 0).any():
             raise ValueError(
                 f"somebody is at step {step} where nobody can be so soon: with prices of steps all begin at step 0"
             )
-        arriving = [solved.policy.expected(states[HERE + steps], belief)[:, :1] for steps in range(1, 1 + self.longest)]
-        return np.concatenate([*arriving, solved.policy.expected(states[HERE], belief)], axis=1)
+        arriving = [solved.policy.q_values(states[HERE + steps], belief)[:, :1] for steps in range(1, 1 + self.longest)]
+        return np.concatenate([*arriving, solved.policy.q_values(states[HERE], belief)], axis=1)

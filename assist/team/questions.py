@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..people.hidden_type import HiddenType
 from ..person.joint_belief import JointBelief
 from ..person.policy import Policy
 from ..person.qmdp import QMDP, evaluate, qmdp
@@ -25,16 +26,10 @@ from .state import worth_of_actions
 
 
 def likelihood_of(goal: int, goals: int, yes: bool, error: float) -> Floats:
-    """Return the likelihood of an answer under each goal, shape (G,); arguments as in `answered`."""
-    return np.where((np.arange(goals) == goal) == yes, 1 - error, error)
-
-
-def answered(belief: Floats, goal: int, goals: int, yes: bool, error: float) -> Floats:
-    """Return the belief about a person, shape (G * B, T), after an answer.
+    """Return the likelihood of an answer under each goal, shape (G,).
 
     Parameters
     ----------
-    belief : float array, shape (G * B, T)
     goal : int
         Number of the goal that was asked about.
     goals : int
@@ -43,17 +38,22 @@ def answered(belief: Floats, goal: int, goals: int, yes: bool, error: float) -> 
         The answer.
     error : float
         Probability of a wrong answer.
+    """
+    return np.where((np.arange(goals) == goal) == yes, 1 - error, error)
+
+
+def answered(belief: Floats, hidden: HiddenType, goal: int, yes: bool, error: float) -> Floats:
+    """Return the belief about a person, shape (H, T), after an answer; other arguments as in `likelihood_of`.
 
     Raises
     ------
     ValueError
         The answer is impossible under the belief.
     """
-    likelihood = likelihood_of(goal, goals, yes, error)
-    joint = belief.reshape(goals, -1) * likelihood[:, None]
+    joint = hidden.given_goal(belief, likelihood_of(goal, len(hidden.goals), yes, error))
     if not joint.sum() > 0:
         raise ValueError(f"the answer {'yes' if yes else 'no'} is impossible; expected an error rate above 0")
-    return (joint / joint.sum()).reshape(belief.shape)
+    return np.asarray(joint / joint.sum())
 
 
 class Questions:
@@ -81,12 +81,11 @@ class Questions:
         ----------
         policy : Policy
         x : int array, shape (N,)
-        belief : float array, shape (N, G * B, T)
+        belief : float array, shape (N, H, T)
         attention : float array, shape (N,)
             Share of a robot's attention that each person gets: robots per person who is at work, at most 1.
         """
-        rows = policy.pomdp.model.choices.of_goals(x).T
-        each = (belief.reshape(*rows.shape, -1) * self._benefit[policy][rows]).sum(axis=2)
+        each = policy.pomdp.hidden.marginal(belief * self._benefit[policy][x], "goal")
         return self._best(each, attention)
 
     def best_of(self, policy: Policy, joint: JointBelief, attention: float) -> tuple[int, float]:
@@ -99,8 +98,7 @@ class Questions:
         attention : float
             As in `best`.
         """
-        rows = policy.pomdp.model.choices.of_goals(joint.x).T
-        each = (joint.joint.reshape(*rows.shape, -1) * self._benefit[policy][rows]).sum(axis=(0, 2))
+        each = policy.pomdp.hidden.marginal(joint.joint * self._benefit[policy][joint.x], "goal").sum(axis=0)
         goal, worth = self._best(each[None], np.array([attention]))
         return int(goal[0]), float(worth[0])
 
@@ -115,17 +113,17 @@ class Questions:
 
 
 def benefit(policy: Policy) -> Floats:
-    """Return the benefit of a robot that knows a person's goal, beta and theta, shape (n, B * T)."""
+    """Return the benefit of a robot that knows a person's type and theta, shape (n, H, T)."""
     solved: Any = policy.prepare()
     known = solved if isinstance(solved, QMDP) else qmdp(policy.pomdp)
     never = evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
-    return np.maximum(known.value_mdp - never, 0.0).reshape(len(never), -1)
+    return np.maximum(known.value_mdp - never, 0.0)
 
 
 def worth_of_knowing(policy: Policy, joint: JointBelief) -> float:
-    """Return what it is worth to know a person's task state, beta and theta, in cost units.
+    """Return what it is worth to know a person's task state, type and theta, in cost units.
 
-    It is the increase of the QMDP value of the problem of a person with one goal; infinite for other policies.
+    It is the increase of the QMDP value; infinite for other policies.
     """
     solved: Any = policy.prepare()
     if not hasattr(solved, "value_mdp"):

@@ -27,7 +27,7 @@ from ..people.arguments import number, whole
 from ..people.decision import NOTHING, Floats
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
-from ..person.problem_arrays import ProblemArrays, read_only
+from ..person.problem_arrays import ProblemArrays
 from ..person.ties import NEAR, first_best, ranked
 from .assignment import placed
 from .by_policy import ByPolicy
@@ -207,9 +207,7 @@ _ACTION = ("person", "robot")
 def _model(policy: Policy) -> tuple[Minds, ProblemArrays]:
     """Return the people of a policy as the robot's model has them, for compiled code."""
     pomdp = policy.pomdp
-    p = np.ascontiguousarray(np.moveaxis(pomdp.chosen, 2, 0))
-    optimal = read_only(pomdp.model.choices.optimal)
-    return Minds(p, np.empty((0, 0)), optimal, 0.0, pomdp.model.lapse, on_grid=True), ProblemArrays.of(pomdp)
+    return Minds.of_model(pomdp), ProblemArrays.of(pomdp)
 
 
 class _Paths:
@@ -251,13 +249,9 @@ class _Paths:
         uniform = (strata + self.rng.random(strata.shape)) / samples
         cells = team.belief[rows[n]].reshape(self.pairs, 1, people, -1).cumsum(axis=3)
         cells = (cells <= uniform[:, :, None] * cells[..., -1:]).sum(axis=3).reshape(-1, people)
-        types, cell = np.divmod(cells, len(self.grid.theta))
-        goal, self.mind = np.divmod(types, len(self.grid.beta))
+        self.mind, cell = np.divmod(cells, len(self.grid.theta))
         self.theta, self.seen = self.grid.theta[cell], self.grid.count[cell]
-        goals = [policy.pomdp.model.choices.goal_count for policy in team.policies]
-        states = np.array([len(one.pomdp.robot_actions) // of for one, of in zip(team.policies, goals, strict=True)])
-        self.states = states[self.model]
-        self.x = team.x[own] + goal * self.states
+        self.x = team.x[own]
 
     def values(self) -> Floats:
         """Return the sum of discounted advantages on each path, shape (L, S)."""
@@ -292,11 +286,9 @@ class _Paths:
 
     def _priority(self, step: int) -> TeamAction:
         """Return priority's action in the present state of all paths."""
-        goals = self.team.policies[0].pomdp.model.choices.goal_count
         team = TeamState(
-            self.team.step + step, self.x % self.states if goals > 1 else self.x, self.active, self.erred,
-            self.location, self.model, self.belief, self.team.policies, self.team.travel,
-            free=self.left == 0, fleet=self.team.fleet,
+            self.team.step + step, self.x, self.active, self.erred, self.location, self.model, self.belief,
+            self.team.policies, self.team.travel, free=self.left == 0, fleet=self.team.fleet,
         )  # fmt: skip
         return self.rollout.base(team)
 
@@ -318,14 +310,14 @@ class _Paths:
         for model, rows in by_model(self.model.reshape(-1), np.flatnonzero(self.active), len(self.team.policies)):
             policy = self.team.policies[model]
             solved, (minds, arrays) = policy.with_robot(self.rollout.base), self.rollout.models[policy]
-            x, b, t = (array.reshape(-1)[rows] for array in (self.x, self.mind, cell))
+            x, h, t = (array.reshape(-1)[rows] for array in (self.x, self.mind, cell))
             states = solved.states[0]
-            q = solved.policy.q_mdp[states[now.reshape(-1)[rows], x], move.reshape(-1)[rows], b, t]
-            value = solved.policy.value_mdp[states[before.reshape(-1)[rows], x], b, t]
+            q = solved.policy.q_mdp[states[now.reshape(-1)[rows], x], move.reshape(-1)[rows], h, t]
+            value = solved.policy.value_mdp[states[before.reshape(-1)[rows], x], h, t]
             advantage.reshape(-1)[rows] = q - value
             does = robot.reshape(-1)[rows]
             extra = self.team.fleet.extra_of(by.reshape(-1)[rows], policy.pomdp.suggested[x, does] == NOTHING)
             advantage.reshape(-1)[rows] -= np.where(does > 0, extra, 0.0)
             act(rows, people, minds, arrays)
-            self.active.reshape(-1)[rows] = ~arrays.goal[people.x[rows]]
+            self.active.reshape(-1)[rows] = ~arrays.goal[minds.goal[h], people.x[rows]]
         return advantage

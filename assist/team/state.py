@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.system.arrays import outline
 
 from ..people.decision import NOTHING, Floats
+from ..people.hidden_type import mean_over_goals
 from ..person.policy import Policy
 from .robots import EXECUTION, SUGGESTION, Fleet, Robot
 from .travel import Travel
@@ -90,12 +91,12 @@ class TeamState:
     active : bool array, shape (N, K)
         Whether the person is present and has not finished.
     erred : bool array, shape (N, K)
-        Whether the person's last action was not an optimal choice.
+        Whether the person's last action was a mistake: optimal for no goal that was possible.
     location : int array, shape (N,), or (N, M) if each team has M > 1 robots
         The person at whose place the robot is, or `BASE`; of a robot that is under way, the person to whom it goes.
     model : int array, shape (N, K)
         Index of the policy that models each person.
-    belief : float array, shape (N, K, B, T), or None
+    belief : float array, shape (N, K, H, T), or None
         None if the policy has declared that it does not use beliefs (`uses_belief = False`).
     policies : sequence of Policy
         Policies for single people.
@@ -145,7 +146,7 @@ class TeamState:
         return by_model(self.model.ravel(), np.flatnonzero(self.active), len(self.policies))
 
     def known_of(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
-        """Return the states, shape (m,), and beliefs, shape (m, B, T), of people with indices as in `groups`."""
+        """Return the states, shape (m,), and beliefs, shape (m, H, T), of people with indices as in `groups`."""
         if self.belief is None:
             raise ValueError("the policy has said that it uses no beliefs")
         return self.x.ravel()[rows], self.belief.reshape(-1, *self.belief.shape[2:]).take(rows, axis=0)
@@ -175,19 +176,31 @@ class TeamState:
         return self.of_each(worth_of_actions)
 
     def first_optimal(self) -> NDArray[np.int64]:
-        """Return each person's first robot action that suggests an optimal action, shape (N, K); 0 if there is none."""
+        """Return each person's first robot action that suggests an optimal action, shape (N, K); 0 if there is none.
+
+        Of several goals, it is optimal for the most probable one.
+        """
         robot = np.zeros(self.x.size, dtype=np.int64)
         for group, rows in self.groups():
-            robot[rows] = self.policies[group].pomdp.first_optimal[self.x.ravel()[rows]]
+            x, share = self.x.ravel()[rows], self._share_of_goals(group, rows)
+            robot[rows] = self.policies[group].pomdp.first_optimal[x, share.argmax(axis=-1)]
         return robot.reshape(self.x.shape)
 
     def cost_to_go(self) -> Floats:
-        """Return each person's exact cost-to-go, shape (N, K); 0 for people who are not active."""
-        h = np.zeros(self.x.size)
+        """Return each person's exact cost-to-go, shape (N, K); 0 for people who are not active.
+
+        Of several goals, it is the mean under the belief.
+        """
+        mean = np.zeros(self.x.size)
         for group, rows in self.groups():
-            self.policies[group].pomdp.model.choices.require_one_goal("the cost-to-go")
-            h[rows] = self.policies[group].pomdp.model.choices.h[self.x.ravel()[rows]]
-        return h.reshape(self.x.shape)
+            h = self.policies[group].pomdp.model.choices.goals.h[:, self.x.ravel()[rows]].T
+            mean[rows] = mean_over_goals(h, self._share_of_goals(group, rows))
+        return mean.reshape(self.x.shape)
+
+    def _share_of_goals(self, group: int, rows: NDArray[np.int64]) -> Floats:
+        """Return the probability of each goal of some people, shape (m, G), or (G,) for a goal that is known."""
+        hidden = self.policies[group].pomdp.hidden
+        return hidden.marginal(self.known_of(rows)[1], "goal") if len(hidden.goals) > 1 else np.ones(1)
 
     def to(self) -> Floats:
         """Return the cost of each robot's move to each person from its place, shape (N, M, K), in cost units."""

@@ -39,8 +39,8 @@ def frontier_of(alone: AssistPOMDP, layout: TimeExpansion, price: Floats, entry:
     upper = alone.frontier.upper[at]
     paid = np.append(np.cumsum((price * alone.gamma ** np.arange(len(price)))[::-1])[::-1], 0.0)
     paid = (paid / alone.gamma ** np.arange(len(paid)))[layout.step[states]]
-    lower = alone.frontier.lower[at] - (paid + entry * (position == AWAY))[:, None]
+    lower = alone.frontier.lower[at] - (paid + entry * (position == AWAY))[:, None, None]
     if layout.positions > 2:
         floor = -np.inf if alone.frontier.floor is None else alone.frontier.floor
-        lower[position != HERE] = floor - paid[position != HERE, None]
+        lower[position != HERE] = floor - paid[position != HERE, None, None]
     return LeafBounds(states, np.minimum(lower, 0.0), upper)

@@ -43,7 +43,7 @@ class TimeExpansion:
         With 0 steps it has all task states. A state in which the problem ends has no successors.
         """
         choices = alone.model.choices
-        leads = choices.applicable & ~alone.final[:, None]  # in unused slots a state is its own target
+        leads = choices.applicable & ~alone.ends[:, None]  # in unused slots a state is its own target
         if not steps:
             return cls(len(choices), positions, (np.arange(len(choices)),))
 

@@ -193,7 +193,7 @@ def _embedded(visits: AttentionSubproblem, solution: Solution, outer: OuterRelax
     """Return the solution on a truncated task as one on the outer relaxation, where only corners are known."""
     inner = visits.layout
     here = outer.visits.layout.number(0, inner.position, outer.place[inner.x])
-    inside = np.flatnonzero(~visits.pomdp.final)
+    inside = np.flatnonzero(~visits.pomdp.ends)
     corner = outer.value.copy()
     corner[here[inside]] = solution.corner[inside]  # the corners that `drop` refers to
     state = here[np.repeat(np.arange(len(here)), np.diff(solution.first))]
@@ -271,7 +271,7 @@ def expand_node(node: int, nodes: NodeTable, known: Known, m: ProblemArrays, ord
     for r in range(robots):
         acting, q, cumulated = m.afterstate[x, r], -m.robot_costs[x, r], 0.0
         nodes.begin[e] = k
-        if m.goal[acting]:
+        if m.goal[0, acting]:  # the goal is known
             nodes.share[k], nodes.to[k] = 1.0, END
             k += 1
         else:
@@ -282,11 +282,11 @@ def expand_node(node: int, nodes: NodeTable, known: Known, m: ProblemArrays, ord
                 if mass <= 0.0:
                     continue  # without lapses some choices have probability 0
                 q -= mass * m.costs[acting, a]
-                if m.final[y]:  # at the frontier the bound is a mean over types, so that the belief is not divided
+                if m.ends[y]:  # at the frontier the bound is a mean over types, so that the belief is not divided
                     for h in range(size):
                         q += m.gamma * after[h] * known.corner[y, h]
                     cumulated += mass
-                    nodes.share[k], nodes.to[k] = cumulated, END if m.goal[y] else LEFT
+                    nodes.share[k], nodes.to[k] = cumulated, END if m.goal[0, y] else LEFT
                     k += 1
                     continue
                 found = decompose(after, y, known, part, piece)

@@ -1,0 +1,198 @@
+"""What is hidden and fixed about a person: one axis of H types with named parts.
+
+A person has a goal and an expertise beta, which the robot does not know and which do not change while they work on a
+task. A *type* is a value of each of these parts; the types are all combinations, in the order of the parts, and the
+last part changes fastest. What is hidden and moves is theta, on T cells. So a belief about a person has the shape
+(H, T), and `HiddenType.marginal` returns the distribution of one part.
+
+Everything that depends on a person's type is an array with an axis of types: the probabilities of choices are
+`chosen[n, A, H]`. Arrays that depend on the goal alone have an axis of G goals (`OfGoals`), and `goal_of[H]` leads from
+one to the other. A goal that is known is a prior with one goal, so that no code asks whether it is known.
+
+What is about goals in particular stands here, or in `type_kernels` for compiled code:
+
+- The robot sees that a person goes on. So no goal that is reached in their state is theirs
+  (`type_kernels.leave_out_reached`).
+- A mistake is an action that is optimal for no goal that is still possible (`type_kernels.is_mistake`).
+- QMDP counts the goal as known from the next step on, so that waiting seems too good. The robot therefore acts on
+  sharper probabilities of goals, or on the most probable goal alone (`HiddenType.acting`).
+- What is known for each goal is averaged over the goals (`mean_over_goals`).
+
+A further part, such as a workload, is one more entry of `HiddenType.parts`, with the effect on `expertise`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.system.arrays import frozen, outline, read_only
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+KNOWN = ""
+"""The name of a goal that is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class OfGoals:
+    """What differs between the goals of which a person pursues one, in n states with up to A choices each.
+
+    Attributes
+    ----------
+    prior : mapping of str to float
+        Probability of each of the G goals at the beginning of a task, by the goal's name.
+    h : float array, shape (G, n)
+        Exact cost-to-go, infinite in dead ends.
+    goal : bool array, shape (G, n)
+        Whether the goal is reached.
+    optimal : bool array, shape (n, A, G)
+        Whether an optimal plan can begin with the action.
+    assume_likeliest : bool
+        Whether the robot acts as if the most probable goal were certain.
+    sharpness : float
+        Power to which the robot raises the goals' probabilities before it averages its values over the goals.
+    """
+
+    prior: Mapping[str, float]
+    h: Floats
+    goal: Bools
+    optimal: Bools
+    assume_likeliest: bool = False
+    sharpness: float = 1.0
+
+    __repr__ = outline
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    def __len__(self) -> int:
+        return len(self.prior)
+
+    def of_rows(self, rows: Ints) -> OfGoals:
+        """Return the arrays of some of the states, given by their numbers."""
+        return replace(self, h=self.h[:, rows], goal=self.goal[:, rows], optimal=self.optimal[rows])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The goals' names."""
+        return tuple(self.prior)
+
+    def shown(self, goal: int) -> str | None:
+        """Return the name of a goal, by its number; None if it is known, so that people need no name for it."""
+        return self.names[goal] if len(self) > 1 else None
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenType:
+    """The types of a person; see the module's docstring.
+
+    Attributes
+    ----------
+    goals : mapping of str to float
+        Prior probability of each goal.
+    beta : float array, shape (B,)
+        The values of beta that are distinguished.
+    assume_likeliest : bool
+    sharpness : float
+        As in `OfGoals`.
+    """
+
+    goals: Mapping[str, float]
+    beta: Floats
+    assume_likeliest: bool = False
+    sharpness: float = 1.0
+
+    __repr__ = outline
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    @cached_property
+    def parts(self) -> Mapping[str, int]:
+        """The number of values of each part, in the order of the parts."""
+        return {"goal": len(self.goals), "beta": len(self.beta)}
+
+    def __len__(self) -> int:
+        return math.prod(self.parts.values())
+
+    def part(self, name: str) -> Ints:
+        """Return the number of the value that each type has of a part, shape (H,)."""
+        number = list(self.parts).index(name)
+        return frozen(np.unravel_index(np.arange(len(self)), tuple(self.parts.values()))[number])
+
+    @cached_property
+    def goal_of(self) -> Ints:
+        """The number of each type's goal, shape (H,)."""
+        return self.part("goal")
+
+    @cached_property
+    def expertise(self) -> Floats:
+        """The expertise with which a person of each type chooses, shape (H,): the argument of a choice model."""
+        return frozen(self.beta[self.part("beta")])
+
+    def prior(self, person: Floats) -> Floats:
+        """Return the belief at first, shape (H, T), in a person with a belief in beta and theta, shape (B, T)."""
+        return self.with_goals(person)
+
+    def with_theta(self, belief: Floats, part: str) -> Floats:
+        """Return the beliefs in a part and theta, shape (..., V, T), under beliefs, shape (..., H, T)."""
+        sizes, at = list(self.parts.values()), list(self.parts).index(part)
+        split = belief.reshape(*belief.shape[:-2], math.prod(sizes[:at]), sizes[at], -1, belief.shape[-1])
+        return np.asarray(split.sum(axis=(-4, -2)))
+
+    def marginal(self, belief: Floats, part: str) -> Floats:
+        """Return the distribution of a part, shape (..., V), under beliefs, shape (..., H, T)."""
+        return np.asarray(self.with_theta(belief, part).sum(axis=-1))
+
+    def of_people(self, belief: Floats) -> Floats:
+        """Return the belief in what a person keeps in their next task: all parts but the goal, shape (H / G, T)."""
+        return np.asarray(belief.reshape(len(self.goals), -1, belief.shape[-1]).sum(axis=0))
+
+    def with_goals(self, person: Floats) -> Floats:
+        """Return the belief, shape (H, T), at the beginning of a task, from one in the person, shape (H / G, T)."""
+        return np.concatenate([share * person for share in self.goals.values()])
+
+    def given_goal(self, belief: Floats, likelihood: Floats) -> Floats:
+        """Return beliefs, shape (..., H, T), times the likelihood of each goal, shape (..., G); not normalised."""
+        return np.asarray(belief * likelihood[..., self.goal_of, None])
+
+    def acting(self, belief: Floats) -> Floats:
+        """Return the beliefs, shape (..., H, T), on which the robot acts; for one goal they are the same."""
+        if len(self.goals) == 1:
+            return belief
+        return self.given_likeliest(belief) if self.assume_likeliest else self.sharpened(belief)
+
+    def given_likeliest(self, belief: Floats) -> Floats:
+        """Return each belief conditioned on its most probable goal; ties favour the first goal."""
+        share = self.marginal(belief, "goal")
+        best = np.arange(share.shape[-1]) == share.argmax(axis=-1)[..., None]
+        return self.given_goal(belief, np.where(best, 1 / np.where(best, share, 1.0), 0.0))
+
+    def sharpened(self, belief: Floats) -> Floats:
+        """Return beliefs with the probability of each goal raised to the power `sharpness`."""
+        if self.sharpness == 1:
+            return belief
+        share = self.marginal(belief, "goal")
+        weight = (share / share.max(axis=-1, keepdims=True)) ** self.sharpness
+        return self.given_goal(belief, weight / weight.sum(axis=-1, keepdims=True) / np.where(share > 0, share, 1.0))
+
+
+def mean_over_goals(values: Floats, share: Floats) -> Floats:
+    """Return the mean of values of each goal, shape (..., G), weighted by the goals' probabilities."""
+    return np.asarray(np.where(share > 0, share * np.where(share > 0, values, 0.0), 0.0).sum(axis=-1))
+
+
+def drawn_goals(priors: list[Mapping[str, float]], model: Ints, uniform: Floats) -> Ints:
+    """Return the number of each person's goal, drawn from their model's prior by uniform numbers."""
+    below = np.cumsum([list(prior.values()) for prior in priors], axis=1)[model]
+    # rounding must not select a goal of probability 0
+    last = np.array([np.flatnonzero(list(prior.values()))[-1] for prior in priors])[model]
+    return np.minimum((uniform[..., None] >= below).sum(axis=-1), last)
