@@ -255,6 +255,50 @@ def test_help_loads_no_heavy_package() -> None:
     assert len(done.stdout.splitlines()) > 10
 
 
+SMALL = """
+import sys
+heavy = {heavy}
+for name in heavy:
+    sys.modules[name] = None  # an import of it fails
+{work}
+"""
+WORK = {
+    "solve": (
+        "numba scipy matplotlib pandas unified_planning fastapi networkx rich",
+        """
+from pathlib import Path
+from planner import instance
+from planner.batch.solve_instance import solve_instance
+record = solve_instance(instance("kitting/tiny"), place=Path("FOLDER/tiny"))
+assert (record["status"], record["cost"], record["verified"]) == ("solved", 6, 20), record
+""",
+    ),
+    "simulate": (
+        "numba matplotlib pandas unified_planning fastapi networkx",
+        """
+from assist.cli import main
+main(["simulate", "kitting/tiny", "--humans", "2", "--policy", "reactive", "--episodes", "20"], standalone_mode=False)
+""",
+    ),
+    "draw": (
+        "numba scipy matplotlib pandas unified_planning fastapi networkx",
+        """
+from assist.cli import main
+main(["draw", "kitting/tiny", "--out", "FOLDER/tiny.svg"], standalone_mode=False)
+""",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WORK)
+def test_small_work_loads_nothing_that_it_does_not_need(name: str, tmp_path: Path) -> None:
+    """Nothing is compiled, either: the compiler takes longer to import than all else."""
+    heavy, work = WORK[name]
+    script = SMALL.format(heavy=heavy.split(), work=work.replace("FOLDER", str(tmp_path)))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+
+
 PLAIN = """
 import sys
 for name in "msgspec fastapi uvicorn websockets httpx2 aiomqtt asyncua matplotlib pandas jinja2".split():

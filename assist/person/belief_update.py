@@ -95,7 +95,7 @@ def _update_one(belief: Floats, _: Floats, x: int, robot: int, slot: int, m: Pro
     belief[:] = updated(belief[None], np.array([x]), np.array([robot]), np.array([slot]), m)[0]
 
 
-update_belief = ReadableFirst(_update_one, update, lambda *_: 150_000)
+update_belief = ReadableFirst(_update_one, update, lambda *_: 60_000)
 """Replace one belief by its posterior, as `belief_filter.update` does, with the same arguments."""
 
 

@@ -256,7 +256,7 @@ def _trust(
 def _work(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, _: ProblemArrays) -> float:
     """Return the work of `act_readable`, in nanoseconds."""
     cells = people.belief[0].size if len(people.belief) else 0
-    return 300_000 + len(rows) * 20 * (cells + minds.p.shape[2])
+    return 60_000 + len(rows) * 20 * (cells + minds.p.shape[2])
 
 
 act = ReadableFirst(act_readable, act_compiled, _work)

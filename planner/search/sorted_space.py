@@ -29,6 +29,8 @@ from .rules import Rule, axiom_stages, grouped, possible_operators
 
 MOST_STATES = 100_000
 """States up to which a task is small. Their search takes a fifth of a second, compiling takes five."""
+MOST_IN_LAYER = 15_000
+"""States of a layer up to which a task is small. Wider ones are those of much larger tasks, which lose no time so."""
 MOST_LAYERS = 1 << 11
 """Layers up to which a task is small: each takes some hundred calls of numpy, however few states it has."""
 MOST_TESTS = 1 << 26
@@ -223,7 +225,9 @@ class SortedSpace:
     def expand(self, block: Words) -> tuple[Ints, Ints, Words]:
         """Return the number of actions of each state, the operators of all actions, and the successors."""
         tests = len(self._operators.action) * self._packing.words * (len(self) + len(block))
-        if len(self) > self._most or len(self._layers) > MOST_LAYERS or tests > MOST_TESTS:
+        if len(self) > self._most or len(block) > MOST_IN_LAYER or len(self._layers) > MOST_LAYERS:
+            raise TooLargeError
+        if tests > MOST_TESTS:
             raise TooLargeError
         sources, operators = self._operators.applicable(block)
         self._budget.check_memory(self.nbytes + 32 * self._packing.words * len(sources))
