@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 import os
 import pty
 import shutil
@@ -11,6 +12,7 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from click.testing import CliRunner
@@ -18,6 +20,7 @@ from conftest import KITTING
 from recorded import lines, write_log
 
 from assist.cli import main
+from assist.web.log_lines import JsonLines, TextLines
 from planner.system.progress import stages
 from planner.system.signs import VisibleText, visible
 
@@ -119,3 +122,14 @@ def test_a_stream_of_visible_text() -> None:
     assert VisibleText(stream).rich_proxied_file is beneath  # type: ignore[arg-type]
     assert visible("é 猫 \U0001f469") == "é 猫 \U0001f469"
     assert json.loads(json.dumps(EVIL)) == EVIL
+
+
+@pytest.mark.cases
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_a_name_cannot_forge_a_line_of_a_services_log(form: Literal["text", "json"]) -> None:
+    kind = {"text": TextLines, "json": JsonLines}[form]
+    record = logging.makeLogRecord({"msg": "%s: refused", "args": ("ann\nbob: accepted\x1b[31m\u2028",)})
+    line = kind().format(record)
+    assert len(line.splitlines()) == 1
+    assert "\x1b" not in line
+    assert r"ann\nbob: accepted" in line

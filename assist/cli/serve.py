@@ -56,10 +56,9 @@ def serve(
     If several tasks are given, people are assigned to them in turn.
     """
     server = live_server()
-    if log_format == "json":
-        from ..web.log_lines import log_json
+    from ..web.log_lines import write_log
 
-        log_json()
+    write_log("json" if log_format == "json" else "text")
     if study is not None:
         conduct(study, team["data"], host, port, rehearse or 0, public_url, trusted_proxy)
         return

@@ -1,10 +1,16 @@
-"""Log lines as JSON objects, one a line, for systems that collect logs."""
+"""The log of a service on stderr: one line for each record, as text or as a JSON object.
+
+What people and machines write into names cannot forge a line, move a terminal's cursor or change its colours.
+"""
 
 from __future__ import annotations
 
 import json
 import logging
 from datetime import UTC, datetime
+from typing import Literal
+
+from planner.system.signs import visible
 
 USUAL = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 """Attributes of every log record; others are fields that the caller has added (`extra`)."""
@@ -22,13 +28,23 @@ class JsonLines(logging.Formatter):
         line |= {name: value for name, value in vars(record).items() if name not in USUAL}
         if record.exc_info:
             line["exception"] = self.formatException(record.exc_info)
-        return json.dumps(line, default=str, ensure_ascii=False)
+        return visible(json.dumps(line, default=str, ensure_ascii=False))
 
 
-def log_json() -> None:
-    """Write the log of this process to stderr as JSON, with a line for each report."""
+class TextLines(logging.Formatter):
+    """Formats a log record as its message on one line; signs that end lines or control a terminal are written out."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line; the lines of an exception follow it."""
+        line = visible(record.getMessage()).replace("\n", "\\n")
+        return f"{line}\n{visible(self.formatException(record.exc_info))}" if record.exc_info else line
+
+
+def write_log(form: Literal["text", "json"]) -> None:
+    """Write the log of this process to stderr: warnings, and as JSON also a line for each report."""
     handler = logging.StreamHandler()
-    handler.setFormatter(JsonLines())
+    handler.setFormatter(TextLines() if form == "text" else JsonLines())
     logging.basicConfig(level=logging.WARNING, handlers=[handler], force=True)
-    logging.getLogger("assist").setLevel(logging.INFO)
-    logging.getLogger(f"{__package__}.reports").setLevel(logging.INFO)
+    if form == "json":
+        logging.getLogger("assist").setLevel(logging.INFO)
+        logging.getLogger(f"{__package__}.reports").setLevel(logging.INFO)
