@@ -65,7 +65,7 @@ from .uncertain_actions import seen_of
 if TYPE_CHECKING:
     from planner import AnyTask
 
-FORMAT = "kitassist team 1"
+FORMAT = "kitassist team 2"
 """Format identifier of saved teams."""
 
 

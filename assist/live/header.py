@@ -26,7 +26,7 @@ from ..team.plain_setting import plain_setting
 from .assistant import Assistant
 from .live_task import digest
 
-FORMAT = "kitassist session 1"
+FORMAT = "kitassist session 2"
 """Format identifier of sessions."""
 
 

@@ -34,7 +34,7 @@ from ..texts.refusals import BusyError
 from .cohort import Cohort
 from .plan import UserStudy
 
-FORMAT = "kitassist user study 1"
+FORMAT = "kitassist user study 2"
 """Format of journals."""
 
 JOURNAL, PLAN, EXPORT, REPORT = "journal.sqlite", "study.toml", "user-study.zip", "report"
