@@ -134,7 +134,7 @@ def simulate(
     called = name or (policy if isinstance(policy, str) else str(getattr(policy, "__name__", "policy")))
     policy = pool.policy(policy, travel) if isinstance(policy, str) else policy
     together = max(1, PEOPLE_AT_A_TIME // (places * BLOCK)) * BLOCK
-    if pool.goals > 1:  # a state on a large task has a row for each goal, and so have its successors
+    if pool.goals > 1:  # a state on a large task has values for each goal, and so have its successors
         together = max(1, PEOPLE_AT_A_TIME // (places * pool.goals * 8))
     explained = trace is not None and reasons is not None
     jobs, seed_number, parts = whole("jobs", jobs, 1), entropy(seed), TaskParts(pool, world)
