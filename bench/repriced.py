@@ -32,12 +32,11 @@ from tables import Columns, cell, record_option, write_record
 
 from assist.live.assistant import Assistant
 from assist.people.decision import Floats
-from assist.people.goals import acting_belief
 from assist.person.policy import Policy
 from assist.person.qmdp import look_ahead, qmdp
 from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.by_policy import ByPolicy
-from assist.team.priority import Priority, SolvedSubproblem, coming
+from assist.team.priority import Priority, SolvedSubproblem
 from assist.team.settings import Setting
 from assist.team.state import NOBODY, Ask, TeamAction, TeamState
 from assist.team.time_expansion import AWAY
@@ -116,7 +115,8 @@ class Repriced:
     def of(cls, policies: Sequence[Policy], travel: Travel) -> Repriced:
         """Return the policy for people with the given policies and travel."""
         cheapest, gamma = min(policy.cheapest for policy in policies), policies[0].pomdp.gamma
-        entry, steps, longest = coming(travel)
+        (entry, mean), longest = travel.mean_way, travel.longest_way
+        steps = round(mean)
         known = ByPolicy(
             policies,
             lambda policy: PeriodValues.of(
@@ -161,9 +161,8 @@ class Repriced:
         return self._values
 
     def _values(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
-        choices = policy.pomdp.model.choices
-        choices.require_one_goal("a price that is determined anew")
-        return self.known[policy].expected(x, acting_belief(choices, belief).reshape(len(x), -1))
+        policy.pomdp.model.choices.require_one_goal("a price that is determined anew")
+        return self.known[policy].expected(x, belief.reshape(len(x), -1))
 
 
 def _of_teams(team: TeamState, rows: NDArray[np.int64]) -> TeamState:
