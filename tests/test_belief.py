@@ -13,7 +13,7 @@ from assist.live.live_task import LiveTask
 from assist.people.belief import Grid, ImpossibleObservationError, update
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
-from assist.people.hidden_type import HiddenType
+from assist.people.hidden_type import KNOWN, HiddenType
 from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.mixture import Mixture, advice_takers
@@ -267,7 +267,7 @@ def test_cells_of_a_geometric_sequence_are_even_in_the_logarithm() -> None:
 def test_a_uniform_prior_lies_between_a_twentieth_and_nineteen(theta: tuple[float, float]) -> None:
     population = Population(theta=theta)
     grid = Grid.regular(population, thetas=41)
-    beta, found = grid.spreads(grid.prior(population))
+    beta, found = grid.spreads(grid.prior(population), HiddenType({KNOWN: 1.0}, grid.beta))
     assert (beta.mean, beta.low, beta.high) == pytest.approx((1.55, 0.1 + 0.05 * 2.9, 3 - 0.05 * 2.9))
     ends = theta[0] + 0.05 * (theta[1] - theta[0]), theta[1] - 0.05 * (theta[1] - theta[0])
     assert (found.low, found.high) == pytest.approx(ends, abs=0.01)

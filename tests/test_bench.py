@@ -40,7 +40,7 @@ def test_a_benchmark_has_the_options_it_is_run_with(name: str) -> None:
 def test_a_mutant_differs_in_one_place() -> None:
     mutants = importlib.import_module("mutants").mutants_of(attention)
     lines = ast.unparse(mutants[0].tree).splitlines()
-    assert len(mutants) > 30
+    assert len(mutants) > 20
     for mutant in mutants:
         changed = ast.unparse(mutant.program()).splitlines()
         assert sum(one != other for one, other in zip(lines, changed, strict=True)) == 1, mutant.told

@@ -417,11 +417,10 @@ def test_the_policy_of_a_bound_has_its_prices(pool: Pool, strangers: Pool) -> No
 
 
 def test_what_a_bounds_policy_and_its_relaxed_problem_need(pool: Pool) -> None:
-    """Prices need a known goal, and the simulation needs the values of all states."""
+    """Prices hold with unknown goals, too, and the simulation needs the values of all states."""
     assert bound_at(pool, (1,), [0.3]).policy().price.tolist() == [0.3, 0.0]
     unknown = Pool.sample(ring(), 1, seed=1, setting=SETTING)
-    with pytest.raises(ValueError, match="the policy at a bound's prices: expected people whose goal is known"):
-        bound_at(unknown, (0,), [0.3]).policy()
+    assert bound_at(unknown, (0,), [0.3]).policy().price.tolist() == [0.3, 0.0]
     large = Pool.sample(kit("tiny"), 1, seed=1, states=1, region=6, setting=replace(SETTING, knowledge="exact"))
     with pytest.raises(ValueError, match="relaxed_value: expected an enumerated task"):
         relaxed_value(bound_at(large, (0,), []), episodes=2)

@@ -321,5 +321,6 @@ def test_errors_of_the_command_are_one_line(log: Path, tmp_path: Path) -> None:
     )
     assert fault(travel, travel)[0] == 2
     log.write_text(log.read_text().replace("(fetch box-c)", "(dance)"))
-    code, line = fault(travel, log, "--strict")
-    assert (code, line.startswith(f"{log}:5: person 'ann', episode 'monday', which is left out: step 3:")) == (1, True)
+    strict = invoke("infer", travel, log, "--strict")
+    assert (strict.exit_code, strict.stdout) == (1, "")
+    assert strict.stderr.startswith(f"{log}:5: person 'ann', episode 'monday', which is left out: step 3:")

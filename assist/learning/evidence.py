@@ -194,7 +194,15 @@ def replayed(
 def observed(
     task: Tasks, log: Records, *, terms: Mapping[str, Term] | None = None, **reading: Unpack[Reading]
 ) -> list[Observations]:
-    """Return each person's observations in a log, as estimates and comparisons take them; see `replayed`."""
+    """Return each person's observations in a log, as estimates and comparisons take them.
+
+    Parameters
+    ----------
+    task, log, **reading
+        As in `replayed`.
+    terms : mapping of str to callable, optional
+        Terms whose values the observations also hold.
+    """
     return evidence(task, log, reading).observations(terms)
 
 

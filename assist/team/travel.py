@@ -113,7 +113,7 @@ class Travel:
     ) -> NDArray[np.int64]:
         """Return the steps of moves of robots, given by their numbers from 0, between pairs of places."""
         if self.at_once:
-            return np.zeros_like(self.distance[origin, to], dtype=np.int64)
+            return np.zeros(np.broadcast_shapes(np.shape(robot), np.shape(origin), np.shape(to)), dtype=np.int64)
         return _whole_steps(self.distance[origin, to] * self.travel_time[robot])
 
     @cached_property
