@@ -23,7 +23,6 @@ from assist.coupled import Agents, joint_optimum
 from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.person.qmdp import qmdp
-from assist.person.ties import NEAR
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
@@ -86,7 +85,7 @@ def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.n
     net = worth[:, None] - team.to()
     person = assigned(team, net)
     check(team, TeamAction(person, np.zeros_like(person)))
-    rounded = net + np.random.default_rng(0).uniform(-NEAR / 9, NEAR / 9, net.shape)
+    rounded = net + np.random.default_rng(0).uniform(-1e-14, 1e-14, net.shape)
     assert (assigned(team, rounded) == person).all()  # also where several assignments are the best
     assert (person[~free] == NOBODY).all()
     taken = set(location[~free])

@@ -3,8 +3,8 @@
 The worth of an assignment is the sum of the worths of its pairs of robot and person. Where all places are equally far
 from each other and robots are alike, the best assignment serves the people with the largest worths, and a robot that is
 with one of them stays. Elsewhere it is a matching of maximum weight (`scipy.optimize.linear_sum_assignment`). Of equal
-ones it is that whose first robots go to the first people. A robot may come to a person with whom another one stays
-without a task: that one makes room (`placed`).
+ones, one is taken that does not depend on rounding; the first robots rather go to the first people. A robot may come to
+a person with whom another one stays without a task: that one makes room (`placed`).
 """
 
 from __future__ import annotations
@@ -87,11 +87,14 @@ def _matched(worth: Floats, location: Ints, free: NDArray[np.bool_]) -> Ints:
     from scipy.optimize import linear_sum_assignment  # slow to import, and rarely needed
 
     person = np.full(location.shape, NOBODY)
-    number = np.arange(worth.shape[1])[:, None]
-    lower = NEAR * np.arange(worth.shape[2]) * (1 - number / len(number))
+    # What decides between equal matchings: the first robots go to the first people, and the last robots to nobody. Sums
+    # of products may be equal again; the sines of different numbers make them differ.
+    robot, rank = np.arange(worth.shape[1])[:, None], np.arange(worth.shape[2])
+    spread = np.sin(1.0 + robot * len(rank) + rank)
+    first = NEAR * ((1 - robot / len(robot)) * (1 - rank / len(rank)) + 0.3 * spread / len(rank))
     for n in np.flatnonzero((worth > NEAR).any(axis=(1, 2))).tolist():
         gain = worth[n].clip(0)
-        robots, people = linear_sum_assignment(gain - lower, maximize=True)
+        robots, people = linear_sum_assignment(gain + first, maximize=True)
         good = gain[robots, people] > NEAR
         person[n, robots[good]] = people[good]
         _stay_rather_than_swap(person[n], location[n], free[n], gain)
