@@ -44,8 +44,8 @@ ROOMS = {
         action_names signals""",
     "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp visiting_robot policy
         lazy_policy archive problem_arrays belief_filter belief_update dynamics joint_belief rounding
-        action_values bellman_backup small_iteration policy_iteration qmdp solution_cache alpha_vectors upper_hull
-        convex_bound hsvi search memory_needed further_beliefs solver""",
+        action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
+        memory_needed further_beliefs solver""",
     "assist.learning": """log_steps log_json log_files log comparison intervals advice_log advice_rules advice_model
         advice_fit replay observations joint_states evidence likelihood choosing profiles maximum_likelihood
         logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit goals model_comparison

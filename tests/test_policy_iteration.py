@@ -21,7 +21,7 @@ from assist.person.leaf_bounds import LeafBounds
 from assist.person.policy_iteration import rounding_error
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import evaluate, initial_upper_bounds, qmdp, value_iteration
-from assist.person.rounding import ROUNDING, margin
+from assist.person.rounding import ROUNDING, rounding
 from assist.team.attention_subproblem import AttentionSubproblem
 from planner import sweep
 
@@ -126,41 +126,12 @@ def random_problem(draw: st.DataObject, gamma: float) -> AssistPOMDP:
     )  # fmt: skip
 
 
-def compiled_from(entries: int, patch: pytest.MonkeyPatch) -> None:
-    """Let problems with more than so many entries not be small: then the compiled code is used."""
-    patch.setattr("assist.person.bellman_backup.MOST_ENTRIES", entries)
-
-
-@pytest.mark.parametrize("small", [True, False])
 @pytest.mark.parametrize("gamma", [0.9, 0.99, 0.999])
 @given(draw=st.data())
 @settings(max_examples=5, deadline=None)
-def test_values_are_those_of_plain_policy_iteration(gamma: float, small: bool, draw: st.DataObject) -> None:
+def test_values_are_those_of_plain_policy_iteration(gamma: float, draw: st.DataObject) -> None:
     """Also for a robot that visits, and for one that pays for its attention."""
-    with pytest.MonkeyPatch.context() as patch:
-        compiled_from(10**6 if small else 0, patch)
-        check(random_problem(draw, gamma), gamma)
-
-
-@pytest.mark.parametrize("rule", [None, outcome(), Reliability(counts=2)])
-@pytest.mark.parametrize("name", ["tiny", "sealed"])
-def test_small_problems_have_the_values_of_compiled_code(name: str, rule: TrustRule | None) -> None:
-    choices = Choices.of(kit(name))
-    pomdp = AssistPOMDP.of(HumanModel.exact(choices), gamma=0.99, c_suggest=0.3, trust=rule, suggestions="all")
-    robot, rng, found = pomdp.robot_actions - 1, np.random.default_rng(0), []
-    x, belief = rng.integers(0, len(choices), 50), rng.dirichlet(np.ones(pomdp.prior.size), 50)
-    for entries in (0, 10**9):
-        with pytest.MonkeyPatch.context() as patch:
-            compiled_from(entries, patch)
-            policy = qmdp(pomdp)
-            expected = policy.q_values(x, belief.reshape(50, *pomdp.prior.shape))
-            found.append((policy.value_mdp, policy.q_mdp, expected, evaluate(pomdp, robot, tolerance=1e-7)))
-    for one, other in zip(*found, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
-
-
-def check(alone: AssistPOMDP, gamma: float) -> None:
-    """Compare a problem's values with those of plain policy iteration."""
+    alone = random_problem(draw, gamma)
     problems = [alone, AttentionSubproblem.of(alone, 0.5).pomdp]
     if alone.frontier is None:
         problems.append(AttentionSubproblem.of(alone, 0.5, 1, [0.3, 0.1]).pomdp)
@@ -206,7 +177,6 @@ def sweeps_of(pomdp: AssistPOMDP, monkeypatch: pytest.MonkeyPatch) -> int:
     """Return the number of sweeps that QMDP needs."""
     done, sweep_once = [], policy_iteration._sweep
     with monkeypatch.context() as patch:
-        compiled_from(0, patch)
         patch.setattr(policy_iteration, "_sweep", lambda *given: done.append(None) or sweep_once(*given))
         qmdp(pomdp)
     return len(done)
@@ -255,7 +225,6 @@ def test_a_limit_leaves_bounds() -> None:
 def test_a_matrix_that_would_be_too_large_is_not_built(monkeypatch: pytest.MonkeyPatch) -> None:
     pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(kit("tiny"))), grid=GRID, gamma=0.9)
     found = qmdp(pomdp, tolerance=1e-9).value_mdp
-    compiled_from(0, monkeypatch)
     monkeypatch.setattr(policy_iteration, "MOST_ENTRIES", 10)
     np.testing.assert_allclose(qmdp(pomdp, tolerance=1e-9).value_mdp, found, atol=1e-8)
 
@@ -271,12 +240,12 @@ def test_values_of_very_different_size_converge(dear: int) -> None:
 
 
 def test_the_margin_of_rounding_grows_with_the_number_of_terms() -> None:
-    assert margin(2) == margin(800) == ROUNDING
-    assert margin(8000) == pytest.approx(10 * ROUNDING)
+    assert rounding(2) == rounding(800) == ROUNDING
+    assert rounding(8000) == pytest.approx(10 * ROUNDING)
     many = [(1, 0, 1), *((1, 2, 1 + i) for i in range(2000)), (2, 1, 1)]
     few = [(1, 0, 1), *((1, 2, 1 + i) for i in range(20)), (2, 1, 1)]
-    margins = {}
+    margin = {}
     for name, roads in (("many", many), ("few", few)):
         pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(sweep(graph_task(roads)))), grid=GRID, gamma=0.9)
-        margins[name] = rounding_error(-np.ones((1, *GRID.shape)), ProblemArrays.of(pomdp)).max()
-    assert margins["many"] > 2 * margins["few"]
+        margin[name] = rounding_error(-np.ones((1, *GRID.shape)), ProblemArrays.of(pomdp)).max()
+    assert margin["many"] > 2 * margin["few"]

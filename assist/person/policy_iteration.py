@@ -12,8 +12,6 @@ The first policy is the given one, or else to do nothing. Theta has no effect on
 one unknown for each state. In a dead end, mostly no suggestion is worth its cost; then the first sweep is the last.
 A few sweeps are enough elsewhere. Equations that would take too much memory are left out; then sweeps alone go on.
 
-Compiling takes seconds. So a small problem can be solved in numpy (`small_iteration`), to the same values up to 1e-9.
-
 **Bounds and the stopping rule.** For one type, let T be the Bellman operator on a region, or that of one policy, where
 all other states have fixed values.
 
@@ -59,10 +57,8 @@ from planner.system.progress import Progress
 
 from ..people.decision import Floats
 from .action_values import action_values
-from .bellman_backup import is_small
 from .problem_arrays import ProblemArrays, read_only
-from .rounding import margin, rounding
-from .small_iteration import SmallRegion
+from .rounding import rounding
 
 Ints = NDArray[np.int64]
 
@@ -78,7 +74,6 @@ KRYLOV_STEPS = 200  # of two products each; 20 to 60 converge in all tasks that 
 AT_ONCE = 20_000_000  # entries that are read before the clock is; they take about 0.02 s
 INEXACT = 0.05  # equations of a policy that will change are solved to this share of the last change
 FEW_CHANGES = 1e-3  # share of a policy; one that changes by less is nearly the best, and is solved precisely
-ROUGH = 1e-4  # tolerance in cost units from which values are rough
 SMALL = 20_000  # values; the sweeps over fewer take less time than to start threads
 
 
@@ -142,10 +137,7 @@ def improve(
             last = now
             progress(SOLVING, swept, None)
 
-    of_goals = [of_goal(arrays, goal) for goal in range(len(regions))]
-    # Rough values, of truncated tasks, are wanted fast; those of small problems are always precise.
-    small = is_small(value, arrays.targets.shape[1]) and limits.tolerance <= ROUGH
-    error = margin(arrays.targets.shape[1])
+    of_goals = [_of_goal(arrays, goal) for goal in range(len(regions))]
 
     def one(h: int) -> bool:
         # Contiguous copies of one type's arrays keep more of a sweep in the processor's cache.
@@ -155,18 +147,13 @@ def improve(
         dead, alive = regions[goal]
         done = True
         for order in (dead, alive):
-            if small:
-                near = value[order, h - 1 : h] if h and arrays.goal_of[h - 1] == goal else None
-                part = SmallRegion(own, order, robot, m, error, below, near)
-                done = part.iterate(limits.tolerance, limits.sweeps, stop, count) and done
-                continue
             region = _Region(own, read_only(order, np.int64), read_only(robot, np.int64), m, limits, stop, count, below)
             done = region.iterate(order is dead) and done
         value[:, h] = own[:, 0]
         return done
 
     types = range(value.shape[1])
-    if small or value.size <= SMALL:
+    if value.size <= SMALL:
         return all(list(map(one, types)))
     with ThreadPoolExecutor(processors()) as pool:
         try:
@@ -177,7 +164,7 @@ def improve(
             raise
 
 
-def of_goal(arrays: ProblemArrays, goal: int) -> ProblemArrays:
+def _of_goal(arrays: ProblemArrays, goal: int) -> ProblemArrays:
     """Return the arrays of a problem in which one goal is known, but those of its types."""
     own, of = slice(goal, goal + 1), (slice(None), slice(None), slice(goal, goal + 1))
     return arrays._replace(
@@ -205,7 +192,7 @@ def rounding_error(value: Floats, arrays: ProblemArrays) -> Floats:
     This is e / (1 - gamma) of the module's theorem.
     """
     largest = np.abs(value).max(axis=(0, 2), initial=0.0)[:, None]
-    return np.asarray(margin(arrays.targets.shape[1]) / (1 - arrays.gamma) * largest)
+    return np.asarray(rounding(arrays.targets.shape[1]) / (1 - arrays.gamma) * largest)
 
 
 @dataclass(frozen=True)
@@ -226,7 +213,7 @@ class _Region:
         m, order, tolerance = self.m, self.order, self.limits.tolerance
         if not len(order):
             return True
-        horizon, least = m.gamma / (1 - m.gamma), margin(m.targets.shape[1]) / (1 - m.gamma)
+        horizon, least = m.gamma / (1 - m.gamma), rounding(m.targets.shape[1]) / (1 - m.gamma)
         outwards = -horizon if self.below else horizon
         first = np.maximum(self.robot, 0).astype(np.int32)
         found, policy = self.value.copy(), first.repeat(len(m.theta)).reshape(-1, len(m.theta))

@@ -26,14 +26,12 @@ from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
 from .action_values import BEST, action_values
-from .bellman_backup import BellmanBackup, is_small
 from .policy import Policy
-from .policy_iteration import SOLVING, Limits, improve, of_goal, rounding_error
+from .policy_iteration import SOLVING, Limits, improve, rounding_error
 from .policy_iteration import load_compiled as load_iteration
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 
-AT_ONCE = 1 << 10  # people whose expected values are computed at once; more need more memory
 MOST_SWEEPS = 10_000  # default limit of sweeps over all states; a dozen are enough in all tasks that were tried
 
 
@@ -68,24 +66,12 @@ class QMDP(Policy):
         x : int array, shape (N,)
         belief : float array, shape (N, H, T)
         """
-        if is_small(self.value_mdp, self.pomdp.model.choices.targets.shape[1]):
-            return self._expected_of_few(x, self.pomdp.hidden.acting(belief).reshape(len(x), -1))
         q = np.full((len(x), self.q_mdp.shape[1]), -np.inf)
         _expected(
             q, read_only(x, np.int64), read_only(self.pomdp.hidden.acting(belief), float).reshape(len(x), -1),
             read_only(self._flat), read_only(self.pomdp.robot_actions),
         )  # fmt: skip
         return q
-
-    def _expected_of_few(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Return what `q_values` does, for a small problem and flat beliefs: the definition in numpy."""
-        found, actions = [np.empty((0, self.q_mdp.shape[1]))], np.arange(self.q_mdp.shape[1])
-        for begin in range(0, len(x), AT_ONCE):
-            own = x[begin : begin + AT_ONCE]
-            with np.errstate(invalid="ignore"):  # minus infinity in padding, times 0
-                q = np.einsum("nrc,nc->nr", self._flat[own], belief[begin : begin + AT_ONCE])
-            found.append(np.where(actions < self.pomdp.robot_actions[own, None], q, -np.inf))
-        return np.concatenate(found)
 
     @cached_property
     def _flat(self) -> Floats:
@@ -200,26 +186,8 @@ def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | No
     """
     # Rows of other states are never written to, so that they take neither time nor physical memory.
     q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
-    arrays, states = ProblemArrays.of(pomdp), np.arange(len(value)) if states is None else states
-    if is_small(value, arrays.targets.shape[1]):
-        _q_values_of_few(q, value, states, arrays)
-    else:
-        _q_values(q, value, read_only(states), arrays)
+    _q_values(q, value, read_only(np.arange(len(value)) if states is None else states), ProblemArrays.of(pomdp))
     return QMDP(pomdp, value, q)
-
-
-def _q_values_of_few(q: Floats, value: Floats, states: NDArray[np.int64], arrays: ProblemArrays) -> None:
-    """Do what `_q_values` does, for a small problem: the definition in numpy."""
-    q[states] = -np.inf
-    for goal in range(len(arrays.goal)):
-        own = np.flatnonzero(arrays.goal_of == goal)
-        m = of_goal(arrays, goal)._replace(chosen=arrays.chosen[:, :, own], unsuggested=arrays.unsuggested[:, :, own])
-        pairs = BellmanBackup.of(states, np.full(len(value), BEST), m)
-        x, robot, found = pairs.x, pairs.robot, pairs.q_values(value[:, own])
-        over = arrays.final[goal, x]
-        costs = np.where(robot > 0, arrays.robot_costs[x, robot], 0.0)[over]
-        found[over] = value[x[over]][:, own] - costs[:, None, None]
-        q[x[:, None], robot[:, None], own] = found
 
 
 def evaluate(

@@ -6,7 +6,7 @@ roundoff (Higham, "Accuracy and stability of numerical algorithms", 2002, lemma 
 some sums as a difference, but only where the result is at least a tenth of the minuend. Its error is then ten times
 larger, at most. So the error is below 10 (N + 20) u, up to a relative 1e-9 for fewer than a million terms.
 
-`margin(N)` is 1e-12 up to 800 terms, which is above 10 (800 + 20) u = 9.1e-13. Beyond, it grows in proportion.
+`rounding(N)` is 1e-12 up to 800 terms, which is above 10 (800 + 20) u = 9.1e-13. Beyond, it grows in proportion.
 """
 
 from __future__ import annotations
@@ -20,10 +20,7 @@ TERMS = 800
 """The largest number of terms for which `ROUNDING` is enough."""
 
 
-def margin(terms: int) -> float:
+@njit()
+def rounding(terms: int) -> float:
     """Return the relative margin of a computed bound, given the number of terms of its largest sum."""
     return ROUNDING * max(1.0, terms / TERMS)
-
-
-rounding = njit()(margin)
-"""`margin` for compiled code."""
