@@ -144,10 +144,13 @@ class Search:
         self.lower, self.upper = max(self.lower, below), min(self.upper, above)
 
     def begin(self, robot: NDArray[np.int64], deadline: float = math.inf, max_sweeps: int | None = None) -> float:
-        """Add the vectors of a policy that depends on x only; return its value at the root, or a lower bound on it."""
+        """Add the vectors of a policy that depends on x only; return a lower bound on its value at the root."""
         value = evaluate(self.pomdp, robot, deadline=deadline, max_sweeps=max_sweeps).reshape(len(robot), -1)
         hsvi.add_vectors(value, robot, _own(self.pomdp.prior), self.vectors)
-        return float((value[self.root] * self.prior).sum())
+        there = float((value[self.root] * self.prior).sum())
+        there -= rounding(2 * len(self.prior)) * abs(there)
+        self.lower = max(self.lower, there)  # other sums of the same numbers may be lower by rounding
+        return there
 
     def bounds(self, x: int, belief: Floats) -> tuple[float, float]:
         """Return the lower and upper bound at a belief."""

@@ -71,10 +71,11 @@ class Solution(Result, Policy):
     lower, upper : float
         Bounds on the optimal value at the initial state and the prior. The value of `policy` is at least `lower`.
     value_qmdp : float
-        The QMDP value there, an upper bound.
+        The QMDP value there, moved upwards by the margin for rounding: an upper bound, and at least `upper`.
     value_never, value_always : float
         Values of two policies there: do nothing, and always suggest the optimal action that QMDP prefers at the prior.
-        They are at most 1e-4 cost units too low; the second may be lower still after a time limit.
+        They are at most 1e-4 cost units too low; the second may be lower still after a time limit. Both are at most
+        `lower`.
     seconds : float
     backups : int
     stopped : str
@@ -256,6 +257,8 @@ def solve(
     work = Search(pomdp, best, options)
     never, always = work.first_policies(best, until)
     start += work.load()
+    work.tighten()
+    observed = work.upper  # of the corners, which are all that the hull contains before the first trial
     # A third of the time is kept for the further beliefs.
     searching = math.inf if time_limit is None else time_limit * (2 / 3 if further_beliefs is not None else 1)
 
@@ -270,9 +273,8 @@ def solve(
     if further_beliefs is not None and len(further_beliefs[0]):
         widen(work, *further_beliefs, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
         work.tighten()
-    observed = best.value_mdp[pomdp.model.choices.initial] * pomdp.prior
     return result_of(
-        work, value_qmdp=float(observed.sum()), value_never=never, value_always=always,
+        work, value_qmdp=observed, value_never=never, value_always=always,
         seconds=time.perf_counter() - start, stopped=stopped,
     )  # fmt: skip
 
