@@ -348,7 +348,7 @@ def forked(work: Callable[[], Any]) -> Any:
 def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[int, list[tuple[str, str]]]:
     """Run the mutants of a module; return their total number, and the outcomes of those that were run."""
     plugin = Run(file, sample, seed)
-    tests = [str(ROOT / "tests" / f"{name}.py") for name in TESTS[file].split()]
+    tests = [str(next((ROOT / "tests").rglob(f"{name}.py"))) for name in TESTS[file].split()]
     with tempfile.TemporaryDirectory() as folder:
         options = [
             "-x",

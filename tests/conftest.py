@@ -43,6 +43,9 @@ from planner.system import progress
 from planner.system.limits import NO_LIMITS
 
 ROOT = Path(__file__).parent.parent
+TESTS = Path(__file__).parent
+# A file of tests may take from any other, whatever their folders: names of files are unique.
+sys.path[:0] = sorted({str(file.parent) for file in TESTS.rglob("test_*.py")})
 DOMAINS = ROOT / "domains"
 KITTING = DOMAINS / "kitting"
 SHIPPED = find_instances([DOMAINS])

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).parent.parent
-sys.path += [str(ROOT / "bench"), str(ROOT / "tests")]
+sys.path += [str(ROOT / "bench"), str(ROOT / "tests"), str(ROOT / "tests" / "together")]
 
 from gates_records import here  # noqa: E402
 from simulated_people import People, observed, record, record_with_terms, record_with_trust  # noqa: E402

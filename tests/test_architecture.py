@@ -177,6 +177,13 @@ def test_nothing_is_beside_the_rooms() -> None:
         assert beside == {*rooms, *files, "__init__.py", "__init__.pyi", "py.typed"}
 
 
+def test_tests_mirror_the_rooms() -> None:
+    files = [file for file in (ROOT / "tests").rglob("test_*.py") if file != Path(__file__)]
+    folders = {".".join(file.parent.relative_to(ROOT / "tests").parts) for file in files}
+    assert folders <= {*ROOMS, "together"}
+    assert len({file.name for file in files}) == len(files)
+
+
 def floors(folder: str) -> int:
     """Return the length of the longest chain of rooms of which each imports from the next."""
     below: dict[str, set[str]] = {}

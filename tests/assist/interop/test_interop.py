@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke, table_of, write_instance
+from conftest import KITTING, TESTS, invoke, table_of, write_instance
 from scipy.sparse import csr_array
 from test_alpha_vectors import lockers, problems
 from test_qmdp import GRID, make
@@ -30,7 +30,7 @@ from planner.system.errors import MissingExtraError
 
 # SARSOP's own output for `make(tiny_choices, h)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
 # tiny.pomdpx` (APPL 0.9) ended with the bounds below. That person's misconceptions were drawn state by state.
-POLICY = Path(__file__).parent / "data" / "tiny.policy"
+POLICY = TESTS / "data" / "tiny.policy"
 LOWER, UPPER = -7.24383, -7.2274
 
 NAMES = ["optimal", "all", "execute", "lockers", "no lapses"]

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import warnings
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import TESTS
 from gates_records import here, near
 from learning_figures import figures, plain
 
-FILE = Path(__file__).parent / "data" / "learning.json"
+FILE = TESTS / "data" / "learning.json"
 RECORD: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
 RECORDED: dict[str, Any] = RECORD["figures"]
 NEAR = 1e-6 if RECORD["machine"] == here() else 1e-2

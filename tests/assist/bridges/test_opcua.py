@@ -19,7 +19,7 @@ from typing import Any
 import click
 import pytest
 from click.testing import CliRunner
-from conftest import kit
+from conftest import TESTS, kit
 from serving import TINY
 from starlette.testclient import TestClient
 from test_mqtt import Here, done_of, free_port, plans
@@ -64,7 +64,7 @@ TAKE = "fetch"
 @pytest.fixture(scope="module")
 def servers() -> Iterator[subprocess.Popen[str]]:
     """A process that starts servers."""
-    command = [sys.executable, Path(__file__).with_name("opcua_server.py")]
+    command = [sys.executable, TESTS / "opcua_server.py"]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:

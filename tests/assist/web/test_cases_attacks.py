@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 import pytest
+from conftest import ROOT
 from starlette.testclient import TestClient
 from test_cases_study_identities import signature_of
 from test_userstudy_pages import Web
@@ -230,7 +231,7 @@ INLINE = re.compile(
 
 
 def test_no_shipped_page_has_a_script_or_a_style_within_an_element() -> None:
-    root = Path(__file__).parents[1] / "assist"
+    root = ROOT / "assist"
     files = [file for kind in ("*.html", "*.html.jinja") for file in root.rglob(kind)]
     assert len(files) >= 9
     for file in files:
