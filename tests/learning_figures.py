@@ -193,7 +193,7 @@ def of_rules(table: Table, count: int, suggestions: int, kinds: tuple[str, ...])
 def of_advice(log: Any, folds: int, rules: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield figures of judgements with advice."""
     for name in ("constant", "paper", "outcome", "outcome-at-disagreement", "reliability"):
-        yield name, lambda name=name: fit_advice(log, name)
+        yield name, lambda name=name: fit_advice(log, name).as_dict()
     yield "compared", lambda: comparison(compare_rules(log, rules=rules, folds=folds))
 
     def answers() -> Any:

@@ -66,7 +66,7 @@ def study(
                 f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again",
                 ExitCode.FAILED,
             )
-        summary = write_report(planned, out, jobs=jobs)
+        summary = write_report(planned, out, jobs=jobs).summary
     if as_json:
         print_json(summary)
         return

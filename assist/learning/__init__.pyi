@@ -1,3 +1,4 @@
+from .advice_fit import FittedAdvice as FittedAdvice
 from .advice_fit import fit_advice as fit_advice
 from .advice_log import AdviceLog as AdviceLog
 from .advice_log import read_advice as read_advice

@@ -7,16 +7,20 @@ A fit is one of largest marginal likelihood (`advice_model`). `fit_advice` is wh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from planner.system.errors import expected
+from planner.system.results import Result
+
 from ..people.decision import Floats
-from .advice_log import AdviceLog
+from .advice_log import AdviceLog, read_advice
 from .advice_model import BASES, AdviceModel
 from .advice_rules import DEFAULT_STEPS, OF_THE_PAPER, ONE_THETA, RULES, Rule
 from .comparison import FOLDS
@@ -246,32 +250,63 @@ def fit_to(
     return AdviceFit(log, fit_model(near.model if isinstance(near, AdviceFit) else start, some))
 
 
-def fit_advice(log: AdviceLog, rule: str) -> dict[str, Any]:
-    """Return the parameters of a trust rule that fit a log of advice best, as plain data.
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedAdvice(Result):
+    """A trust rule that was fitted to judgements with advice.
+
+    Attributes
+    ----------
+    rule : str
+    base : str
+        What answers depend on besides theta: "E", the own confidence, or "EA", also that of the advisor.
+    parameters : dict of str to float
+    log_likelihood : float
+        In nats.
+    people, choices : int
+        Their numbers.
+    """
+
+    rule: str
+    base: str
+    parameters: Mapping[str, float]
+    log_likelihood: float
+    people: int
+    choices: int
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} {value:.3g}" for name, value in self.parameters.items())
+        return f"<trust rule {self.rule} of {self.people:,} people: {values}>"
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each parameter."""
+        return [{"rule": self.rule, "parameter": name, "estimate": value} for name, value in self.parameters.items()]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fit as plain data."""
+        return dict(vars(self))
+
+
+def fit_advice(log: AdviceLog | str | PathLike[str], rule: str = "outcome-at-disagreement") -> FittedAdvice:
+    """Return the parameters of a trust rule that fit a log of advice best.
 
     Parameters
     ----------
-    log
-        People's choices before and after advice.
-    rule
+    log : AdviceLog, or path
+        People's choices before and after advice; a file is read as `read_advice` does.
+    rule : str
         A name of `RULES`.
-
-    Returns
-    -------
-    dict
-        The rule, its base, its parameters, the log likelihood in nats, and the numbers of people and choices.
 
     Raises
     ------
     ValueError
-        The likelihood is not finite.
+        There is no such rule, or the likelihood is not finite.
     """
+    log = log if isinstance(log, AdviceLog) else read_advice(log)
+    if rule not in RULES:
+        raise ValueError(f"trust rule {rule!r}; {expected(rule, RULES)}")
     base = base_of(log)
     model = fit_model(AdviceModel.of(base, RULES[rule]), log)
-    return {
-        "rule": rule, "base": base, "parameters": model.parameters, "log_likelihood": model.log_likelihood(log),
-        "people": len(log.people), "choices": len(log),
-    }  # fmt: skip
+    return FittedAdvice(rule, base, model.parameters, model.log_likelihood(log), len(log.people), len(log))
 
 
 def base_of(log: AdviceLog) -> str:

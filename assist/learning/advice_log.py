@@ -12,13 +12,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.arrays import outline, read_only
+from planner.system.arrays import read_only
 from planner.system.errors import InputFileError
+from planner.system.results import Result
 
 from ..people.decision import Floats
 
@@ -35,8 +36,8 @@ ONE_ADVISOR = "sequence"
 Confidence = Literal["own", "one"]
 
 
-@dataclass(frozen=True)
-class AdviceLog:
+@dataclass(frozen=True, eq=False, repr=False)
+class AdviceLog(Result):
     """Judgements with advice, ordered by person and trial; arrays of shape (N,).
 
     Attributes
@@ -70,13 +71,16 @@ class AdviceLog:
     confidence: Floats
     advice_confidence: Floats
 
-    __repr__ = outline
-
     def __post_init__(self) -> None:
         read_only(self)
 
     def __len__(self) -> int:
         return len(self.person)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each judgement, with a column for each attribute."""
+        columns = {name: array.tolist() for name, array in vars(self).items()}
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     @property
     def people(self) -> list[str]:

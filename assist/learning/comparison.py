@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from planner.system.arrays import outline, read_only
+from planner.system.arrays import read_only
+from planner.system.results import Result
 
 from ..people.decision import Floats
 from .log import LogError
@@ -23,8 +24,8 @@ from .log import LogError
 FOLDS = 8
 
 
-@dataclass(frozen=True)
-class Score:
+@dataclass(frozen=True, eq=False, repr=False)
+class Score(Result):
     """How well a model predicts people to whom it was not fitted.
 
     Attributes
@@ -59,18 +60,25 @@ class Score:
     p_corrected: float | None = None
     better_for: int | None = None
 
-    __repr__ = outline
-
     def __post_init__(self) -> None:
         read_only(self)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return one row: how well the model predicts, its difference from the reference, and its parameters."""
+        low, high = self.interval or (None, None)
+        return [{
+            "model": self.model, "nats_per_choice": self.nats_per_choice, "stderr": self.stderr,
+            "difference": self.difference, "difference_low": low, "difference_high": high, "p": self.p,
+            "p_corrected": self.p_corrected, "better_for": self.better_for, **self.parameters,
+        }]  # fmt: skip
 
     def as_dict(self) -> dict[str, Any]:
         """Return the row of a table as plain data."""
         return {name: value for name, value in vars(self).items() if name != "of_people"}
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Result):
     """Models compared on the same people.
 
     Attributes
@@ -89,10 +97,15 @@ class Comparison:
     level: float
     scores: tuple[Score, ...]
 
-    __repr__ = outline
-
     def __post_init__(self) -> None:
         read_only(self)
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {len(self.scores)} models for {len(self.people)} people: best {self.best.model}>"
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each model, as `Score.records` does."""
+        return [row for score in self.scores for row in score.records()]
 
     def __getitem__(self, model: str) -> Score:
         for row in self.scores:

@@ -14,8 +14,11 @@ the fitted beta and theta.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from planner.system.results import Result
 
 from ..people.decision import Floats
 from .maximum_likelihood import Fit
@@ -23,8 +26,8 @@ from .maximum_likelihood import Fit
 TERMS = ("repetition", "large_mistakes", "learning")
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Result):
     """Choices in bins of their predicted probability.
 
     Attributes
@@ -44,6 +47,10 @@ class Calibration:
     low: Floats
     high: Floats
     count: Floats
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each bin."""
+        return [dict(zip(vars(self), row, strict=True)) for row in np.column_stack(list(vars(self).values())).tolist()]
 
 
 def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:

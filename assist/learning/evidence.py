@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo, TransitionSystem, known_costs
-from planner.system.arrays import outline, read_only
+from planner.system.arrays import read_only
+from planner.system.results import ByContent
 
 from ..people.decision import Floats
 from ..people.goals import prior_over
@@ -54,8 +55,8 @@ class Reading(TypedDict, total=False):
     strict: bool
 
 
-@dataclass(frozen=True)
-class Evidence:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evidence(ByContent):
     """A log that was replayed in the task of one goal, or of G goals.
 
     Attributes
@@ -91,8 +92,6 @@ class Evidence:
     faults: tuple[Fault, ...]
     notes: tuple[str, ...]
     left_out: dict[str, int]
-
-    __repr__ = outline
 
     def __post_init__(self) -> None:
         read_only(self)

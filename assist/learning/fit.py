@@ -9,7 +9,9 @@ from typing import Any, Literal, TypeAlias, Unpack
 import numpy as np
 
 from planner import CostToGo, Table
+from planner.system.errors import expected
 from planner.system.progress import Wanted, adding, shows_progress
+from planner.system.results import Result
 
 from ..people.choice_model import ChoiceModel
 from ..people.mixture import Mixture
@@ -41,13 +43,13 @@ class FactsOf:
         return [self.costs.task.facts(values) for values in self.costs.values(states).tolist()]
 
 
-@dataclass(frozen=True, eq=False)
-class FittedPeople(Mapping[str, PersonEstimate]):
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedPeople(Result, Mapping[str, PersonEstimate]):
     """The estimates of people: a `PersonEstimate` by the name of each.
 
     Attributes
     ----------
-    records : tuple of PersonEstimate
+    people : tuple of PersonEstimate
         Estimates in the order of the names.
     unknown : dict of str to dict
         A record with the reason for each person without usable actions.
@@ -63,7 +65,7 @@ class FittedPeople(Mapping[str, PersonEstimate]):
         The user's choice model, if one was given.
     """
 
-    records: tuple[PersonEstimate, ...]
+    people: tuple[PersonEstimate, ...]
     unknown: Mapping[str, Mapping[str, Any]]
     faults: tuple[Fault, ...]
     method: Method
@@ -72,27 +74,33 @@ class FittedPeople(Mapping[str, PersonEstimate]):
     chooses: ChoiceModel | None = None
 
     def __repr__(self) -> str:
-        shown = ", ".join(map(str, self.records[:3]))
-        more = ", ..." if len(self.records) > 3 else ""
+        shown = ", ".join(map(str, self.people[:3]))
+        more = ", ..." if len(self.people) > 3 else ""
         without = f"; {len(self.unknown)} without an estimate" if self.unknown else ""
         return f"<{len(self)} fitted people: {shown}{more}{without}; {len(self.faults)} faults of the log>"
 
     def __getitem__(self, person: str) -> PersonEstimate:
-        for record in self.records:
-            if record.person == person:
-                return record
-        raise KeyError(person)
+        for one in self.people:
+            if one.person == person:
+                return one
+        raise KeyError(f"person {person!r}; {expected(person, [one.person for one in self.people])}")
 
     def __iter__(self) -> Iterator[str]:
-        return (record.person for record in self.records)
+        return (one.person for one in self.people)
 
     def __len__(self) -> int:
-        return len(self.records)
+        return len(self.people)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each person, as `PersonEstimate.records` does; of others, the reason in `notes`."""
+        rows = [row for one in self.people for row in one.records()]
+        rows += [{"person": person, "actions": 0, "notes": one["error"]} for person, one in self.unknown.items()]
+        return sorted(rows, key=lambda row: in_order(row["person"]))
 
     @property
     def complete(self) -> bool:
         """Whether every line and every action of the log was used."""
-        return not self.faults and not self.unknown and not any(record.left_out for record in self.records)
+        return not self.faults and not self.unknown and not any(one.left_out for one in self.people)
 
     @shows_progress
     def distribution(self, *, family: str | None = None, progress: Wanted = None) -> PopulationFit:
@@ -106,7 +114,7 @@ class FittedPeople(Mapping[str, PersonEstimate]):
                 raise ValueError(f"family '{family}': expected log-normal, which beta is taken to be where terms are")
             return replace(population_of(self.hierarchy), utility_scale=self.method.utility_scale)
         assert callable(progress)
-        observations = [record.fit.observations for record in self.records]
+        observations = [one.fit.observations for one in self.people]
         advance = adding(progress, "fitting the population", ETAS)
         return fit_population(observations, self.method, family=family, progress=advance)
 
@@ -126,13 +134,13 @@ class FittedPeople(Mapping[str, PersonEstimate]):
     @property
     def sigma(self) -> tuple[float, float]:
         """The range of people's misconceptions, without the largest and smallest tenth; (0, 0) if not estimated."""
-        sizes = [record.misconception.sigma for record in self.records if record.misconception is not None]
+        sizes = [one.misconception.sigma for one in self.people if one.misconception is not None]
         low, high = np.quantile(sizes, (0.1, 0.9)).tolist() if sizes else (0.0, 0.0)
         return low, high
 
     def as_dicts(self) -> list[dict[str, Any]]:
         """Return the results as plain data: a record for each person who is named in the log."""
-        found = [record.as_dict(self.facts) for record in self.records] + [dict(one) for one in self.unknown.values()]
+        found = [one.as_dict(self.facts) for one in self.people] + [dict(one) for one in self.unknown.values()]
         return sorted(found, key=lambda record: in_order(record["person"]))
 
 

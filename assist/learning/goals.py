@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner import CostToGo
-from planner.system.arrays import outline, read_only
+from planner.system.arrays import read_only
+from planner.system.results import Result
 
 from ..people.belief import Grid
 from ..people.choices import STAND_STILL
@@ -32,13 +33,15 @@ if TYPE_CHECKING:
     from planner import AnyTask
 
 
-@dataclass(frozen=True)
-class EpisodeGoals:
+@dataclass(frozen=True, eq=False, repr=False)
+class EpisodeGoals(Result):
     """The posterior over goals in one episode of T actions.
 
     Attributes
     ----------
     person, episode : str
+    goals : tuple of str
+        Names of the G goals.
     step : int array, shape (T,)
         Step number in the log.
     actions : tuple of str
@@ -51,12 +54,11 @@ class EpisodeGoals:
 
     person: str
     episode: str
+    goals: tuple[str, ...]
     step: Ints
     actions: tuple[str, ...]
     posterior: Floats
     beta: Floats
-
-    __repr__ = outline
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -64,9 +66,33 @@ class EpisodeGoals:
     def __len__(self) -> int:
         return len(self.step)
 
+    def __repr__(self) -> str:
+        return f"<goals of {self.person}, episode {self.episode}: {self._end()} after {len(self)} actions>"
 
-@dataclass(frozen=True)
-class InferredGoals:
+    @property
+    def goal(self) -> str:
+        """The most probable goal after the last action."""
+        return self.goals[int(self.posterior[-1].argmax())]
+
+    def _end(self) -> str:
+        return f"{self.goal} with probability {self.posterior[-1].max():.2f}"
+
+    def named(self, action: int = -1) -> dict[str, float]:
+        """Return the probability of each goal after an action, by default the last one."""
+        return dict(zip(self.goals, self.posterior[action].tolist(), strict=True))
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each action: the step, the action, the probability of each goal, and the mean of beta."""
+        return [
+            {"step": step, "action": action, **self.named(t), "beta": beta}
+            for t, (step, action, beta) in enumerate(
+                zip(self.step.tolist(), self.actions, self.beta.tolist(), strict=True)
+            )
+        ]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InferredGoals(Result):
     """The posteriors over goals of all episodes of a log.
 
     Attributes
@@ -92,28 +118,33 @@ class InferredGoals:
     notes: tuple[str, ...] = ()
     left_out: int = 0
 
-    __repr__ = outline
-
     def __post_init__(self) -> None:
         read_only(self)
 
+    def __repr__(self) -> str:
+        faults = f"{len(self.faults)} faults of the log"
+        return f"<goals of {len(self.episodes)} episodes: {', '.join(self.goals)}; {faults}>"
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each episode: its most probable goal, and the probability of each goal at its end."""
+        return [
+            {"person": one.person, "episode": one.episode, "actions": len(one), "goal": one.goal, **one.named()}
+            for one in self.episodes
+        ]
+
     def as_dicts(self) -> list[dict[str, Any]]:
         """Return the results as plain data: a record for each episode."""
-
-        def named(posterior: Floats) -> dict[str, float]:
-            return dict(zip(self.goals, posterior.tolist(), strict=True))
-
         return [
             {
                 "person": one.person,
                 "episode": one.episode,
-                "goal": self.goals[int(one.posterior[-1].argmax())],
-                "posterior": named(one.posterior[-1]),
+                "goal": one.goal,
+                "posterior": one.named(),
                 "beta": float(one.beta[-1]),
                 "steps": [
-                    {"step": step, "action": action, "posterior": named(posterior), "beta": beta}
-                    for step, action, posterior, beta in zip(
-                        one.step.tolist(), one.actions, one.posterior, one.beta.tolist(), strict=True
+                    {"step": step, "action": action, "posterior": one.named(t), "beta": beta}
+                    for t, (step, action, beta) in enumerate(
+                        zip(one.step.tolist(), one.actions, one.beta.tolist(), strict=True)
                     )
                 ],
             }
@@ -206,7 +237,7 @@ def _posteriors(seen: Evidence, likelihood: Floats, beta: Floats) -> tuple[Episo
         chosen = r.actions[np.arange(begin, end), r.chosen[begin:end]]
         found.append(
             EpisodeGoals(
-                r.people[r.person[begin]], r.episodes[r.episode[begin]], r.step[begin:end],
+                r.people[r.person[begin]], r.episodes[r.episode[begin]], seen.goals, r.step[begin:end],
                 tuple(actions[action] if action >= 0 else STAND_STILL for action in chosen.tolist()),
                 of_goal / of_goal.sum(axis=1, keepdims=True), every @ beta / every.sum(axis=1),
             )

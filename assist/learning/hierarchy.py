@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.arrays import read_only
+from planner.system.results import ByContent
 
 from ..people.decision import NOTHING, Floats
 from .intervals import largest_fall
@@ -30,8 +31,8 @@ from .observations import Observations
 RATES = np.linspace(0.0, 1.0, 11)  # of trust that are tried
 
 
-@dataclass(frozen=True)
-class Hierarchy:
+@dataclass(frozen=True, eq=False, repr=False)
+class Hierarchy(ByContent):
     """An estimated population, and the estimates of its people.
 
     Attributes

@@ -20,7 +20,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, cast
 
-from planner.system.arrays import outline
+from planner.system.results import Result
 
 from ..people.action_names import words_of, wrong_form
 from .log_files import NEEDED, Taken, is_hidden, named_rows, own_names, read_records, tidy
@@ -96,8 +96,8 @@ class Entry:
         return [text for text in (self.action, self.suggestion, self.executed) if text is not None]
 
 
-@dataclass(frozen=True)
-class Log:
+@dataclass(frozen=True, eq=False, repr=False)
+class Log(Result):
     """The usable episodes of a log, and its faults.
 
     Attributes
@@ -123,7 +123,14 @@ class Log:
     name: str = "log"
     note: str = ""
 
-    __repr__ = outline
+    def __repr__(self) -> str:
+        episodes, faults = len({entry.names for entry in self.entries}), len(self.faults)
+        bad = f", {faults} faults" if faults else ""
+        return f"<Log {self.name}: {len(self.people)} people, {episodes} episodes, {len(self.entries)} lines{bad}>"
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each usable line, with the columns of a log."""
+        return [vars(entry) for entry in self.entries]
 
     @classmethod
     def of(

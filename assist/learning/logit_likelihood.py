@@ -23,6 +23,7 @@ from scipy.special import expit, logit
 
 from planner.system.arrays import read_only
 from planner.system.jit import njit
+from planner.system.results import ByContent
 
 from ..people.decision import NOTHING, Floats
 from .likelihood import SMALL, Method
@@ -35,8 +36,8 @@ BETA, THETA, FIRST_TERM = 0, 1, 2
 CERTAIN = 1e-9  # smallest distance of theta to 0 and 1 in the logit
 
 
-@dataclass(frozen=True)
-class Steps:
+@dataclass(frozen=True, eq=False, repr=False)
+class Steps(ByContent):
     """The choices of K people, of one task or of several; N steps of up to A choices, J terms.
 
     Attributes

@@ -14,8 +14,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+
+from planner.system.results import Result
 
 from ..people.decision import Floats, choice, influence, lapse
 from .intervals import end_of, largest_fall
@@ -48,8 +51,8 @@ class Estimate:
         return not (self.open_below and self.open_above)
 
 
-@dataclass(frozen=True)
-class Fit:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit(Result):
     """The estimates of one person.
 
     Attributes
@@ -78,6 +81,21 @@ class Fit:
     known_eta: float | None
     method: Method
     weights: Mapping[str, Estimate] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        known = [f"{row['parameter']} {row['estimate']:.2f}" for row in self.records()]
+        return f"<fit to {self.observations.person}: {', '.join(known)}, {len(self.observations)} actions>"
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each parameter: its estimate, and the ends of its interval."""
+        found = {"beta": self.beta, "theta": self.theta, "eta": self.eta, **self.weights}
+        return [
+            {
+                "parameter": name, "estimate": one.value, "low": one.interval[0], "high": one.interval[1],
+                "identified": one.identified,
+            }
+            for name, one in found.items() if one is not None
+        ]  # fmt: skip
 
     def probabilities(self) -> Floats:
         """Return the probability of each choice at the estimates, shape (N, A), including lapses."""

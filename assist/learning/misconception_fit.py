@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,9 @@ from scipy.optimize import minimize_scalar
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from planner.system.arrays import read_only
 from planner.system.jit import njit
+from planner.system.results import Result
 
 from ..people.decision import NOTHING, Floats
 from .intervals import end_of, largest_fall
@@ -34,8 +37,8 @@ from .maximum_likelihood import Fit
 from .observations import Ints, Observations
 
 
-@dataclass(frozen=True)
-class MisconceptionFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class MisconceptionFit(Result):
     """The estimated misconception of a person.
 
     Attributes
@@ -70,8 +73,16 @@ class MisconceptionFit:
     seen: Ints
 
     def __post_init__(self) -> None:
-        for array in (self.states, self.cost_to_go, self.perceived, self.seen):
-            array.flags.writeable = False
+        read_only(self)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each state: h*, the perceived cost-to-go, and how often the state was an alternative."""
+        return [
+            {"state": state, "cost_to_go": h, "perceived": own, "seen": seen}
+            for state, h, own, seen in zip(
+                self.states.tolist(), self.cost_to_go.tolist(), self.perceived.tolist(), self.seen.tolist(), strict=True
+            )
+        ]
 
 
 def fit_misconception(fitted: Fit) -> MisconceptionFit:

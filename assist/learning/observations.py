@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo
-from planner.system.arrays import outline, read_only
+from planner.system.arrays import read_only
+from planner.system.results import ByContent, Result
 
 from ..people.decision import NOTHING, Floats, same_cost
 from .replay import Recording
@@ -16,8 +18,8 @@ from .replay import Recording
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Chances:
+@dataclass(frozen=True, eq=False, repr=False)
+class Chances(ByContent):
     """The probability of each choice at each step, without suggestions and lapses; N steps of up to A choices.
 
     Attributes
@@ -30,8 +32,6 @@ class Chances:
     beta: Floats
     chance: Floats
 
-    __repr__ = outline
-
     def __post_init__(self) -> None:
         read_only(self)
 
@@ -42,8 +42,8 @@ class Chances:
         return (1 - share) * self.chance[:, :, low] + share * self.chance[:, :, low + 1]
 
 
-@dataclass(frozen=True)
-class UnknownGoals:
+@dataclass(frozen=True, eq=False, repr=False)
+class UnknownGoals(ByContent):
     """A person's choices of N steps with each of G goals, one of which they pursue in each episode.
 
     Attributes
@@ -62,14 +62,12 @@ class UnknownGoals:
     each: tuple[Observations, ...]
     reached: NDArray[np.bool_]
 
-    __repr__ = outline
-
     def __post_init__(self) -> None:
         read_only(self)
 
 
-@dataclass(frozen=True)
-class EvaluatedStates:
+@dataclass(frozen=True, eq=False, repr=False)
+class EvaluatedStates(ByContent):
     """Cost-to-go and plan lengths of n states to which choices lead.
 
     Attributes
@@ -83,8 +81,6 @@ class EvaluatedStates:
 
     h: Floats
     lengths: Floats | None
-
-    __repr__ = outline
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -105,8 +101,8 @@ class EvaluatedStates:
         return cls(own, lengths)
 
 
-@dataclass(frozen=True)
-class Observations:
+@dataclass(frozen=True, eq=False, repr=False)
+class Observations(Result):
     """One person's recorded choices; N steps of up to A choices.
 
     Attributes
@@ -166,13 +162,25 @@ class Observations:
     own: Chances | None = None
     goals: UnknownGoals | None = None
 
-    __repr__ = outline
-
     def __post_init__(self) -> None:
         read_only(self)
 
     def __len__(self) -> int:
         return len(self.chosen)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each action: its episode, state and h*, its excess cost, and whether it was advised."""
+        number, told = self.begins.cumsum() - 1, self.suggested != NOTHING
+        return [
+            {
+                "person": self.person, "episode": self.episodes[episode], "state": state, "cost_to_go": h,
+                "excess": excess, "mistake": mistake, "suggested": heard, "followed": followed if heard else None,
+            }
+            for episode, state, h, excess, mistake, heard, followed in zip(
+                number.tolist(), self.state.tolist(), self.cost_to_go.tolist(), self.regret.tolist(),
+                self.mistake.tolist(), told.tolist(), (self.chosen == self.suggested).tolist(), strict=True,
+            )
+        ]  # fmt: skip
 
     @property
     def regret(self) -> Floats:

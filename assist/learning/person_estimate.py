@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from planner.system.results import Result
+
 from ..people.decision import NOTHING
 from .diagnostics import Check
 from .intervals import Interval
@@ -14,8 +16,8 @@ from .misconception_fit import MisconceptionFit
 from .observations import Ints
 
 
-@dataclass(frozen=True)
-class PersonEstimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class PersonEstimate(Result):
     """The results for one person.
 
     A parameter that the data do not identify is None, and its interval is the whole range. Without suggestions, theta
@@ -44,6 +46,19 @@ class PersonEstimate:
 
     def __repr__(self) -> str:
         return f"<estimates of {self}>"
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return one row: estimates with the ends of their intervals, numbers of actions, and the model check."""
+        whole = self.as_dict()
+        row: dict[str, Any] = {"person": self.person}
+        for name in ("beta", "theta", "eta"):
+            row |= _columns(name, whole[name], whole[f"{name}_interval"])
+        for name, value in self.weights.items():
+            row |= _columns(name, value, list(self.weights_interval[name]))
+        if self.misconception is not None:
+            row |= _columns("sigma", self.misconception.sigma, list(self.misconception.interval))
+        counts = ("episodes", "actions", "suboptimal_actions", "suggestions", "followed")
+        return [row | {name: whole[name] for name in counts} | {"p": self.check.p, "notes": "; ".join(self.notes)}]
 
     @property
     def person(self) -> str:
@@ -169,6 +184,11 @@ def nothing_known(person: str, error: str, left_out: int = 0) -> dict[str, Any]:
         "episodes": 0, "actions": 0, "suboptimal_actions": None, "suggestions": 0, "followed": 0,
         "log_likelihood": None, "check": None, "left_out": left_out, "notes": [], "error": error,
     }  # fmt: skip
+
+
+def _columns(name: str, value: float | None, interval: list[float] | None) -> dict[str, float | None]:
+    low, high = interval or (None, None)
+    return {name: value, f"{name}_low": low, f"{name}_high": high}
 
 
 def _value(estimate: Estimate | None, fit: Fit) -> float | None:

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import logit, ndtr
 
-from planner.system.arrays import outline
+from planner.system.results import Result
 
 from ..people.arguments import number
 from ..people.decision import NOTHING, Floats
@@ -43,8 +43,8 @@ CELLS = (48, 25)  # of beta and theta
 ETAS = 21  # values of eta that are tried from 0 to 1
 
 
-@dataclass(frozen=True)
-class Margin:
+@dataclass(frozen=True, eq=False, repr=False)
+class Margin(Result):
     """The distribution of one parameter over people.
 
     Attributes
@@ -70,8 +70,6 @@ class Margin:
     spread: float
     recorded: tuple[float, float]
 
-    __repr__ = outline
-
     @classmethod
     def of(cls, family: str, parameters: tuple[float, ...], edges: Floats, shares: Floats, recorded: Floats) -> Margin:
         """Return the margin with means and spreads from the shares of cells, which are uniform within each cell."""
@@ -89,6 +87,13 @@ class Margin:
             family, parameters, tuple(edges.tolist()), tuple(shares.tolist()), *moments(shares), moments(recorded)
         )
 
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each cell: its ends, and its share of people."""
+        return [
+            {"low": low, "high": high, "share": share}
+            for low, high, share in zip(self.edges, self.edges[1:], self.shares, strict=False)
+        ]
+
     def pieces(self) -> list[tuple[float, Range]]:
         """Return the non-empty cells with their shares, without rare ones that sum to a thousandth."""
         if self.family == "uniform":
@@ -101,8 +106,8 @@ class Margin:
         return [(share / total, piece) for share, piece in kept]
 
 
-@dataclass(frozen=True)
-class PopulationFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class PopulationFit(Result):
     """The estimated distribution of people.
 
     Attributes
@@ -136,10 +141,24 @@ class PopulationFit:
     trust: Mapping[str, Any] | None = None
     utility_scale: float = 1.0
 
-    __repr__ = outline
-
     def __post_init__(self) -> None:
         self.shares.flags.writeable = False
+
+    def __repr__(self) -> str:
+        shown = [f"{row['parameter']} {row['mean']:.2f}" for row in self.records()]
+        return f"<distribution of {self.people} people: mean {', '.join(shown)}>"
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each parameter: its family, and mean and standard deviation over people."""
+        rows: list[dict[str, Any]] = [
+            {
+                "parameter": name, "family": one.family, "mean": one.mean, "spread": one.spread,
+                "recorded_mean": one.recorded[0], "recorded_spread": one.recorded[1],
+            }
+            for name, one in (("beta", self.beta), ("theta", self.theta)) if one is not None
+        ]  # fmt: skip
+        rows += [] if self.eta is None else [{"parameter": "eta", "mean": self.eta, "spread": 0.0}]
+        return rows + [{"parameter": name, "mean": a, "spread": b} for name, (a, b) in self.weights.items()]
 
     def population(self, sigma: Range = (0.0, 0.0), theta: Range = (0.5, 0.95)) -> Mixture:
         """Return the population from which people can be drawn.

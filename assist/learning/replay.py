@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo, TransitionSystem
-from planner.system.arrays import outline, read_only
+from planner.system.arrays import read_only
+from planner.system.results import Result
 
 from ..people.action_names import Matcher, UnmatchedError, Words, words_of
 from ..people.choices import STAND_STILL, WAIT
@@ -24,8 +26,8 @@ from .log import Entry, Fault, Log, in_order
 from .log_json import Names
 
 
-@dataclass(frozen=True)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Result):
     """The alternatives and choices of people, step by step; N steps of up to A choices.
 
     Steps are sorted by person, episode and step; people and episodes are in the order of their names.
@@ -71,13 +73,21 @@ class Recording:
     last: NDArray[np.int64]
     previous: NDArray[np.int64]
 
-    __repr__ = outline
-
     def __post_init__(self) -> None:
         read_only(self)
 
     def __len__(self) -> int:
         return len(self.state)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each step: person, episode, step, the state's number, and the number of alternatives."""
+        return [
+            {"person": self.people[k], "episode": self.episodes[e], "step": step, "state": state, "alternatives": count}
+            for k, e, step, state, count in zip(
+                self.person.tolist(), self.episode.tolist(), self.step.tolist(), self.state.tolist(),
+                self.applicable.sum(axis=1).tolist(), strict=True,
+            )
+        ]  # fmt: skip
 
     def wanted(self) -> NDArray[np.int64]:
         """Return the states whose cost-to-go is needed, ascending: the successors of choices."""

@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logit
 
+from planner.system.results import Result
+
 from ..people.decision import Floats
 from ..people.trust_rules import TrustRule, plain_rule
 from .influence_population import InfluencePopulation
@@ -30,8 +32,8 @@ from .rule_search import RuleSearch
 from .trust_log import TrustLog
 
 
-@dataclass(frozen=True)
-class Influence:
+@dataclass(frozen=True, eq=False, repr=False)
+class Influence(Result):
     """One person's influence under a trust rule.
 
     Attributes
@@ -54,9 +56,17 @@ class Influence:
     theta: float
     theta_interval: Interval
 
+    def records(self) -> list[dict[str, Any]]:
+        """Return one row: estimates with the ends of their intervals."""
+        row: dict[str, Any] = {}
+        for name, value in vars(self).items():
+            ends = (f"{name[:-8]}low", f"{name[:-8]}high") if name.endswith("interval") else ()
+            row |= zip(ends, value, strict=True) if ends else {name: value}
+        return [row]
 
-@dataclass(frozen=True)
-class InfluenceFit:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InfluenceFit(Result):
     """Influence of all people under a trust rule.
 
     Attributes
@@ -87,6 +97,14 @@ class InfluenceFit:
     people: tuple[Influence, ...]
     trust: TrustRule
     margins: tuple[Margin, Margin]
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} {value:.2f}" for name, value in self.parameters.items())
+        return f"<trust rule {self.rule} of {len(self.people)} people: {values or 'no parameters'}>"
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each person, as `Influence.records` does."""
+        return [row for one in self.people for row in one.records()]
 
     def as_dict(self) -> dict[str, Any]:
         """Return estimates as plain data."""

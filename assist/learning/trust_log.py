@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.arrays import outline, read_only
+from planner.system.arrays import read_only
 from planner.system.jit import njit
+from planner.system.results import ByContent
 
 from ..people.decision import Floats
 from ..people.trust_rules import LEAST, Event, PerceivedSuggestions, TrustRule, moved
@@ -37,8 +38,8 @@ BETA_RANGE = 200.0
 """Factor between the largest and the least beta; people with the least choose almost at random."""
 
 
-@dataclass(frozen=True)
-class TrustLog:
+@dataclass(frozen=True, eq=False, repr=False)
+class TrustLog(ByContent):
     """What all people chose, arranged by person and suggestion; K people, up to H suggestions, B and T nodes.
 
     Attributes
@@ -74,8 +75,6 @@ class TrustLog:
     suggestions: PerceivedSuggestions
     beta: Floats
     theta: Floats
-
-    __repr__ = outline
 
     def __post_init__(self) -> None:
         read_only(self)

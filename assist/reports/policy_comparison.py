@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.system.errors import MissingExtraError, expected
+from planner.system.errors import expected
 from planner.system.progress import Progress, Wanted, shows_progress
-from planner.system.results import html_table
+from planner.system.results import Result, html_table
 
 from ..certify.certificate import Certificate
 from ..certify.comparison import certify
@@ -103,8 +103,8 @@ class ComparedPolicy:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class PolicyComparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class PolicyComparison(Result):
     """Policies that were compared on common random numbers; a sequence of `ComparedPolicy`.
 
     Attributes
@@ -133,24 +133,15 @@ class PolicyComparison:
     def __getitem__(self, row: int) -> ComparedPolicy:
         return self.rows[row]
 
-    def to_frame(self) -> Any:
-        """Return a tidy `pandas.DataFrame` with a row for each condition and policy; with the extra `study`.
+    def records(self) -> list[dict[str, Any]]:
+        """Return a row for each condition and policy; `to_frame` has the same.
 
-        Its columns are the name that `compare` was given for the pools' keys, `humans`, `policy`, `episodes`,
+        Columns are the name that `compare` was given for the pools' keys, `humans`, `policy`, `episodes`,
         `finished`, `cut_off`; for each of `MEASURES` the mean by its name, and the name with `_error` (standard error),
         `_low` and `_high`; the same for the name with `_difference`, without an error; and `upper` and `gap_percent` of
         certificates.
-
-        Raises
-        ------
-        MissingExtraError
-            pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError:
-            raise MissingExtraError("a data frame needs", "pandas", "study") from None
-        return pd.DataFrame([self._columns(row) for row in self.rows])
+        return [self._columns(row) for row in self.rows]
 
     def _columns(self, row: ComparedPolicy) -> dict[str, Any]:
         """Return a row of the frame."""

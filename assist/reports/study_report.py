@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from planner.system.files import atomic, remove_unfinished
+from planner.system.results import Result
 from planner.system.workers import outcomes
 
 from ..person.policy import not_worth_its_cost
@@ -45,9 +46,9 @@ def require() -> None:
     require_packages("pandas", "jinja2", "markdown")
 
 
-@dataclass(frozen=True)
-class Report:
-    """A report that is ready to be written.
+@dataclass(frozen=True, eq=False, repr=False)
+class Report(Result):
+    """The report of a simulation study.
 
     Attributes
     ----------
@@ -63,6 +64,29 @@ class Report:
     text: str
     pictures: tuple[ReportFigure, ...]
 
+    def __repr__(self) -> str:
+        cells = self.summary["cells"]
+        episodes = sum(cell["episodes"] for cell in cells)
+        return f"<Report of {self.summary['title']}: {len(cells)} cells, {episodes:,} episodes>"
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both have the same numbers and text."""
+        return isinstance(other, Report) and self.summary == other.summary and self.text == other.text
+
+    def records(self) -> list[Record]:
+        """Return a row for each arm, team size and policy: the mean of each measure, and the ends of its interval."""
+        return [
+            {
+                column: value
+                for name, content in cell.items()
+                for column, value in (
+                    {name: content["mean"], f"{name}_low": content["low"], f"{name}_high": content["high"]}
+                    if isinstance(content, dict) else {name: content}
+                ).items()
+            }
+            for cell in self.summary["cells"]
+        ]  # fmt: skip
+
     @classmethod
     def of(cls, study: Study, folder: str | Path) -> Report:
         """Build the report of a study's results."""
@@ -77,8 +101,8 @@ class Report:
         return html_page(title, self.text, dark=True)
 
 
-def write_report(study: Study, folder: str | Path, *, jobs: int = 1) -> Record:
-    """Write `summary.json`, the figures, `report.md` and `report.html` to a study's folder; return the summary.
+def write_report(study: Study, folder: str | Path, *, jobs: int = 1) -> Report:
+    """Write `summary.json`, the figures, `report.md` and `report.html` to a study's folder; return the report.
 
     Parameters
     ----------
@@ -98,7 +122,7 @@ def write_report(study: Study, folder: str | Path, *, jobs: int = 1) -> Record:
     }.items():
         with atomic(folder / name) as path:
             path.write_text(text, encoding="utf-8")
-    return report.summary
+    return report
 
 
 def _draw_all(pictures: Sequence[ReportFigure], folder: Path, jobs: int) -> None:

@@ -87,8 +87,6 @@ class Pool(Result):
         known, given = ((one.setting, one.people, one.model) for one in (self, other))
         return same(known, given) and same(problems, others)
 
-    __hash__ = None
-
     def records(self) -> list[dict[str, Any]]:
         """Return a row for each person: `beta` (per cost unit), `theta`, `sigma` (cost units) and weights of terms."""
         return [

@@ -56,8 +56,6 @@ class Table(Result):
         """Whether both have the same costs of the same task, whose states are numbered in one way."""
         return isinstance(other, Table) and self.task == other.task and np.array_equal(self.h, other.h)
 
-    __hash__ = None
-
     def records(self) -> list[dict[str, Any]]:
         """Return one row: the task, its states, the cost of the initial one, dead ends, and the largest h*."""
         largest = float(self.h[~self.dead_end].max(initial=0.0))

@@ -1,4 +1,4 @@
-"""What every result offers: one line as a string, a table in a notebook, a frame, and comparison by value."""
+"""What every result offers: one line as a string, a table in a notebook, a frame, and comparison by content."""
 
 from __future__ import annotations
 
@@ -16,14 +16,24 @@ MOST_ROWS = 20
 """Rows of a result that a notebook shows; a frame has all."""
 
 
-class Result:
-    """A result with records, a mixin of frozen dataclasses that are made with `eq=False, repr=False`.
+class ByContent:
+    """A mixin of frozen dataclasses that hold arrays, which are made with `eq=False, repr=False`.
 
-    Two results are equal if their fields are: arrays by shape and entries, where NaN equals NaN. Results are not
-    hashed, as their arrays are not.
+    Two are equal if their fields are: arrays by shape and entries, where NaN equals NaN. They are not hashed, as their
+    arrays are not.
     """
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return outline(self)
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and _same_fields(self, other)
+
+
+class Result(ByContent):
+    """A result with rows: a table in a notebook, and a frame."""
 
     def records(self) -> Sequence[Mapping[str, Any]]:
         """Return the rows of the table, each as a mapping of columns to values."""
@@ -43,16 +53,10 @@ class Result:
             raise MissingExtraError("a frame needs", str(error.name), "study") from None
         return pandas.DataFrame.from_records(list(self.records()))
 
-    def __repr__(self) -> str:
-        return outline(self)
-
     def _repr_html_(self) -> str:
         """Return the first rows as a table."""
         rows = self.records()
         return html_table(rows[:MOST_ROWS]) + (f"<p>{len(rows):,} rows</p>" if len(rows) > MOST_ROWS else "")
-
-    def __eq__(self, other: object) -> bool:
-        return type(self) is type(other) and _same_fields(self, other)
 
 
 def same(one: Any, other: Any) -> bool:
@@ -65,7 +69,7 @@ def same(one: Any, other: Any) -> bool:
         return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
     if type(one) is not type(other):
         return False
-    if isinstance(one, Result):
+    if isinstance(one, ByContent):
         return bool(one == other)
     if is_dataclass(one) and not isinstance(one, type):
         return _same_fields(one, other)
@@ -73,6 +77,8 @@ def same(one: Any, other: Any) -> bool:
         return list(one) == list(other) and all(same(one[key], other[key]) for key in one)
     if isinstance(one, tuple | list):
         return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, float | np.floating) and one != one:
+        return bool(other != other)  # both are NaN
     return bool(one == other)
 
 
@@ -81,8 +87,11 @@ def _same_fields(one: Any, other: Any) -> bool:
 
 
 def html_table(rows: Sequence[Mapping[Any, Any]], head: Sequence[str] = ()) -> str:
-    """Return rows as a table of HTML, below a head or the names of columns; numbers have four significant digits."""
-    columns = list(dict.fromkeys(name for row in rows for name in row))
+    """Return rows as a table of HTML, below a head or the names of columns; numbers have four significant digits.
+
+    Columns without any entry are left out.
+    """
+    columns = list(dict.fromkeys(name for row in rows for name, value in row.items() if head or value is not None))
     top = "".join(f"<th>{html.escape(str(name))}</th>" for name in head or columns)
     body = "".join(f"<tr>{''.join(f'<td>{_cell(row.get(name))}</td>' for name in columns)}</tr>" for row in rows)
     return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"

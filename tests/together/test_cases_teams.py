@@ -116,7 +116,7 @@ def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatc
     study = read(write(tmp_path, STUDY))
     out = tmp_path / "out"
     assert run_study(study, out) == []
-    summary = write_report(study, out)
+    summary = write_report(study, out).summary
     (row,) = summary["without_suggestions"]
     assert (row["policy"], row["setting"], row["c_suggest"]) == ("attention", "c_suggest 40", 40.0)
     note = (

@@ -90,7 +90,7 @@ def test_mistakes_are_the_same_where_states_are_asked_for() -> None:
 
 def test_a_fit_counts_mistakes() -> None:
     people = fit(delivery("one-parcel"), log_of(at_work("one-parcel")))
-    for record, o in zip(people.records, observed(delivery("one-parcel"), at_work("one-parcel")), strict=True):
+    for record, o in zip(people.people, observed(delivery("one-parcel"), at_work("one-parcel")), strict=True):
         assert record.suboptimal_actions == o.mistake.sum() == record.as_dict()["suboptimal_actions"]
 
 

@@ -4,17 +4,30 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recorded import lines
 
-from assist import Pool, compare, simulate
+from assist import Pool, compare, fit, simulate
 from assist.certify import certify
+from assist.learning import (
+    FittedAdvice,
+    Log,
+    calibrate,
+    compare_models,
+    fit_influence,
+    infer_goals,
+    replayed,
+)
 from assist.people import Choices, HumanModel
 from assist.person import AssistPOMDP, solve
+from assist.reports import Report
+from assist.study import Study
 from planner import cost_to_go
 from planner.system.results import MOST_ROWS, html_table, same
 
@@ -47,6 +60,76 @@ def test_a_result_is_a_line_a_table_and_a_frame_and_survives_pickling(results: d
     assert len(found.to_frame()) >= 1
     again = pickle.loads(pickle.dumps(found))
     assert again == found
+
+
+ACTIONS = ["(fetch box-a)", "(place hammer slot-2)", "(remove hammer slot-2)", "(place hammer slot-1)"]
+
+
+def rows() -> list[dict[str, Any]]:
+    """Return the records of two people, of whom each heard one suggestion."""
+    told = {1: "(place hammer slot-1)"}
+    return [row for person in ("ann", "bob") for row in lines(*ACTIONS, person=person, told=told)]
+
+
+@pytest.fixture(scope="module")
+def learned() -> dict[str, Any]:
+    log = Log.of(rows())
+    seen = replayed("kitting/tiny", log)
+    people = fit(seen)
+    goals = infer_goals({"kit": "kitting/tiny"}, log)
+    models, influence = compare_models(seen.observations()), fit_influence(seen.observations(), "constant")
+    erring = fit(seen, model="misconceptions")
+    return {
+        "log": log, "recording": seen.recording, "observations": seen.observations()[0], "people": people,
+        "person": people["ann"], "fit": people["ann"].fit, "erring": erring["ann"].misconception,
+        "distribution": people.distribution(), "margin": people.distribution().beta, "goals": goals,
+        "goals of an episode": goals.episodes[0], "models": models, "model": models.best, "influence": influence,
+        "influence of a person": influence.people[0], "calibration": calibrate([one.fit for one in people.people]),
+        "influence, advice": FittedAdvice("constant", "E", {"mu": 0.5}, -3.0, 2, 9),
+    }  # fmt: skip
+
+
+LEARNED = [
+    "log", "recording", "observations", "people", "person", "fit", "erring", "distribution", "margin", "goals",
+    "goals of an episode", "models", "model", "influence", "influence of a person", "calibration", "influence, advice",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_what_was_learned_is_a_result_too(learned: dict[str, Any], name: str) -> None:
+    test_a_result_is_a_line_a_table_and_a_frame_and_survives_pickling(learned, name)
+
+
+def test_frames_of_people_and_goals_have_their_names(learned: dict[str, Any]) -> None:
+    frame = learned["people"].to_frame().set_index("person")
+    assert frame.index.tolist() == ["ann", "bob"]
+    assert frame.loc["ann", "theta_high"] == learned["person"].theta_interval[1]
+    assert learned["goals"].to_frame()[["person", "goal", "kit"]].values.tolist() == [
+        ["ann", "kit", 1.0], ["bob", "kit", 1.0],
+    ]  # fmt: skip
+    assert learned["log"].to_frame()["action"].tolist() == ACTIONS * 2
+    assert learned["observations"].to_frame()["followed"].tolist() == [None, False, None, None]
+    with pytest.raises(KeyError, match="did you mean 'bob'"):
+        learned["people"]["bop"]
+
+
+def test_people_who_acted_otherwise_are_another_result(learned: dict[str, Any]) -> None:
+    others = [*rows(), *lines(*ACTIONS, person="cy")]
+    assert fit("kitting/tiny", rows()) == learned["people"] != fit("kitting/tiny", others)
+    assert learned["log"] != Log.of(others)
+    assert replayed("kitting/tiny", rows()).observations()[0] == learned["observations"]
+
+
+@pytest.mark.usefixtures("one_picture")
+def test_a_report_of_a_study_is_a_result(small_study: tuple[Study, Path, dict[str, Any]]) -> None:
+    study, folder, summary = small_study
+    found = Report.of(study, folder)
+    assert repr(study) == "<Study 'small': 13 pools, 248 episodes>"
+    assert repr(found) == f"<Report of small: {len(summary['cells'])} cells, 248 episodes>"
+    assert pickle.loads(pickle.dumps(found)) == found
+    frame = found.to_frame()
+    assert frame["interventions"].tolist() == [cell["interventions"]["mean"] for cell in summary["cells"]]
+    assert "<td>attention</td>" in found._repr_html_()
 
 
 def test_results_that_differ_are_not_equal(results: dict[str, Any]) -> None:

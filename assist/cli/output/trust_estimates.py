@@ -47,14 +47,12 @@ def show_advice(log: AdviceLog, name: str, rule: str, out: Path | None, *, as_js
     except ValueError as error:
         fail(f"{name}: {error}", ExitCode.FAILED)
     if out:
-        files.write_records(out, [found])
+        files.write_records(out, [found.as_dict()])
     if as_json:
-        print_json(found)
+        print_json(found.as_dict())
         return
-    click.echo(
-        f"{found['people']:,} people, {found['choices']:,} choices; log likelihood {found['log_likelihood']:.3f}"
-    )
-    click.echo(f"trust rule {rule}: {_numbers(found['parameters'])}")
+    click.echo(f"{found.people:,} people, {found.choices:,} choices; log likelihood {found.log_likelihood:.3f}")
+    click.echo(f"trust rule {rule}: {_numbers(found.parameters)}")
 
 
 def _show_influence(found: InfluenceFit, out: Path | None, *, as_json: bool) -> None:

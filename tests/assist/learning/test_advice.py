@@ -100,8 +100,8 @@ def test_parameters_of_people_with_thousands_of_answers_are_found() -> None:
     log = simulated(3, 1_500, 1)
     found = fit_advice(log, "constant")
     true = replace(CONSTANT, values=(0.5, 1.5, 1.5, 3.3, 1.2)).log_likelihood(log)
-    assert true < found["log_likelihood"] < 0
-    assert found["parameters"]["b1"] == pytest.approx(1.5, abs=0.3)
+    assert true < found.log_likelihood < 0
+    assert found.parameters["b1"] == pytest.approx(1.5, abs=0.3)
 
 
 @pytest.mark.parametrize(("people", "trials"), [(3, 600), (10, 200)])
