@@ -10,6 +10,8 @@ from .costtogo.load import task_of as task_of
 from .costtogo.on_demand import OnDemand as OnDemand
 from .costtogo.portfolio import cost_to_go as cost_to_go
 from .costtogo.portfolio import known_costs as known_costs
+from .costtogo.shown import Plan as Plan
+from .costtogo.shown import State as State
 from .costtogo.sweep import sweep as sweep
 from .costtogo.table import Table as Table
 from .costtogo.table_file import SavedTable as SavedTable

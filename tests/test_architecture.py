@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
     "planner.system": """lazy_imports errors arrays results files machine processes threads signs progress_reports
-        progress compiling readable jit limits workers""",
+        progress compiling readable jit limits workers pictures""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
         saturation value_ranges value_encoder value_scope numeric_encoding numeric_compiler compilation writer
@@ -34,8 +34,8 @@ ROOMS = {
     "planner.search.symmetry": "automorphisms canonical_states",
     "planner.search": """distances search_space rules sorted_space numbering met_states forward_search backward_search
         relaxation successor_generator state_registry ranked_index compiled_search""",
-    "planner.costtogo": """watched_states trial_search number_values load cost_to_go table astar cache verification
-        first_answer sweep goals orbit_table table_file on_demand portfolio""",
+    "planner.costtogo": """watched_states trial_search number_values load shown cost_to_go table astar cache
+        verification first_answer sweep goals orbit_table table_file on_demand portfolio""",
     "planner.batch": "solve_record solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.texts": "typed_toml catalogue refusals",
@@ -58,7 +58,7 @@ ROOMS = {
     "assist.simulation": """affordable union pool schedule common_random_numbers hidden_goals trace
         episode episodes trust_of_people model_group task_parts task_view observed_people run traced_run requested
         simulate belief_trace illustration""",
-    "assist.drawing": "subject states profile scene layout svg raster picture frames files",
+    "assist.drawing": "subject states profile scene layout svg raster picture frames files notebook",
     "assist.explain": "continuations contrast explanation",
     "assist.live": """live_task events advice roster uncertain_actions beliefs live_questions decision_point
         robot_places decisions saved_team assistant old_journal store people_store

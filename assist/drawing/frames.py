@@ -65,7 +65,7 @@ class Frame:
 Row = tuple[Frame, ...]
 
 
-def plan_frames(artist: Artist, plan: Sequence[str]) -> list[Row]:
+def plan_frames(artist: Artist, plan: Sequence[str], start: Sequence[int] | None = None) -> list[Row]:
     """Return the frames of a plan as one row: one before each action, and one at the end.
 
     Parameters
@@ -73,13 +73,15 @@ def plan_frames(artist: Artist, plan: Sequence[str]) -> list[Row]:
     artist : Artist
     plan : sequence of str
         Ground actions, as `(name arg ...)` or `name(arg, ...)`.
+    start : sequence of int, shape (variables,), optional
+        Values of the state in which it begins; the initial one unless given.
 
     Raises
     ------
     FramesError
         An action is not applicable in its state.
     """
-    values, frames = artist.subject.initial, []
+    values, frames = artist.subject.initial if start is None else start, []
     for step, text in enumerate(plan):
         action, after = _meant(artist, text, values, f"step {step}")
         frames.append(

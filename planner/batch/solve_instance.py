@@ -362,7 +362,7 @@ def _planned(
         plan = known.optimal_plan() if early.answer is None else early.answer[1]
         assert plan is not None
         check_plan(known, plan)
-    return cost, plan, late
+    return cost, list(plan), late
 
 
 def _counted(table: Table, options: SolveOptions, phases: _Phases) -> SolveRecord:

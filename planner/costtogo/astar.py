@@ -15,6 +15,7 @@ from ..grounding.task import Task
 from ..states.packing import can_hold
 from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits, MemoryLimitError
 from .load import task_of
+from .shown import Plan
 
 if TYPE_CHECKING:
     from .load import AnyTask
@@ -35,7 +36,7 @@ def search_of(task: Task) -> str:
 
 def astar(
     task: AnyTask, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
-) -> tuple[float, list[str] | None]:
+) -> tuple[float, Plan | None]:
     """Return h* of one state and an optimal plan from it, computed by Fast Downward's A*.
 
     Parameters
@@ -74,7 +75,7 @@ def astar(
     """
     task = task_of(task)
     if not task.goal:  # Fast Downward requires a goal that mentions each variable at most once
-        return 0.0, []
+        return 0.0, Plan([], task, state)
     if not can_hold(task.goal):
         return float("inf"), None
     dearest = max(task.reduced.costs, default=1)
@@ -108,7 +109,7 @@ def astar(
     cost = plan_cost(task, plan, state)
     if plan_cost(task.reduced, plan, state) + 2 * dearest >= OVERFLOW:
         raise CostLimitError(f"{task.instance}: Fast Downward's sums of costs may overflow, its plan costs {cost}")
-    return float(task.in_unit(cost)), plan
+    return float(task.in_unit(cost)), Plan(plan, task, state)
 
 
 UNIT = 1000

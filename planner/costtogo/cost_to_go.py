@@ -11,6 +11,7 @@ from ..grounding.task import Task
 from ..states.packing import Ints
 from ..states.state_space import Transitions
 from ..system.errors import MismatchError
+from .shown import Plan
 
 
 class TransitionSystem(Protocol):
@@ -91,7 +92,7 @@ def optimal_choices(known: CostToGo, states: ArrayLike, rows: Transitions) -> ND
     return cheapest
 
 
-def optimal_plan(known: CostToGo, start: int) -> list[str] | None:
+def optimal_plan(known: CostToGo, start: int) -> Plan | None:
     """Return an optimal plan from a state, by looking up successors; None from a dead end.
 
     If actions of cost zero exist, the plan has the fewest actions among the optimal plans. If no successor of a state
@@ -125,4 +126,4 @@ def optimal_plan(known: CostToGo, start: int) -> list[str] | None:
         place = np.searchsorted(targets, at)
         plan.append(known.task.actions[actions[place]])
         at = sources[place]
-    return plan[::-1]
+    return Plan(plan[::-1], known.task, known.values([start])[0].tolist())

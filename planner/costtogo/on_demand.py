@@ -40,6 +40,7 @@ from ..system.threads import on_threads
 from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
 from .cache import Cache
 from .cost_to_go import optimal_plan
+from .shown import Plan, State
 
 if TYPE_CHECKING:
     from .orbit_table import OrbitTable
@@ -248,9 +249,18 @@ class OnDemand:
             found[finite] = prices[finite] % self._unit
         return found
 
-    def optimal_plan(self, state: int | None = None) -> list[str] | None:
+    def state(self, number: int | None = None) -> State:
+        """Return a state, by default the initial one: its facts, h*, and a picture in a notebook."""
+        number = self.initial if number is None else number
+        return State(self.task, number, tuple(self.values([number])[0].tolist()), float(self.lookup([number])[0]))
+
+    def optimal_plan(self, state: int | None = None) -> Plan | None:
         """Return an optimal plan from a state (default: the initial state); None from a dead end."""
         at = self.initial if state is None else state
+        found = self._optimal_plan(at)
+        return None if found is None else Plan(found, self.task, self.values([at])[0].tolist())
+
+    def _optimal_plan(self, at: int) -> list[str] | None:
         if self.orbits is not None:
             return optimal_plan(self, at)
         row = self._rows([at])

@@ -21,6 +21,7 @@ from ..states.packing import Ints
 from ..states.state_space import StateSpace, Transitions, state_numbers
 from ..system.results import Result
 from .cost_to_go import optimal_choices, optimal_plan
+from .shown import Plan, State
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,6 +99,17 @@ class Table(Result):
         """Return h* of one state; infinite at a dead end."""
         return float(self.lookup([state])[0])
 
+    def state(self, number: int | None = None) -> State:
+        """Return a state, by default the initial one: its facts, h*, and a picture in a notebook.
+
+        Raises
+        ------
+        IndexError
+            It is not the number of a state.
+        """
+        number = self.initial if number is None else number
+        return State(self.task, number, tuple(self.values([number])[0].tolist()), self[number])
+
     def lookup(self, states: ArrayLike | slice) -> NDArray[np.float64]:
         """Return h* of states in the file's unit of cost, shape (N,); infinite at dead ends.
 
@@ -162,7 +174,7 @@ class Table(Result):
         """Return whether each transition of all states, shape (m,), is optimal (`cost_to_go.optimal_choices`)."""
         return optimal_choices(self, np.arange(len(self)), self.space.transitions)
 
-    def optimal_plan(self, state: int | None = None) -> list[str] | None:
+    def optimal_plan(self, state: int | None = None) -> Plan | None:
         """Return an optimal plan, read off the table; None from a dead end.
 
         If actions of cost zero exist, the plan has the fewest actions among the optimal plans.

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ..pddl import instances
 from ..system.arrays import outline
+from ..system.pictures import Pictured
 
 Fact = tuple[int, int]
 """A variable and one of its values."""
@@ -87,7 +88,7 @@ def _is_cost(cost: object) -> bool:
 
 
 @dataclass(frozen=True)
-class Task:
+class Task(Pictured):
     """A grounded planning task.
 
     Attributes

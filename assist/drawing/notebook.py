@@ -1,0 +1,36 @@
+"""Pictures of the planner's objects in notebooks: the function that `planner.system.pictures` finds."""
+
+from __future__ import annotations
+
+from planner import Plan, State, Task
+
+from .frames import FramesError, draw_strip, plan_frames
+from .picture import Artist
+from .profile import ProfileError
+
+MOST_OBJECTS = 200
+"""Objects of a task that is drawn unasked, which takes less than a second; `draw` has no limit."""
+
+MOST_FRAMES = 24
+"""States of a plan that are drawn unasked; its actions are read instead."""
+
+
+def svg_of(thing: object) -> str | None:
+    """Return the SVG document of a task, a state or a plan; None where a line of text says more.
+
+    A task is drawn as its initial state.
+    """
+    if not isinstance(thing, Task | State | Plan):
+        return None
+    task = thing if isinstance(thing, Task) else thing.task
+    try:
+        artist = Artist(task)
+        if len(artist.subject.objects) > MOST_OBJECTS:
+            return None
+        if isinstance(thing, Plan):
+            if len(thing) >= MOST_FRAMES:
+                return None
+            return draw_strip(artist, plan_frames(artist, thing, thing.start)).svg
+        return artist.draw(thing.values if isinstance(thing, State) else None).svg
+    except (FramesError, ProfileError):
+        return None
