@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from assist.person.beliefs import Acts, PersonModel, Seen
 from assist.person.dynamics import Minds, PeopleArrays, act
-from assist.person.problem_arrays import ProblemArrays
 from assist.simulation.pool import Pool
 from assist.team.priority import Priority
 from assist.team.time_expansion import HERE
@@ -21,22 +21,22 @@ def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: i
     """
     solved, pomdp = priority.solved(pool.policies[0]), pool.policies[0].pomdp
     choices, setting = pomdp.model.choices, pool.setting
-    arrays, rng = ProblemArrays.of(pomdp), np.random.default_rng(robots)
+    model, rng = PersonModel.of(pomdp), np.random.default_rng(robots)
     minds = Minds.of_model(pomdp)
     size = episodes * humans
     cell = rng.choice(pomdp.prior.size, size, p=pomdp.prior.ravel() / pomdp.prior.sum())
     b, t = np.divmod(cell, len(pomdp.grid.theta))
     people = PeopleArrays(
         np.full(size, choices.initial), np.zeros(size, dtype=np.int64), b, pomdp.grid.theta[t].copy(),
-        np.zeros(size, dtype=np.int64), np.empty((size, 2)), np.repeat(pomdp.prior[None], size, axis=0),
-        np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size, dtype=bool),
+        np.zeros(size, dtype=np.int64), np.empty((size, 2)), np.zeros(size, dtype=np.int64), np.zeros(size),
     )  # fmt: skip
+    known = Seen(people.x, np.repeat(pomdp.prior[None], size, axis=0), np.zeros(size, dtype=bool))
     here, total = np.zeros(size, dtype=bool), np.zeros(episodes)
     for step in range(2000):
         active = np.flatnonzero(~choices.goal[people.x])
         if not len(active):
             break
-        q = solved.policy.q_values(solved.states[0, HERE][people.x[active]], people.belief[active])
+        q = solved.policy.q_values(solved.states[0, HERE][people.x[active]], known.belief[active])
         gain = q - q[:, :1] + priority.price[-1]
         speak, hold = gain[:, 2:].max(axis=1), np.where(here[active], gain[:, 1], -np.inf)
         worth = np.full(size, -np.inf)
@@ -57,6 +57,9 @@ def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: i
         people.robot[:] = robot
         people.cost[:] = 0.0
         people.uniform[active] = rng.random((len(active), 2))
-        act(active, people, minds, arrays)
+        before = people.x.copy()
+        act(active, people, minds, model.arrays)
+        acts = Acts(before, people.robot, people.slot, ~choices.goal[people.x])
+        known.observe(acts, people.robot, [(model, active)], lambda _: np.empty(0))
         total -= setting.gamma**step * (paid + people.cost).reshape(episodes, humans).sum(axis=1)
     return total

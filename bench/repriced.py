@@ -32,13 +32,14 @@ from tables import Columns, cell, record_option, write_record
 
 from assist.live.assistant import Assistant
 from assist.people.decision import Floats
+from assist.person.beliefs import Ask
 from assist.person.policy import Policy
 from assist.person.qmdp import look_ahead, qmdp
 from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.by_policy import ByPolicy
 from assist.team.priority import Priority, SolvedSubproblem
 from assist.team.settings import Setting
-from assist.team.state import NOBODY, Ask, TeamAction, TeamState
+from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.team.time_expansion import AWAY
 from assist.team.travel import Travel
 from planner import cost_to_go, load

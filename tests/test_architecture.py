@@ -43,20 +43,20 @@ ROOMS = {
         weighted_choice human mixture spread belief influence_kernels type_kernels trust_rules user_code
         action_names signals""",
     "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp visiting_robot policy
-        lazy_policy archive problem_arrays belief_filter belief_update dynamics joint_belief rounding
+        lazy_policy archive problem_arrays belief_filter belief_update dynamics joint_belief beliefs rounding
         action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
         memory_needed further_beliefs solver""",
     "assist.learning": """log_steps log_json log_files log comparison intervals advice_log advice_rules advice_model
         advice_fit replay observations joint_states evidence likelihood choosing profiles maximum_likelihood
         logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit goals model_comparison
         rule_families trust_log posterior_sample influence_population rule_search trust_fit rule_comparison""",
-    "assist.team": """policy_names by_policy robots travel state hidden_states action_check settings
+    "assist.team": """policy_names by_policy robots travel state action_check settings
         plain_setting setting_table assignment attention attention_never questions time_expansion
         subproblem_frontier attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
     "assist.simulation": """affordable union pool schedule common_random_numbers hidden_goals trace
-        episode episodes trust_of_people model_group task_parts task_view observed_people run traced_run requested
+        episode episodes trust_of_people model_group task_parts task_view run traced_run requested
         simulate belief_trace illustration""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files notebook",
     "assist.explain": "continuations contrast explanation",

@@ -20,6 +20,7 @@ from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import drawn_goals, mean_over_goals
 from ..people.human import Population
 from ..people.mixture import Mixture
+from ..person.beliefs import Acts, Seen
 from ..person.dynamics import PeopleArrays
 from ..simulation.common_random_numbers import from_the_prior
 from ..simulation.model_group import ModelGroup, World
@@ -242,13 +243,18 @@ class Teams:
         there = np.zeros(self.x.shape, dtype=bool)
         there[rows] = ~self.finished[rows]
         charged = np.zeros(self.x.size)
-        people = PeopleArrays.of_teams(self.x, robot, self.who, self.theta, self.seen, draws, self.belief, self.erred)
+        before, models = self.x.reshape(-1).copy(), []
+        people = PeopleArrays.of_teams(self.x, robot, self.who, self.theta, self.seen, draws)
         for number, at in by_model(self.model.reshape(-1), np.flatnonzero(there), len(self.pool.policies)):
             group = self.groups[number]
+            models.append((group.model, at))
             charged[at] = group.arrays.robot_costs[people.x[at], people.robot[at]]
             group.act(at, people)
             self.finished.reshape(-1)[at] = group.ended(at, people)
         self.clock[rows] += 1
+        acts = Acts(before, people.robot, people.slot, ~self.finished.reshape(-1))
+        belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
+        Seen(people.x, belief, self.erred.reshape(-1)).observe(acts, people.robot, models, lambda _: np.empty(0))
         return people.slot.reshape(self.x.shape), (people.cost + charged).reshape(self.x.shape)
 
 

@@ -309,7 +309,7 @@ class Assistant:
                 action = problem.named(action)
             step = Step(problem.place(part, row), robot, NOTHING, action, suggestion, seen)
             erred = believe(self._team, record, step, self.setting)
-            likeliest = self._team.joint(k).likeliest
+            likeliest = int(self._team.x[k])
             if missed is not None and missed < 1 / 2:
                 still = int(same_suggestions(part.policy.pomdp, np.array([row]), np.array([likeliest]))[0, robot])
             to = problem.at(likeliest)

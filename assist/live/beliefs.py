@@ -7,8 +7,8 @@ remain, in their order.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -16,19 +16,18 @@ import numpy as np
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import NOTHING
 from ..people.spread import Spread
-from ..person.belief_update import mistaken, update_belief
-from ..person.joint_belief import JointBelief, same_suggestions
+from ..person.beliefs import Acts, PersonModel
+from ..person.joint_belief import JointBelief, expected_answers, same_suggestions
 from ..person.observation_model import ObservationModel
 from ..person.ties import first_best
-from ..team.hidden_states import expected_answers
-from ..team.questions import answered, likelihood_of
+from ..team.questions import likelihood_of
 from ..team.settings import Setting
 from ..team.state import worth_of_actions
 from ..texts.refusals import InapplicableError
 from .advice import Reason
 from .live_task import TaskPart
 from .roster import Roster, RosterEntry, Step, Told
-from .uncertain_actions import after_answers, joint_after
+from .uncertain_actions import after_answers, update_by
 
 
 def is_uncertain(record: RosterEntry, model: ObservationModel | None) -> bool:
@@ -52,17 +51,18 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
         The action is not applicable in any state in which the person probably is. Nothing has changed.
     """
     part, row = record.problem.at(step.place)
-    belief, choices = team.belief[record.place], part.choices
+    k, beliefs = record.place, team.beliefs
     if step.seen is not None or is_uncertain(record, setting.observation):
-        earlier = record.joint or JointBelief.at(row, belief)
-        record.joint = joint_after(record, belief, step, setting.observation)
-        record.earlier, team.belief[record.place] = earlier, record.joint.belief
-        return record.joint.erred > 1 / 2
-    optimal = choices.goals.optimal[row, step.slot]
-    mistake = bool(mistaken(optimal[None], belief[None], np.array([row]), part.arrays)[0])
+        if record.joint is None:
+            beliefs.x[k] = row
+        earlier = beliefs.joint(k)
+        update_by(record, step, setting.observation)
+        record.earlier = earlier
+        return bool(beliefs.erred[k])
+    acts = Acts(np.array([row]), np.array([step.robot]), np.array([step.slot]), np.array([False]))
     with suppress(ImpossibleObservationError):  # in a model without lapses; the action says nothing about the person
-        update_belief(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
-    return mistake
+        beliefs.update(np.array([k]), acts, PersonModel.of(part.policy.pomdp, part.arrays))
+    return bool(beliefs.erred[k])
 
 
 def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Setting) -> None:
@@ -73,21 +73,29 @@ def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Se
     InapplicableError
         An answer is impossible under the belief. Nothing has changed.
     """
-    belief, joint = team.belief[record.place], record.joint
     hidden = team.part(record)[0].policy.pomdp.hidden
     goals = list(hidden.goals)
-    try:
+    with unchanged_if_refused(team, record):
         for told in answers:
-            asked = goals.index(told.goal)
-            if joint is None:
-                belief = answered(belief, hidden, asked, told.yes, setting.ask_error)
-            else:
-                joint = joint.told(likelihood_of(asked, len(goals), told.yes, setting.ask_error), hidden)
-                belief = joint.belief
-    except (ImpossibleObservationError, ValueError):
-        key = "impossible_yes" if told.yes else "impossible_no"
-        raise InapplicableError(key, person=record.name, goal=told.goal) from None
-    record.joint, team.belief[record.place] = joint, belief
+            try:
+                team.beliefs.told(
+                    record.place, likelihood_of(goals.index(told.goal), hidden, told.yes, setting.ask_error)
+                )
+            except ImpossibleObservationError:
+                key = "impossible_yes" if told.yes else "impossible_no"
+                raise InapplicableError(key, person=record.name, goal=told.goal) from None
+
+
+@contextmanager
+def unchanged_if_refused(team: Roster, record: RosterEntry) -> Iterator[None]:
+    """Restore what was known of a person, if what is told contradicts it."""
+    k, beliefs = record.place, team.beliefs
+    known = beliefs.x[k], beliefs.belief[k].copy(), beliefs.erred[k], record.joint, record.earlier
+    try:
+        yield
+    except InapplicableError:
+        beliefs.x[k], beliefs.belief[k], beliefs.erred[k], record.joint, record.earlier = known
+        raise
 
 
 def hear(team: Roster, record: RosterEntry, answers: list[Told], setting: Setting) -> None:
@@ -118,16 +126,15 @@ def correct(team: Roster, record: RosterEntry, action: str, setting: Setting) ->
         The action is not applicable in any state in which the person probably was, or contradicts an answer about the
         goal. Nothing has changed.
     """
-    k, seen = record.place, record.steps[-1]
-    known = team.belief[k].copy(), record.joint, record.earlier
+    k, seen, (part, row) = record.place, record.steps[-1], team.part(record)
     record.steps[-1] = seen._replace(action=action, seen={"likelihoods": {action: 1.0}}, slot=NOTHING)
     try:
-        erred = believe_again(team, record, setting)
+        with unchanged_if_refused(team, record):
+            erred = believe_again(team, record, setting)
     except InapplicableError:
-        record.steps[-1], (team.belief[k], record.joint, record.earlier) = seen, known
+        record.steps[-1] = seen
         raise
-    assert record.joint is not None
-    (part, row), likeliest = team.part(record), record.joint.likeliest
+    likeliest = int(team.x[k])
     still = same_suggestions(part.policy.pomdp, np.array([row]), np.array([likeliest]))[0, team.robot[k]]
     team.put(record, *record.problem.at(likeliest), erred=erred, robot=int(still))
 
@@ -145,8 +152,8 @@ def worth_of_asking(team: Roster, record: RosterEntry, setting: Setting) -> tupl
     for name, after in after_answers(record, setting.observation).items():
         with suppress(ImpossibleObservationError):
             for told in _told_at(record, len(record.steps)):
-                likelihood = likelihood_of(goals.index(told.goal), len(goals), told.yes, setting.ask_error)
-                after = replace(then := after.told(likelihood, hidden), evidence=then.evidence * after.evidence)
+                likelihood = likelihood_of(goals.index(told.goal), hidden, told.yes, setting.ask_error)
+                after = replace(then := after.told(likelihood), evidence=then.evidence * after.evidence)
             found[name] = after
     if not found:
         return 0.0, {}

@@ -20,10 +20,10 @@ from ..explain.contrast import Contrast, contrast
 from ..explain.explanation import Cause, Explanation, Prospect, WhyNothing, WhyPerson, WhyQuestion, WhyStep
 from ..people.choices import Choices
 from ..people.decision import Floats, same_cost
-from ..person.joint_belief import JointBelief, is_certain
+from ..person.beliefs import Beliefs
+from ..person.joint_belief import is_certain
 from ..person.policy import Policy
 from ..person.ties import first_best
-from ..team.hidden_states import expected_answers
 from ..team.state import by_model, worth_of_actions
 from ..texts.refusals import InapplicableError
 from .advice import Question
@@ -42,14 +42,13 @@ class DecisionPoint:
     names : tuple of str
     problems : tuple of LiveTask
     parts : list of TaskPart
-    x, model : int arrays, shape (P,)
-        Row of each person's state, and the number of its part.
+    beliefs : Beliefs
+        What the robot knows of the people; `x` has the row of each person's state in its part.
+    model : int array, shape (P,)
+        Number of the part of each person's task.
     robot : int array, shape (P,)
         Robot action towards each person that is open; 0 for none.
-    present, ended, erred : bool arrays, shape (P,)
-    belief : float array, shape (P, B, T)
-    joint : mapping of int to JointBelief
-        The belief over task states, too, of each person whose actions were uncertain, by place.
+    present, ended : bool arrays, shape (P,)
     questions : mapping of int to WhyQuestion
         The open questions, by the place of the person.
     here : int
@@ -65,14 +64,11 @@ class DecisionPoint:
     names: tuple[str, ...]
     problems: tuple[LiveTask, ...]
     parts: list[TaskPart]
-    x: NDArray[np.int64]
+    beliefs: Beliefs
     model: NDArray[np.int64]
     robot: NDArray[np.int64]
     present: NDArray[np.bool_]
     ended: NDArray[np.bool_]
-    erred: NDArray[np.bool_]
-    belief: Floats
-    joint: Mapping[int, JointBelief]
     questions: Mapping[int, WhyQuestion]
     here: int
     moving: Floats
@@ -95,9 +91,9 @@ class DecisionPoint:
             return array[:count].copy()
 
         return cls(
-            tuple(team.by_name), tuple(team.problems), list(team.parts),
-            copy(team.x), copy(team.model), copy(team.robot), copy(team.present), copy(team.ended), copy(team.erred),
-            copy(team.belief), dict(team.joints), {k: _why(one) for k, one in sorted(questions.items())},
+            tuple(team.by_name), tuple(team.problems), list(team.parts), team.beliefs.of(np.arange(count)),
+            copy(team.model), copy(team.robot), copy(team.present), copy(team.ended),
+            {k: _why(one) for k, one in sorted(questions.items())},
             here, moving[:count], rule, extra,
         )  # fmt: skip
 
@@ -182,7 +178,7 @@ class DecisionPoint:
         if (asked := self.questions.get(place)) is not None:
             return Explanation(nothing=WhyNothing("asked", rule, about=name, question=asked))
         if rule == "reactive":
-            nothing = WhyNothing("mistake-elsewhere" if self.erred[place] else "no-mistake", rule, about=name)
+            nothing = WhyNothing("mistake-elsewhere" if self.beliefs.erred[place] else "no-mistake", rule, about=name)
             return Explanation(nothing=nothing)
         prospect = self._prospects.get(place)
         if prospect is None:
@@ -191,9 +187,7 @@ class DecisionPoint:
 
     def _certainly_ended(self, place: int) -> bool:
         """Return whether a person has certainly reached their goal."""
-        _, part, row = self._at(place)
-        joint = self.joint.get(place) or JointBelief.at(row, self.belief[place])
-        return is_certain(joint.finished(part.arrays))
+        return is_certain(self.beliefs.finished(place, self._at(place)[1].arrays))
 
     def nothing_at_all(self) -> Explanation:
         """Return why there is no suggestion."""
@@ -219,8 +213,8 @@ class DecisionPoint:
         return self._in_words(place, Explanation(nothing=nothing))
 
     def _in_words(self, place: int, explanation: Explanation) -> Explanation:
-        joint = self.joint.get(place)
-        share = 1.0 if joint is None else float(joint.probability[joint.x == self.x[place]].sum())
+        joint = self.beliefs.joint(place)
+        share = float(joint.probability[joint.x == self.beliefs.x[place]].sum())
         said = explanation.in_words(self.problems[place].words(explanation.actions))
         return said.in_state(1.0 if is_certain(share) else share)
 
@@ -230,7 +224,7 @@ class DecisionPoint:
             raise InapplicableError("nothing_suggested", person=self.names[place], action=against[:80])
 
     def _at(self, place: int) -> tuple[LiveTask, TaskPart, int]:
-        return self.problems[place], self.parts[self.model[place]], int(self.x[place])
+        return self.problems[place], self.parts[self.model[place]], int(self.beliefs.x[place])
 
     def _known(self, place: int, robot: int) -> tuple[Choices | CostToGo, int]:
         """Return all choices of a person's task, and their state there, with the goal that a suggestion is for."""
@@ -244,7 +238,7 @@ class DecisionPoint:
         """
         _, part, row = self._at(place)
         pomdp, goals = part.policy.pomdp, part.choices.goals
-        share = pomdp.hidden.marginal(self.belief[place], "goal")
+        share = pomdp.hidden.marginal(self.beliefs.belief[place], "goal")
         optimal = goals.optimal[row, pomdp.suggested[row, robot]] & ~goals.goal[:, row]
         goal = int(np.where(optimal if optimal.any() else True, share, -1.0).argmax())
         return goal, float(share[goal])
@@ -258,7 +252,7 @@ class DecisionPoint:
         _, part, row = self._at(place)
         pomdp, choices = part.policy.pomdp, part.choices
         applicable = choices.applicable[row]
-        p = np.einsum("ah,h->a", pomdp.chosen[row], self.belief[place].sum(axis=1))
+        p = np.einsum("ah,h->a", pomdp.chosen[row], self.beliefs.belief[place].sum(axis=1))
         return np.where(applicable, (1 - pomdp.model.lapse) * p + pomdp.model.lapse / applicable.sum(), 0.0)
 
     def _why_step(self, place: int, robot: int) -> WhyStep:
@@ -300,12 +294,7 @@ class DecisionPoint:
 
     def _values(self, policy: Policy, places: NDArray[np.int64]) -> Floats:
         """Return the Q-values of the robot actions towards some people of one policy, expected over task states."""
-        x, belief = self.x[places], self.belief[places]
-        joint = [self.joint.get(place) for place in places.tolist()]
-        if all(one is None for one in joint):
-            return worth_of_actions(policy, x, belief)
-        known = [one or JointBelief.at(int(at), own) for one, at, own in zip(joint, x, belief, strict=True)]
-        return expected_answers(worth_of_actions, policy, x, known)
+        return self.beliefs.expected(worth_of_actions, policy, places)
 
     @property
     def _free(self) -> NDArray[np.bool_]:

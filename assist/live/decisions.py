@@ -15,13 +15,14 @@ from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.human import Population
 from ..people.mixture import Mixture
+from ..person.beliefs import Ask
 from ..person.policy import Policy
 from ..team.action_check import check
 from ..team.policies import named, prepare
 from ..team.policy_names import POLICIES
 from ..team.robots import SUGGESTION
 from ..team.settings import Setting
-from ..team.state import NOBODY, Ask, TeamPolicy, TeamState
+from ..team.state import NOBODY, TeamPolicy, TeamState
 from .advice import Advice, Question
 from .beliefs import reason_of
 from .decision_point import DecisionPoint

@@ -66,7 +66,7 @@ class LiveQuestions:
         part, _ = team.part(record)
         if len(part.choices.goals) == 1 or "goal" in record.asked:
             return None
-        goal, worth = self._goals.best_of(part.policy, team.joint(record.place), attention)
+        goal, worth = self._goals.best_of(part.policy, team.beliefs.joint(record.place), attention)
         return Question(record.name, part.choices.goals.names[goal], (), worth) if worth > NEAR else None
 
     def _about_action(self, team: Roster, record: RosterEntry, *, least: float = 0.01) -> Question | None:

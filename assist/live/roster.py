@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
+from ..person.beliefs import Ask, Hidden
 from ..person.joint_belief import JointBelief, is_certain
-from ..team.hidden_states import expected_answers
-from ..team.state import Ask, by_model
+from ..team.state import by_model
 from ..texts.refusals import AbsentError
 from .advice import Question
 from .live_task import LiveTask, TaskPart
@@ -134,11 +134,11 @@ class RosterEntry:
     @property
     def joint(self) -> JointBelief | None:
         """The belief over task states and types, or None if all actions of this task were certain."""
-        return self.team.joints.get(self.place)
+        return self.team.beliefs.joints.get(self.place)
 
     @joint.setter
     def joint(self, joint: JointBelief | None) -> None:
-        _set(self.team.joints, self.place, joint)
+        _set(self.team.beliefs.joints, self.place, joint)
 
     @property
     def question(self) -> Question | None:
@@ -189,18 +189,17 @@ class Roster:
         Records by place.
     problems : list of LiveTask
         Present tasks by place.
-    joints : dict of int to JointBelief
-        Beliefs over task states and types, by place, of people whose actions were uncertain.
+    beliefs : Hidden
+        What the robot knows of the people, by place: in `x` the row of each person's state, and in `erred` whether the
+        last action was not an optimal choice.
     questions : dict of int to Question
         Open questions by place.
-    x, model : int arrays, shape (P,)
-        Row of each person's state, and the index of its part in `parts`.
+    model : int array, shape (P,)
+        Index of the part of each person's task in `parts`.
     robot : int array, shape (P,)
         Robot action towards each person since their last action; 0 for none.
-    erred, present, ended : bool arrays, shape (P,)
-        Whether the last action was not an optimal choice; whether the person is present, and has (probably) reached
-        the goal.
-    belief : float array, shape (P, H, T)
+    present, ended : bool arrays, shape (P,)
+        Whether the person is present, and has (probably) reached the goal.
     """
 
     def __init__(self, places: int) -> None:
@@ -210,17 +209,33 @@ class Roster:
         self._actions: Numbers = {}
         self.records: list[RosterEntry] = []
         self.problems: list[LiveTask] = []
-        self.joints: dict[int, JointBelief] = {}
         self.questions: dict[int, Question] = {}
         self.by_name: dict[str, RosterEntry] = {}
-        self.x, self.model, self.robot = (np.zeros(places, dtype=np.int64) for _ in range(3))
-        self.erred, self.present, self.ended = (np.zeros(places, dtype=bool) for _ in range(3))
-        self.belief = np.zeros((places, 0, 0))
+        self.model, self.robot = np.zeros((2, places), dtype=np.int64)
+        self.present, self.ended = np.zeros((2, places), dtype=bool)
+        self.beliefs = Hidden(
+            np.zeros(places, dtype=np.int64), np.zeros((places, 0, 0)), np.zeros(places, dtype=bool)
+        )  # fmt: skip
         self._change = np.zeros(places, dtype=np.int64)
         self._answers: dict[Ask, _Answers] = {}
 
     def __len__(self) -> int:
-        return len(self.x)
+        return len(self.model)
+
+    @property
+    def x(self) -> NDArray[np.int64]:
+        """The row of each person's state, the most probable one, shape (P,)."""
+        return self.beliefs.x
+
+    @property
+    def erred(self) -> NDArray[np.bool_]:
+        """Whether each person's last action was (probably) a mistake, shape (P,)."""
+        return self.beliefs.erred
+
+    @property
+    def belief(self) -> Floats:
+        """The belief in each person's type, shape (P, H, T)."""
+        return self.beliefs.belief
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -248,7 +263,7 @@ class Roster:
         prior, hidden = part.policy.pomdp.prior, part.policy.pomdp.hidden
         carried = None if belief is None else _distribution(name, belief, hidden.of_people(prior).shape)
         if not self.records:
-            self.belief = np.zeros((len(self), *prior.shape))
+            self.beliefs.belief = np.zeros((len(self), *prior.shape))
         elif prior.shape != self.belief.shape[1:]:
             raise ValueError(f"{name}: a belief of shape {prior.shape}; expected {self.belief.shape[1:]}, as in others")
         before = prior if carried is None else hidden.with_goals(carried)
@@ -289,8 +304,10 @@ class Roster:
             more = np.zeros((max(0, places - len(array)), *array.shape[1:]), dtype=array.dtype)
             return np.concatenate([array[:places], more])
 
-        for name in ("x", "model", "robot", "erred", "present", "ended", "belief"):
+        for name in ("model", "robot", "present", "ended"):
             setattr(self, name, longer(getattr(self, name)))
+        for name in ("x", "belief", "erred"):
+            setattr(self.beliefs, name, longer(getattr(self.beliefs, name)))
         self._change, self._answers = longer(self._change), {}
 
     def put(self, record: RosterEntry, part: TaskPart, row: int, *, erred: bool = False, robot: int = 0) -> None:
@@ -305,11 +322,7 @@ class Roster:
 
     def finished(self, record: RosterEntry) -> float:
         """Return the probability that a person has reached their goal, of which several may be possible."""
-        part, row = self.part(record)
-        reached = part.arrays.goal[:, row]
-        if record.joint is None and reached.all() == reached.any():
-            return float(reached[0])
-        return self.joint(record.place).finished(part.arrays)
+        return self.beliefs.finished(record.place, self.part(record)[0].arrays)
 
     def stopped(self, record: RosterEntry) -> bool:
         """Return whether a person has certainly reached their goal."""
@@ -349,10 +362,7 @@ class Roster:
 
     def answers_about(self, ask: Ask, number: int, places: NDArray[np.int64]) -> Floats:
         """Return the answers about people of one part, given by their places, shape (N, W)."""
-        policy, x = self.parts[number].policy, self.x[places]
-        if not self.joints or all(k not in self.joints for k in places.tolist()):
-            return ask(policy, x, self.belief[places])
-        return expected_answers(ask, policy, x, [self.joint(k) for k in places.tolist()])
+        return self.beliefs.expected(ask, self.parts[number].policy, places)
 
     def changes(self, place: int) -> int:
         """Return how often what is known of the person at a place has changed."""
@@ -370,10 +380,6 @@ class Roster:
                         rows.append({"person": record.name, "episode": str(number), "step": count, **plain})
                     count += step["action"] is not None
         return rows
-
-    def joint(self, place: int) -> JointBelief:
-        """Return the belief over task states and types of the person at a place."""
-        return self.records[place].joint or JointBelief.at(int(self.x[place]), self.belief[place])
 
 
 def _distribution(name: str, belief: ArrayLike, shape: tuple[int, ...]) -> Floats:

@@ -13,7 +13,6 @@ from ..people.goals import Goals
 from ..people.human import Population
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
-from ..team.hidden_states import HiddenTeamState
 from ..team.robots import SUGGESTION
 from ..team.settings import Setting
 from ..team.state import TeamState
@@ -56,17 +55,15 @@ class TraceReasons:
         rule : str
             Name of the team's policy.
         """
-        assert team.belief is not None
         # The models of people who are not active may have no problem in this step, and none is looked at.
         model, own = np.unique(np.where(team.active[row], team.model[row], team.model[row, place]), return_inverse=True)
         parts = [self._part(team, one) for one in model.tolist()]
         here, travel = int(team.location[row, number]), team.travel
-        count, joint = len(names), team.joint if isinstance(team, HiddenTeamState) else [None] * team.x.size
-        known = {k: one for k, one in enumerate(joint[row * count : (row + 1) * count]) if one is not None}
+        count = len(names)
         point = DecisionPoint(
-            tuple(names), tuple(self._problem(int(model[one])) for one in own), parts, team.x[row], own,
-            np.zeros(count, dtype=np.int64), team.active[row], ~team.active[row], team.erred[row], team.belief[row],
-            known, {}, here, travel.c_move[number] * travel.distance[here], rule,
+            tuple(names), tuple(self._problem(int(model[one])) for one in own), parts,
+            team.beliefs.of(row * count + np.arange(count)), own, np.zeros(count, dtype=np.int64), team.active[row],
+            ~team.active[row], {}, here, travel.c_move[number] * travel.distance[here], rule,
             float(team.fleet.extra[number, SUGGESTION]),
         )  # fmt: skip
         found = point.suggested(place, robot, arrived=True)

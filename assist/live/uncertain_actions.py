@@ -10,7 +10,8 @@ import numpy as np
 from ..people.arguments import number
 from ..people.belief import ImpossibleObservationError
 from ..people.choices import Choices
-from ..people.decision import NOTHING, Floats
+from ..people.decision import NOTHING
+from ..person.beliefs import Glimpse, PerhapsMissed, PersonModel, Reported
 from ..person.joint_belief import JointBelief
 from ..person.observation_model import Evidence, ObservationModel
 from ..team.settings import Setting
@@ -73,34 +74,37 @@ def seen_of(
     return {"likelihoods": {name: p / most for name, p in each.items()}}
 
 
-def joint_after(record: RosterEntry, belief: Floats, step: Step, model: ObservationModel | None) -> JointBelief:
-    """Return the belief over task states and types of a person after a step.
+def glimpse_of(problem: LiveTask, choices: Choices, step: Step, model: ObservationModel | None) -> Glimpse:
+    """Return what was seen of a step, for `Hidden.update_by`.
 
     Parameters
     ----------
-    record : RosterEntry
-        The person, who does not change.
-    belief : float array, shape (G * B, T)
-        The belief in the type of the person, whose task state was certain if `record.joint` is None.
+    problem : LiveTask
+    choices : Choices
+        Those of the problem.
     step : Step
     model : ObservationModel or None
         How actions are seen; None if they are, apart from this one, seen as they are.
+    """
+    if "missed" in (step.seen or {}):
+        return PerhapsMissed((step.seen or {})["missed"])
+    return Reported(_evidence(problem, choices, step, model), 0.0 if model is None else model.miss)
+
+
+def update_by(record: RosterEntry, step: Step, model: ObservationModel | None) -> None:
+    """Update the belief in a person by a step of which not all was seen as it was; `model` as in `glimpse_of`.
 
     Raises
     ------
     InapplicableError
-        The action is not applicable in any state in which the person probably is.
+        The action is not applicable in any state in which the person probably is. Nothing has changed.
     """
-    problem, seen = record.problem, step.seen or {}
+    problem, beliefs, place = record.problem, record.team.beliefs, np.array([record.place])
     part, row = problem.at(step.place)
-    joint = record.joint or JointBelief.at(row, belief)
     choices, said = part.choices, NOTHING if step.suggestion is None else problem.ground(step.suggestion)
-    if "missed" in seen:
-        acted = joint.after(Evidence.none(choices), said, choices, part.arrays)
-        return joint.mixed(acted, seen["missed"]).without(1e-6)
-    evidence = _evidence(problem, choices, step, model)
+    glimpse = glimpse_of(problem, choices, step, model)
     try:
-        return joint.after_some(evidence, said, choices, part.arrays, miss=0.0 if model is None else model.miss)
+        beliefs.update_by(place, np.array([said]), [glimpse], PersonModel.of(part.policy.pomdp, part.arrays))
     except ImpossibleObservationError:
         names = [choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))]
         raise InapplicableError(

@@ -10,11 +10,15 @@ probability of the choice.
 
 from __future__ import annotations
 
+import numpy as np
+
 from planner.system.jit import njit
 
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import Floats
+from ..people.hidden_type import Bools, Ints
 from ..people.influence_kernels import influence_factors
+from ..people.type_kernels import exclude_reached, is_mistake
 from .problem_arrays import ProblemArrays
 
 # Reassociation lets the compiler vectorise the sums of solvers, whose rounding need not be reproducible.
@@ -85,6 +89,40 @@ def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Prob
     scale = 1.0 / mass
     for h in range(len(old)):
         old[h] = new[h] * scale
+
+
+@njit(nogil=True)
+def update_seen(
+    rows: Ints, x: Ints, robot: Ints, slot: Ints, goes_on: Bools, belief: Floats, erred: Bools, optimal: Bools,
+    possible: Floats, m: ProblemArrays,
+) -> None:  # fmt: skip
+    """Update the beliefs in people by what they did, and tell whether it was a mistake.
+
+    Parameters
+    ----------
+    rows : int array, shape (m,)
+        The people, by their numbers from 0 to P - 1.
+    x, robot, slot, goes_on : arrays, shape (m,)
+        As in `beliefs.Acts`.
+    belief : float array, shape (P, H, T), or without rows
+    erred : bool array, shape (P,)
+        Receives whether the choice was a mistake: for no goal that is possible, an optimal plan begins with it.
+    optimal, possible
+        As in `beliefs.PersonModel`.
+    m : ProblemArrays
+    """
+    after = np.empty(belief.shape[1:])
+    for n, i in enumerate(rows):
+        erred[i] = False
+        if slot[n] < 0:
+            continue
+        acting = m.afterstate[x[n], robot[n]]
+        known = belief[i] if len(belief) > 0 else possible
+        erred[i] = is_mistake(optimal[acting, slot[n]], known, acting, m.goal, m.goal_of)
+        if len(belief) > 0:
+            update(belief[i], after, x[n], robot[n], slot[n], m)
+            if goes_on[n]:
+                exclude_reached(belief[i], m.targets[acting, slot[n]], m.goal, m.goal_of)
 
 
 @njit()

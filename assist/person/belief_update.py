@@ -9,12 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.readable import ReadableFirst
-
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import Floats
 from ..people.influence_kernels import LARGEST
-from .belief_filter import update
 from .problem_arrays import ProblemArrays
 
 Ints = NDArray[np.int64]
@@ -88,15 +85,6 @@ def updated(belief: Floats, x: Ints, robot: Ints, slot: Ints, m: ProblemArrays) 
     if not (mass > 0.0).all():
         raise ImpossibleObservationError(IMPOSSIBLE)
     return after * (1.0 / mass)[:, None, None]
-
-
-def _update_one(belief: Floats, _: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> None:
-    """Do what `belief_filter.update` does to one belief, shape (H, T)."""
-    belief[:] = updated(belief[None], np.array([x]), np.array([robot]), np.array([slot]), m)[0]
-
-
-update_belief = ReadableFirst(_update_one, update, lambda *_: 60_000)
-"""Replace one belief by its posterior, as `belief_filter.update` does, with the same arguments."""
 
 
 def without_reached(belief: Floats, x: Ints, m: ProblemArrays) -> Floats:

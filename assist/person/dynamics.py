@@ -1,8 +1,7 @@
-"""One step of many people: their choices, their tasks, their trust, and the robot's belief.
+"""One step of many people: their choices, their tasks and their trust.
 
-The equations are those of `assist.people.decision` and `assist.people.belief`. `act_readable` applies them to arrays.
-`act_compiled` gives the same bits, one person at a time. So it skips what is unnecessary: without a suggestion trust
-does not change, and a choice is informative about beta only. `act` is the readable one first.
+The equations are those of `assist.people.decision`. `act_readable` applies them to arrays. `act_compiled` gives the
+same bits, one person at a time. `act` is the readable one first. What the robot learns from it is in `beliefs`.
 """
 
 from __future__ import annotations
@@ -17,9 +16,7 @@ from planner.system.readable import ReadableFirst
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import update_trust, weigh_by_influence
-from ..people.type_kernels import exclude_reached, is_mistake
-from .belief_filter import update
-from .belief_update import in_order, mistaken, updated, without_reached
+from .belief_update import in_order
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 
@@ -41,14 +38,10 @@ class PeopleArrays(NamedTuple):
         Number of outcomes of suggestions that the person has seen, if the trust rule counts them.
     uniform : float array, shape (N, 2)
         Uniform numbers in [0, 1): for the choice, and for the grid point of theta.
-    belief : float array, shape (N, H, T)
-        The robot's beliefs; without rows if the policy uses none.
     slot : int array, shape (N,)
         Slot of the person's choice; -1 if the robot's execution has reached the goal.
     cost : float array, shape (N,)
         Cost of the choice.
-    erred : bool array, shape (N,)
-        Whether the choice was a mistake: for no goal that is possible, an optimal plan begins with it.
     """
 
     x: NDArray[np.int64]
@@ -57,15 +50,13 @@ class PeopleArrays(NamedTuple):
     theta: Floats
     seen: NDArray[np.int64]
     uniform: Floats
-    belief: Floats
     slot: NDArray[np.int64]
     cost: Floats
-    erred: NDArray[np.bool_]
 
     @classmethod
     def of_teams(
         cls, x: NDArray[np.int64], robot: NDArray[np.int64], who: NDArray[np.int64], theta: Floats,
-        seen: NDArray[np.int64], uniform: Floats, belief: Floats | None, erred: NDArray[np.bool_],
+        seen: NDArray[np.int64], uniform: Floats,
     ) -> PeopleArrays:  # fmt: skip
         """Return flat views of teams' arrays, of shape (N, K, ...) in C order, with one person after the other.
 
@@ -73,9 +64,7 @@ class PeopleArrays(NamedTuple):
         """
         return cls(
             x.reshape(-1), robot.reshape(-1), who.reshape(-1), theta.reshape(-1), seen.reshape(-1),
-            uniform.reshape(-1, 2),
-            np.empty((0, 1, 1)) if belief is None else belief.reshape(-1, *belief.shape[2:]),
-            np.full(x.size, NOTHING), np.zeros(x.size), erred.reshape(-1),
+            uniform.reshape(-1, 2), np.full(x.size, NOTHING), np.zeros(x.size),
         )  # fmt: skip
 
 
@@ -90,10 +79,6 @@ class Minds(NamedTuple):
         Probability of each choice without a suggestion.
     value : float array, shape (m, n)
         Perceived values V(x) of equation 7.
-    optimal : bool array, shape (n, A, G)
-        Whether each choice is optimal for each goal.
-    possible : float array, shape (H, 1)
-        Probability of each type at the beginning, for a robot without beliefs.
     eta : float
         Rate of the trust update, divided by the unit of value.
     lapse : float
@@ -105,8 +90,6 @@ class Minds(NamedTuple):
     goal: NDArray[np.int64]
     p: Floats
     value: Floats
-    optimal: NDArray[np.bool_]
-    possible: Floats
     eta: float
     lapse: float
     on_grid: bool
@@ -116,7 +99,6 @@ class Minds(NamedTuple):
         """Return the people of the robot's model of one, by their type."""
         return cls(
             read_only(pomdp.hidden.goal_of), np.ascontiguousarray(np.moveaxis(pomdp.chosen, 2, 0)), np.empty((0, 0)),
-            read_only(pomdp.model.choices.goals.optimal), read_only(pomdp.prior.sum(axis=1, keepdims=True)),
             eta=0.0, lapse=float(pomdp.model.lapse), on_grid=True,
         )  # fmt: skip
 
@@ -125,8 +107,6 @@ class Minds(NamedTuple):
 def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
     """Let the people of some rows, all of one model, act once."""
     p = np.empty(m.chosen.shape[1])
-    after = np.empty(people.belief.shape[1:])
-    has_beliefs = len(people.belief) > 0
     each = 1  # number of values of theta; they are repeated for each count of outcomes
     while each < len(m.theta) and m.theta[each] > m.theta[each - 1]:
         each += 1
@@ -135,7 +115,7 @@ def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
         acting, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
         g = minds.goal[people.who[i]]
         if m.goal[g, acting]:
-            people.x[i], people.slot[i], people.cost[i], people.erred[i] = acting, -1, 0.0, False
+            people.x[i], people.slot[i], people.cost[i] = acting, -1, 0.0
             continue
         count = m.counts[acting]
         unaided = minds.p[people.who[i], acting]
@@ -146,8 +126,6 @@ def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
         slot = _draw(p, count, minds.lapse, people.uniform[i, 0])
         y = m.targets[acting, slot]
         people.slot[i], people.cost[i] = slot, m.costs[acting, slot]
-        known = people.belief[i] if has_beliefs else minds.possible
-        people.erred[i] = is_mistake(minds.optimal[acting, slot], known, acting, m.goal, m.goal_of)
         if suggestion >= 0:
             if minds.on_grid:
                 t = people.seen[i] * each + np.searchsorted(m.theta[:each], theta)
@@ -161,10 +139,6 @@ def act_compiled(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
                 before, expected = value[x], value[m.targets[x, suggestion]]
                 gain = 0.0 if before == expected else expected - before
                 people.theta[i] = update_trust(theta, minds.eta, gain)
-        if has_beliefs:
-            update(people.belief[i], after, x, robot, slot, m)
-            if not m.goal[g, y]:
-                exclude_reached(people.belief[i], y, m.goal, m.goal_of)
         people.x[i] = y
 
 
@@ -192,7 +166,7 @@ def act_readable(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
     done = m.goal[goal, m.afterstate[x, robot]]
     stay = rows[done]
     people.x[stay], people.slot[stay] = m.afterstate[x[done], robot[done]], NOTHING
-    people.cost[stay], people.erred[stay] = 0.0, False
+    people.cost[stay] = 0.0
     rows, x, robot, goal = rows[~done], x[~done], robot[~done], goal[~done]
     if not len(rows):
         return
@@ -217,15 +191,8 @@ def act_readable(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
 
     y = m.targets[acting, slot]
     people.slot[rows], people.cost[rows] = slot, m.costs[acting, slot]
-    known = people.belief[rows] if len(people.belief) else minds.possible[None]
-    people.erred[rows] = mistaken(minds.optimal[acting, slot], known, acting, m)
     advised = np.flatnonzero(suggestion >= 0)
     _trust(advised, rows, x, robot, slot == suggestion, people, minds, m)
-    if len(people.belief):
-        after = updated(people.belief[rows], x, robot, slot, m)
-        on = np.flatnonzero(~m.goal[goal, y] & m.goal[:, y].any(axis=0))
-        after[on] = without_reached(after[on], y[on], m)
-        people.belief[rows] = after
     people.x[rows] = y
 
 
@@ -253,10 +220,9 @@ def _trust(
         people.theta[rows] = np.where(gain == 0.0, theta, np.clip(theta + minds.eta * gain, 0.0, 1.0))
 
 
-def _work(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, _: ProblemArrays) -> float:
+def _work(rows: NDArray[np.int64], _people: PeopleArrays, minds: Minds, _: ProblemArrays) -> float:
     """Return the work of `act_readable`, in nanoseconds."""
-    cells = people.belief[0].size if len(people.belief) else 0
-    return 60_000 + len(rows) * 20 * (cells + minds.p.shape[2])
+    return 60_000 + len(rows) * 20 * minds.p.shape[2]
 
 
 act = ReadableFirst(act_readable, act_compiled, _work)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,10 @@ from planner.system.jit import njit
 from ..people.belief import ImpossibleObservationError
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
-from ..people.hidden_type import HiddenType
 from ..people.type_kernels import is_mistake, leave_out_reached
 from .belief_filter import posterior
 from .observation_model import Evidence
+from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays
 
@@ -162,15 +163,15 @@ class JointBelief:
             raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
         return replace(found[0].without(least), evidence=total * (1 - miss))
 
-    def told(self, likelihood: Floats, hidden: HiddenType, *, least: float = 1e-6) -> JointBelief:
-        """Return the belief after an answer about the goal, whose likelihood for each goal has the shape (G,).
+    def told(self, likelihood: Floats, *, least: float = 1e-6) -> JointBelief:
+        """Return the belief after an answer, whose likelihood has a shape that broadcasts with (S, H, T).
 
         Raises
         ------
         ImpossibleObservationError
             The answer has probability zero.
         """
-        joint = hidden.given_goal(self.joint, likelihood)
+        joint = self.joint * likelihood
         total = float(joint.sum())
         if not total > 0:
             raise ImpossibleObservationError("the answer is impossible")
@@ -226,6 +227,39 @@ def said_in(pomdp: AssistPOMDP, x: Ints) -> Ints:
     """Return the ground action that each robot action suggests in some states, shape (N, R); `NOTHING` for others."""
     slot = pomdp.suggested[x]
     return np.where(slot == NOTHING, NOTHING, pomdp.model.choices.actions[x[:, None], np.maximum(slot, 0)])
+
+
+def expected_answers(ask: Any, policy: Policy, x: Ints, joint: Sequence[JointBelief]) -> Floats:
+    """Return the expected answers about some people, shape (N, W), over the states that are possible for each.
+
+    With R robot actions, the last R - 1 columns of an answer are those of suggestions, if it has R columns or more, and
+    the one before is that of a robot that is there and says nothing. The columns of suggestions are arranged as in the
+    states `x`.
+
+    Parameters
+    ----------
+    ask : callable
+        As in `beliefs.Ask`.
+    policy : Policy
+    x : int array, shape (N,)
+        A state of each person.
+    joint : sequence of JointBelief
+    """
+    pomdp = policy.pomdp
+    person = np.repeat(np.arange(len(x)), [len(one.x) for one in joint])
+    states, weight = np.concatenate([one.x for one in joint]), np.concatenate([one.probability for one in joint])
+    answers = ask(policy, states, np.concatenate([one.joint for one in joint]) / weight[:, None, None])
+    suggestions = pomdp.suggested.shape[1] - 1
+    head = answers.shape[1] - suggestions
+    if head >= 1 and suggestions:
+        there = same_suggestions(pomdp, x[person], states)[:, 1:]
+        silent = answers[:, head - 1, None] - pomdp.robot_costs[x[person], 1:]
+        said = np.where(there > 0, np.take_along_axis(answers, head - 1 + there, axis=1), silent)
+        offered = np.arange(1, suggestions + 1) < pomdp.robot_actions[x[person], None]
+        answers = np.concatenate([answers[:, :head], np.where(offered, said, -np.inf)], axis=1)
+    values = np.zeros((len(x), answers.shape[1]))
+    np.add.at(values, person, weight[:, None] * answers)
+    return values
 
 
 @njit()

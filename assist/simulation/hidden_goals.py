@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..people.hidden_type import HiddenType, drawn_goals
+from ..person.beliefs import Beliefs, Seen
 from ..person.ties import NEAR, first_best
-from ..team.questions import Questions, answered
+from ..team.questions import Questions, likelihood_of
 from ..team.state import by_model
 from .common_random_numbers import CommonRandomNumbers
 from .pool import Pool
@@ -66,14 +67,14 @@ class HiddenGoals:
         given = self.hidden.given_goal(belief, np.arange(len(self.hidden.goals)) == self.goal[:, :, None])
         return np.asarray(given / given.sum(axis=(2, 3), keepdims=True))
 
-    def acted_on(self, belief: Floats | None) -> Floats | None:
+    def acted_on(self, known: Beliefs) -> Beliefs:
         """Return the beliefs on which the robot acts."""
-        if belief is None or self.knowledge != "likeliest":
-            return belief
-        return self.hidden.given_likeliest(belief)
+        if self.knowledge != "likeliest" or not len(known.belief):
+            return known
+        return Seen(known.x, self.hidden.given_likeliest(known.belief), known.erred)
 
     def ask(
-        self, questions: Questions, active: NDArray[np.bool_], x: Ints, belief: Floats, told: Callable[..., None]
+        self, questions: Questions, active: NDArray[np.bool_], beliefs: Beliefs, told: Callable[..., None]
     ) -> tuple[Ints, Ints]:
         """Ask the person in each team for whom it is worth most about their goal, if it is worth its cost.
 
@@ -81,10 +82,8 @@ class HiddenGoals:
         ----------
         questions : Questions
         active : bool array, shape (N, K)
-        x : int array, shape (N, K)
-            State of each person.
-        belief : float array, shape (N, K, H, T)
-            Replaced by the beliefs after the answers.
+        beliefs : Beliefs
+            Replaced by those after the answers.
         told : callable
             Receives each question and its answer, as `Run.asked_about`.
 
@@ -95,17 +94,19 @@ class HiddenGoals:
         """
         teams = np.flatnonzero(active.any(axis=1))
         attention = np.minimum(1, len(self.pool.setting.robots) / np.maximum(1, active.sum(axis=1)))
-        about, worth = np.zeros(x.shape, dtype=np.int64), np.full(x.shape, -np.inf)
+        about, worth = np.zeros(active.shape, dtype=np.int64), np.full(active.shape, -np.inf)
         for model, rows in by_model(self.model.reshape(-1), np.flatnonzero(active), len(self.pool.policies)):
-            at = np.unravel_index(rows, x.shape)
-            about[at], worth[at] = questions.best(self.pool.policies[model], x[at], belief[at], attention[at[0]])
-        wrong = np.zeros(x.shape, dtype=bool)
+            at = np.unravel_index(rows, active.shape)
+            about[at], worth[at] = questions.best(
+                self.pool.policies[model], beliefs.x[rows], beliefs.belief[rows], attention[at[0]]
+            )
+        wrong = np.zeros(active.shape, dtype=bool)
         if questions.error:
             wrong[teams] = self.random_numbers.draw(7, teams)[..., :] < questions.error
         person = first_best(worth[teams])
         asks = worth[teams, person] > NEAR
         for team, k in zip(teams[asks].tolist(), person[asks].tolist(), strict=True):
             goal, yes = int(about[team, k]), bool((self.goal[team, k] == about[team, k]) != wrong[team, k])
-            belief[team, k] = answered(belief[team, k], self.hidden, goal, yes, questions.error)
+            beliefs.told(team * active.shape[1] + k, likelihood_of(goal, self.hidden, yes, questions.error))
             told(team, k, goal, yes=yes, worth=float(worth[team, k]))
         return teams[asks], person[asks]

@@ -12,6 +12,7 @@ from ..people.choice_model import chances, value
 from ..people.choices import Choices
 from ..people.decision import Floats, perceived_cost
 from ..people.human import Human
+from ..person.beliefs import PersonModel
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only
@@ -30,8 +31,8 @@ class ModelGroup:
 
     Attributes
     ----------
-    arrays : ProblemArrays
-        Their problem.
+    model : PersonModel
+        Their problem, as the robot knows it.
     minds : Minds
         Choices of each of them with each goal; in the robot's model, of each type.
     people : int array
@@ -44,12 +45,17 @@ class ModelGroup:
         How people's own theta changes, if not by equation 7 or as in the robot's model.
     """
 
-    arrays: ProblemArrays
+    model: PersonModel
     minds: Minds
     people: Ints
     row: Ints
     states: Ints | None = None
     trust: TrustOfPeople | None = None
+
+    @property
+    def arrays(self) -> ProblemArrays:
+        """Their problem, as compiled code reads it."""
+        return self.model.arrays
 
     @property
     def ends(self) -> NDArray[np.bool_]:
@@ -80,7 +86,7 @@ class ModelGroup:
             As in the attributes of the class.
         """
         model, choices, row, trust = pomdp.model, pomdp.model.choices, np.zeros(len(pool.people), dtype=np.int64), None
-        minds = Minds.of_model(pomdp)  # the problem defines the trust update
+        minds, known = Minds.of_model(pomdp), PersonModel.of(pomdp)  # the problem defines the trust update
         if world == "people":
             goals = choices.of_each_goal
             found = [_mind(pool.people[i], own_choices) for i in own.tolist() for own_choices in goals]
@@ -88,10 +94,10 @@ class ModelGroup:
             row[own] = np.arange(len(own)) * len(goals)
             eta = model.eta / model.utility_scale
             if pool.setting.trust not in (None, "paper"):
-                trust, eta = TrustOfPeople(pool.setting.trust_rule(), q), 0.0
+                trust, eta = TrustOfPeople(pool.setting.trust_rule(), q, known.optimal), 0.0
             goal = read_only(np.tile(np.arange(len(goals)), len(own)))
             minds = minds._replace(goal=goal, p=p, value=v, eta=eta, lapse=0.0, on_grid=False)
-        return cls(ProblemArrays.of(pomdp), minds, own, row, states, trust)
+        return cls(known, minds, own, row, states, trust)
 
     def mind(self, people: Ints, goal: Ints) -> Ints:
         """Return the row of `minds` of some people, given by their numbers in the pool, with their goals."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from threading import Event
 from typing import NamedTuple
 
@@ -9,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
+from ..person.beliefs import Acts, Beliefs, Hidden, Seen
 from ..person.dynamics import PeopleArrays
 from ..team.action_check import check
 from ..team.assignment import placed
@@ -18,7 +21,6 @@ from .common_random_numbers import CommonRandomNumbers, from_the_prior
 from .episodes import Episodes
 from .hidden_goals import GoalKnowledge, HiddenGoals
 from .model_group import World
-from .observed_people import ObservedPeople
 from .pool import Pool
 from .schedule import Schedule
 from .task_parts import TaskParts
@@ -90,21 +92,13 @@ class Run:
         self.x = self.task_view.initial.copy()
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]
-        self.erred = np.zeros(shape, dtype=bool)
         self.fleet, robots = pool.setting.fleet, len(pool.setting.robots)
         self.location = np.full((len(numbers), robots), BASE, dtype=np.int64)
         self.busy_until = np.zeros((len(numbers), robots), dtype=np.int64)
-        self.belief: Floats | None = None
+        self.row = self.x.copy()  # in the problem of a step
         uses_belief = getattr(policy, "uses_belief", True)
-        if uses_belief or self.keeps_beliefs:
-            self.belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
-            if self.goals is not None:
-                self.belief = self.goals.first_beliefs(self.belief)
-        self.observed: ObservedPeople | None = None
-        if pool.setting.observation is not None:
-            self.observed = ObservedPeople.of(pool, self.model, self.x, self.belief)
-            self.belief = None
-        self.questions = parts.questions if uses_belief and self.belief is not None else None
+        self.beliefs = self._first_beliefs(uses_belief or self.keeps_beliefs)
+        self.questions = parts.questions if uses_belief else None
         self.asked = np.zeros(len(numbers), dtype=np.int64)
         self.actions = np.zeros(shape, dtype=np.int64)
         self.costs = np.zeros(shape)
@@ -113,6 +107,23 @@ class Run:
         self.moves = np.zeros(len(numbers), dtype=np.int64)
         self.steps = np.zeros(len(numbers), dtype=np.int64)
         self.discounted = np.zeros(len(numbers))
+
+    def _first_beliefs(self, wanted: bool) -> Beliefs:
+        """Return what the robot knows at first, with beliefs about people's types if they are wanted."""
+        pool, none = self.pool, np.empty((0, 1, 1))
+        sight = pool.setting.observation
+        belief: Floats = none
+        if wanted or sight is not None:
+            belief = np.array([policy.pomdp.prior for policy in pool.policies])[self.model]
+            if self.goals is not None:
+                belief = self.goals.first_beliefs(belief)
+            belief = belief.reshape(-1, *belief.shape[2:])
+        erred = np.zeros(self.x.size, dtype=bool)
+        if sight is None:
+            return Seen(self.row.reshape(-1), belief, erred)
+        for policy in pool.policies:
+            policy.require_enumerated("observation")
+        return Hidden(self.row.reshape(-1).copy(), belief, erred, sight)
 
     def run(self) -> Episodes:
         """Simulate steps until all people have finished or the limit is reached; return the records.
@@ -132,29 +143,33 @@ class Run:
             discounted_return=self.discounted,
             cut_off=np.asarray((~self.finished & (self.presence.leaves > self.pool.setting.max_steps)).any(axis=1)),
             questions=None if self.questions is None else self.asked,
-            pruned=None if self.observed is None else self.observed.pruned.sum(axis=1),
+            pruned=None if self.beliefs.sees_states else self.beliefs.pruned.reshape(self.x.shape).sum(axis=1),
         )  # fmt: skip
 
     def _step(self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]) -> None:
         flat = np.flatnonzero(active)
-        view = self.task_view.view(self.x, flat, deep=self.belief is not None)
-        robot, charged = self._robot(step, running, active, view)
-        said = None
-        if self.observed is not None:
-            robot, said = self.observed.heard(robot, view.x, view.model, view.policies)
+        view = self.task_view.view(self.x, flat, deep=len(self.beliefs.belief) > 0)
+        self.row[:] = view.x
+        view = replace(view, x=self.row)
+        said, charged = self._robot(step, running, active, view)
+        groups = by_model(view.model.reshape(-1), flat, len(view.policies))
+        robot = self.beliefs.heard(
+            said.reshape(-1), view.x.reshape(-1), [(view.policies[number].pomdp, rows) for number, rows in groups]
+        ).reshape(said.shape)
         view = self.task_view.after_suggestions(view, robot)
         before, theta_before = view.x.copy(), self.theta.copy()
         uniform = np.empty((*self.x.shape, 2))
         for kind in (1, 2) if self.on_grid else (1,):
             uniform[running, :, kind - 1] = self.random_numbers.draw(kind, running)
-        people = PeopleArrays.of_teams(view.x, robot, view.who, self.theta, self.seen, uniform, self.belief, self.erred)
-        for number, rows in by_model(view.model.reshape(-1), flat, len(view.policies)):
+        people = PeopleArrays.of_teams(view.x, robot, view.who, self.theta, self.seen, uniform)
+        for number, rows in groups:
             group = view.groups[number]
             group.act(rows, people)
             self.finished.reshape(-1)[rows] = group.ended(rows, people)
             self.x.reshape(-1)[rows] = group.states_of(people.x[rows])
-        if self.observed is not None and said is not None:
-            self.observed.observe(view, before, people, said, running, self.finished, self.erred, self.random_numbers)
+        acts = Acts(before.reshape(-1), people.robot, people.slot, ~self.finished.reshape(-1))
+        models = [(view.groups[number].model, rows) for number, rows in groups]
+        self.beliefs.observe(acts, said.reshape(-1), models, partial(self._drawn, running))
         slot, cost = people.slot, people.cost.reshape(self.x.shape)
         reward = -charged - cost
         self.discounted += self.pool.setting.gamma**step * reward.sum(axis=1)
@@ -162,6 +177,12 @@ class Run:
         self.costs += cost
         self.steps[running] += 1
         self.watch(StepTaken(step, flat, view, before, robot, slot, theta_before, reward))
+
+    def _drawn(self, running: NDArray[np.int64], kind: int) -> Floats:
+        """Return uniform numbers of a kind for all people, 0 in teams that do not run any more."""
+        uniform = np.zeros(self.x.shape)
+        uniform[running] = self.random_numbers.draw(kind, running)
+        return uniform.reshape(-1)
 
     def watch(self, taken: StepTaken) -> None:
         """See each step that has been taken; a `TracedRun` writes it down."""
@@ -177,8 +198,8 @@ class Run:
     ) -> tuple[NDArray[np.int64], Floats]:
         """Return the robots' action towards each person and its cost, both of shape (N, K), as chosen by the policy."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
-        if self.goals is not None and self.questions is not None and self.belief is not None:
-            asked = self.goals.ask(self.questions, active, view.x, self.belief, self.asked_about)
+        if self.goals is not None and self.questions is not None:
+            asked = self.goals.ask(self.questions, active, self.beliefs, self.asked_about)
             charged[asked] += self.questions.cost
             self.asked[asked[0]] += 1
         arrived = self.busy_until <= step
@@ -186,20 +207,17 @@ class Run:
         if not len(free):
             return robot, charged
         every = slice(None) if len(free) == len(self.x) else free
-        visible, belief = view.x, self.belief
-        if self.observed is not None:
-            visible, belief = self.observed.x, self.observed.beliefs
-        elif self.goals is not None:
-            belief = self.goals.acted_on(belief)
-        if belief is not None and len(free) < len(self.x):
-            belief = belief.take(free, axis=0)  # faster than by an index
+        known, K = self.beliefs, self.x.shape[1]
+        if len(free) < len(self.x):
+            known = known.of((free[:, None] * K + np.arange(K)).reshape(-1))
+        if self.goals is not None:
+            known = self.goals.acted_on(known)
         team = TeamState(
-            step=step, x=visible[every], active=active[every], erred=self.erred[every],
+            step=step, x=known.x.reshape(-1, K), active=active[every], erred=known.erred.reshape(-1, K),
             location=self.location[every], model=view.model[every],
-            belief=belief, policies=view.policies, travel=self.travel, free=arrived[every], fleet=self.fleet,
+            belief=known.belief.reshape(-1, K, *known.belief.shape[1:]) if len(known.belief) else None,
+            policies=view.policies, travel=self.travel, free=arrived[every], fleet=self.fleet, beliefs=known,
         )  # fmt: skip
-        if self.observed is not None:
-            team = self.observed.as_known(team, np.arange(len(self.x))[every])
         action = self.policy(team)
         try:
             check(team, action)
@@ -213,7 +231,7 @@ class Run:
         self.busy_until[teams, number] = step + self.travel.steps_between(number, origin, to)
         np.add.at(self.moves, teams, origin != to)
         self.location[free] = placed(self.location[free], action.person)
-        robot[teams, to] = does
+        robot[teams, to], visible = does, self.beliefs.x.reshape(self.x.shape)
         for model, rows in by_model(view.model[teams, to], np.flatnonzero(does > 0), len(view.policies)):
             at = (teams[rows], to[rows])
             arrays = view.groups[model].arrays

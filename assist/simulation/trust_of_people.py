@@ -22,10 +22,13 @@ class TrustOfPeople:
     rule : TrustRule
     perceived : float array, shape (m, n, A)
         Perceived costs of each row of `Minds`.
+    optimal : bool array, shape (n, A, G)
+        Whether each choice is optimal for each goal.
     """
 
     rule: TrustRule
     perceived: Floats
+    optimal: NDArray[np.bool_]
 
     def act(self, rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, arrays: ProblemArrays) -> None:
         """Let the people of some rows, all of one model, act once; theta moves by the rule.
@@ -47,7 +50,7 @@ class TrustOfPeople:
         who, x, slot = who[advised], before[advised], suggested[advised]
         perceived = PerceivedSuggestions.of(
             self.perceived[who, x, slot], self.perceived[who, x].min(axis=1), value[who, x],
-            value[who, arrays.targets[x, slot]], minds.optimal[x, slot, minds.goal[who]],
+            value[who, arrays.targets[x, slot]], self.optimal[x, slot, minds.goal[who]],
         )  # fmt: skip
         event = perceived.event(people.slot[rows[advised]] == slot, self.rule.feedback)
         people.theta[rows[advised]], people.seen[rows[advised]] = moved(self.rule, theta[advised], seen[advised], event)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
+from ..person.beliefs import Ask
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
@@ -24,7 +25,7 @@ from ..person.ties import NEAR, first_best
 from .assignment import assigned
 from .attention_subproblem import AttentionSubproblem, backwards
 from .by_policy import ByPolicy
-from .state import BASE, NOBODY, Ask, TeamAction, TeamState
+from .state import BASE, NOBODY, TeamAction, TeamState
 from .time_expansion import HERE
 from .travel import Travel
 

@@ -16,44 +16,28 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..people.hidden_type import HiddenType
-from ..person.joint_belief import JointBelief
+from ..person.joint_belief import JointBelief, expected_answers
 from ..person.policy import Policy
 from ..person.qmdp import QMDP, evaluate, qmdp
 from ..person.ties import first_best
 from .by_policy import ByPolicy
-from .hidden_states import expected_answers
 from .state import worth_of_actions
 
 
-def likelihood_of(goal: int, goals: int, yes: bool, error: float) -> Floats:
-    """Return the likelihood of an answer under each goal, shape (G,).
+def likelihood_of(goal: int, hidden: HiddenType, yes: bool, error: float) -> Floats:
+    """Return the likelihood of an answer under each type, shape (H, 1), for `Beliefs.told`.
 
     Parameters
     ----------
     goal : int
         Number of the goal that was asked about.
-    goals : int
-        The number G.
+    hidden : HiddenType
     yes : bool
         The answer.
     error : float
         Probability of a wrong answer.
     """
-    return np.where((np.arange(goals) == goal) == yes, 1 - error, error)
-
-
-def answered(belief: Floats, hidden: HiddenType, goal: int, yes: bool, error: float) -> Floats:
-    """Return the belief about a person, shape (H, T), after an answer; other arguments as in `likelihood_of`.
-
-    Raises
-    ------
-    ValueError
-        The answer is impossible under the belief.
-    """
-    joint = hidden.given_goal(belief, likelihood_of(goal, len(hidden.goals), yes, error))
-    if not joint.sum() > 0:
-        raise ValueError(f"the answer {'yes' if yes else 'no'} is impossible; expected an error rate above 0")
-    return np.asarray(joint / joint.sum())
+    return np.where((hidden.goal_of == goal) == yes, 1 - error, error)[:, None]
 
 
 class Questions:

@@ -25,13 +25,12 @@ from numpy.typing import NDArray
 
 from ..people.arguments import number, whole
 from ..people.decision import NOTHING, Floats
+from ..person.beliefs import Acts, PersonModel, Seen
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
-from ..person.problem_arrays import ProblemArrays
 from ..person.ties import NEAR, first_best, ranked
 from .assignment import placed
 from .by_policy import ByPolicy
-from .hidden_states import HiddenTeamState
 from .priority import Priority, to_the_best
 from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState, by_model
 from .time_expansion import AWAY, HERE
@@ -93,14 +92,14 @@ class Rollout:
     near : float
         As in the options, in cost units.
     options : RolloutOptions
-    models : ByPolicy of pairs of Minds and ProblemArrays
+    models : ByPolicy of pairs of Minds and PersonModel
         The people of each policy, as the robot's model has them.
     """
 
     base: Priority
     near: float
     options: RolloutOptions
-    models: ByPolicy[tuple[Minds, ProblemArrays]]
+    models: ByPolicy[tuple[Minds, PersonModel]]
     uses_belief, weighs_costs = True, True
 
     @classmethod
@@ -132,7 +131,7 @@ class Rollout:
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return priority's action in every team, or an alternative that is better by simulation."""
-        if isinstance(team, HiddenTeamState):
+        if not team.beliefs.sees_states:
             raise PolicyError("policy 'rollout': expected actions that are all seen as they are")
         actions, simulated = self._alternatives(team)
         best = np.zeros(len(team.x), dtype=np.int64)
@@ -204,10 +203,9 @@ class Rollout:
 _ACTION = ("person", "robot")
 
 
-def _model(policy: Policy) -> tuple[Minds, ProblemArrays]:
-    """Return the people of a policy as the robot's model has them, for compiled code."""
-    pomdp = policy.pomdp
-    return Minds.of_model(pomdp), ProblemArrays.of(pomdp)
+def _model(policy: Policy) -> tuple[Minds, PersonModel]:
+    """Return the people of a policy as the robot's model has them."""
+    return Minds.of_model(policy.pomdp), PersonModel.of(policy.pomdp)
 
 
 class _Paths:
@@ -237,9 +235,8 @@ class _Paths:
         self.pairs, people = len(n), team.x.shape[1]
         self.rng = np.random.default_rng([rollout.options.seed, batch])
         own = rows[n].repeat(samples)
-        self.model, self.active, self.erred = team.model[own], team.active[own], team.erred[own]
+        self.model, self.active, self.location = team.model[own], team.active[own], team.location[own]
         assert team.belief is not None
-        self.belief, self.location = team.belief[own], team.location[own]
         # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
         self.left = 1 - team.free[own].astype(np.int64)
         person, robot = (np.stack([getattr(one, name) for one in actions])[c, rows[n]] for name in _ACTION)
@@ -252,6 +249,9 @@ class _Paths:
         self.mind, cell = np.divmod(cells, len(self.grid.theta))
         self.theta, self.seen = self.grid.theta[cell], self.grid.count[cell]
         self.x = team.x[own]
+        belief = team.belief[own]
+        belief = belief.reshape(-1, *belief.shape[2:])
+        self.beliefs = Seen(self.x.reshape(-1), belief, team.erred[own].reshape(-1))
 
     def values(self) -> Floats:
         """Return the sum of discounted advantages on each path, shape (L, S)."""
@@ -286,9 +286,11 @@ class _Paths:
 
     def _priority(self, step: int) -> TeamAction:
         """Return priority's action in the present state of all paths."""
+        known = self.beliefs
         team = TeamState(
-            self.team.step + step, self.x, self.active, self.erred, self.location, self.model, self.belief,
-            self.team.policies, self.team.travel, free=self.left == 0, fleet=self.team.fleet,
+            self.team.step + step, self.x, self.active, known.erred.reshape(self.x.shape), self.location, self.model,
+            known.belief.reshape(*self.x.shape, *known.belief.shape[1:]), self.team.policies, self.team.travel,
+            free=self.left == 0, fleet=self.team.fleet,
         )  # fmt: skip
         return self.rollout.base(team)
 
@@ -302,14 +304,13 @@ class _Paths:
     def _act(self, before: Ints, now: Ints, move: Ints, robot: Ints, by: Ints) -> Floats:
         """Let everybody act; return the advantage of each action by the robot with a number, shape (rows, K)."""
         uniform = self.rng.random((1, self.samples, self.x.shape[1], 2)).repeat(self.pairs, axis=0)
-        people = PeopleArrays.of_teams(
-            self.x, robot, self.mind, self.theta, self.seen, uniform, self.belief, self.erred
-        )
+        before_it, models = self.x.reshape(-1).copy(), []
+        people = PeopleArrays.of_teams(self.x, robot, self.mind, self.theta, self.seen, uniform)
         cell = np.searchsorted(self.grid.values, self.theta) + self.seen * len(self.grid.values)
         advantage = np.zeros(self.x.shape)
         for model, rows in by_model(self.model.reshape(-1), np.flatnonzero(self.active), len(self.team.policies)):
             policy = self.team.policies[model]
-            solved, (minds, arrays) = policy.with_robot(self.rollout.base), self.rollout.models[policy]
+            solved, (minds, known) = policy.with_robot(self.rollout.base), self.rollout.models[policy]
             x, h, t = (array.reshape(-1)[rows] for array in (self.x, self.mind, cell))
             states = solved.states[0]
             q = solved.policy.q_mdp[states[now.reshape(-1)[rows], x], move.reshape(-1)[rows], h, t]
@@ -318,6 +319,9 @@ class _Paths:
             does = robot.reshape(-1)[rows]
             extra = self.team.fleet.extra_of(by.reshape(-1)[rows], policy.pomdp.suggested[x, does] == NOTHING)
             advantage.reshape(-1)[rows] -= np.where(does > 0, extra, 0.0)
-            act(rows, people, minds, arrays)
-            self.active.reshape(-1)[rows] = ~arrays.goal[minds.goal[h], people.x[rows]]
+            act(rows, people, minds, known.arrays)
+            self.active.reshape(-1)[rows] = ~known.arrays.goal[minds.goal[h], people.x[rows]]
+            models.append((known, rows))
+        acts = Acts(before_it, people.robot, people.slot, self.active.reshape(-1))
+        self.beliefs.observe(acts, people.robot, models, lambda _: np.empty(0))
         return advantage

@@ -7,9 +7,9 @@ same form can be used.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,7 @@ from planner.system.arrays import outline
 
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
+from ..person.beliefs import Ask, Beliefs, Seen
 from ..person.policy import Policy
 from .robots import EXECUTION, SUGGESTION, Fleet, Robot
 from .travel import Travel
@@ -26,10 +27,6 @@ BASE = -1
 """The robot's place before it has gone to a person; also the index of the base in a distance matrix."""
 
 NOBODY = -1
-
-
-Ask = Callable[[Policy, NDArray[np.int64], Floats], Floats]
-"""A function of a policy, states, shape (m,), and beliefs, shape (m, B, T), that returns numbers, shape (m, W)."""
 
 
 class PolicyError(ValueError):
@@ -87,7 +84,7 @@ class TeamState:
     step : int
         Number of steps since the beginning of the episodes.
     x : int array, shape (N, K)
-        Task state of each person.
+        Task state of each person, the most probable one if it is uncertain.
     active : bool array, shape (N, K)
         Whether the person is present and has not finished.
     erred : bool array, shape (N, K)
@@ -97,7 +94,8 @@ class TeamState:
     model : int array, shape (N, K)
         Index of the policy that models each person.
     belief : float array, shape (N, K, H, T), or None
-        None if the policy has declared that it does not use beliefs (`uses_belief = False`).
+        The belief in each person's type. None if the policy has declared that it does not use beliefs (`uses_belief =
+        False`).
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
@@ -105,6 +103,9 @@ class TeamState:
         Which robots are not under way; all, by default.
     fleet : Fleet
         The robots, whose actions may cost more than in people's problems; by default they are alike.
+    beliefs : Beliefs
+        What the robot knows of the people, in the order of the flattened arrays; by default, that their states are `x`,
+        and `belief`.
     """
 
     step: int
@@ -118,6 +119,7 @@ class TeamState:
     travel: Travel
     free: NDArray[np.bool_] = field(default_factory=lambda: np.ones((), dtype=bool), kw_only=True)
     fleet: Fleet = field(default=Fleet.of((Robot(),)), kw_only=True)
+    beliefs: Beliefs = field(default=None, kw_only=True)  # type: ignore[assignment]
 
     __repr__ = outline
 
@@ -131,6 +133,9 @@ class TeamState:
                 view = array.view()
                 view.flags.writeable = False
                 object.__setattr__(self, name, view)
+        if cast(Any, self.beliefs) is None:
+            belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
+            object.__setattr__(self, "beliefs", Seen(self.x.reshape(-1), belief, self.erred.reshape(-1)))
 
     @property
     def robots(self) -> int:
@@ -152,7 +157,7 @@ class TeamState:
         return self.x.ravel()[rows], self.belief.reshape(-1, *self.belief.shape[2:]).take(rows, axis=0)
 
     def of_each(self, ask: Ask) -> Floats:
-        """Return the answer to a question about every active person, shape (N, K, W).
+        """Return the answer to a question about every active person, shape (N, K, W), expected over what is uncertain.
 
         It is minus infinity in padding, and for people who are not active. A live team asks only about people whose
         state or belief has changed. So the answer must depend on nothing else.
@@ -162,7 +167,7 @@ class TeamState:
         ask : Ask
             The same function object in every step, as answers are cached by it.
         """
-        found = [(rows, ask(self.policies[group], *self.known_of(rows))) for group, rows in self.groups()]
+        found = [(rows, self.beliefs.expected(ask, self.policies[group], rows)) for group, rows in self.groups()]
         values = np.full((self.x.size, max((each.shape[1] for _, each in found), default=1)), -np.inf)
         for rows, each in found:
             values[rows, : each.shape[1]] = each

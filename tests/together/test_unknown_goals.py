@@ -22,11 +22,12 @@ from assist.live import Assistant, Session
 from assist.people import Goals, HumanModel, Population
 from assist.people.hidden_type import HiddenType
 from assist.person import AssistPOMDP, qmdp
+from assist.person.beliefs import Seen
 from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team import Setting
 from assist.team.plain_setting import plain_setting
-from assist.team.questions import Questions, answered, benefit
+from assist.team.questions import Questions, benefit, likelihood_of
 from planner import LimitError, Table, sweep, sweep_goals
 from planner.system.errors import ResultsExistError
 
@@ -409,10 +410,11 @@ def test_an_answer_is_a_bayesian_update_and_worth_what_it_changes(error: float) 
         shares, found = one.reshape(3, -1).sum(axis=1), []
         for g in range(3):
             yes = (1 - error) * shares[g] + error * (1 - shares[g])
-            after = [reached(answered(one, policy.pomdp.hidden, g, said, error), at) for said in (True, False)]
-            assert answered(one, policy.pomdp.hidden, g, True, error).reshape(3, -1).sum(axis=1)[g] == pytest.approx(
-                (1 - error) * shares[g] / yes
-            )
+            told = Seen(np.full(2, at), np.array([one, one]), np.zeros(2, dtype=bool))
+            for person, said in enumerate((True, False)):
+                told.told(person, likelihood_of(g, policy.pomdp.hidden, said, error))
+            after = [reached(belief, at) for belief in told.belief]
+            assert told.belief[0].reshape(3, -1).sum(axis=1)[g] == pytest.approx((1 - error) * shares[g] / yes)
             found.append(yes * after[0] + (1 - yes) * after[1] - reached(one, at))
         assert worth[at] == pytest.approx(max(found))
         assert found[goal[at]] == pytest.approx(max(found))

@@ -79,7 +79,8 @@ def test_the_belief_after_answers_is_that_of_enumerated_histories(name: str) -> 
         if question is not None:
             yes = bool(rng.random() < 0.5)
             team.answer("ann", yes)
-            told, share = told + 1, share * likelihood_of(list(goals.tables).index(str(question.goal)), 3, yes, error)
+            said = likelihood_of(list(goals.tables).index(str(question.goal)), pomdp.hidden, yes, error)
+            told, share = told + 1, share * said[:: len(said) // 3, 0]
         team.elapse()
         seen = team.person("ann")
         action = seen.applicable[rng.integers(len(seen.applicable))]

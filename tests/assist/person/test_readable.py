@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from assist.people.belief import ImpossibleObservationError
 from assist.people.type_kernels import exclude_reached, is_mistake
-from assist.person.belief_filter import update
+from assist.person.belief_filter import update, update_seen
 from assist.person.belief_update import mistaken, updated, without_reached
+from assist.person.beliefs import update_readable
 from assist.person.dynamics import Minds, PeopleArrays, act_compiled, act_readable
 from assist.person.problem_arrays import ProblemArrays, read_only
 from planner.system.readable import ReadableFirst
@@ -59,21 +60,16 @@ LAPSES = st.sampled_from([0.0, 0.001, 0.3])
 
 @settings(max_examples=40, deadline=None)
 @given(SEEDS, GOALS, st.booleans(), LAPSES, st.booleans(), st.sampled_from([0, 1, 2, 50]))
-def test_a_step_of_people(seed: int, goals: int, answers: bool, lapse: float, on_grid: bool, believed: int) -> None:
+def test_a_step_of_people(seed: int, goals: int, answers: bool, lapse: float, on_grid: bool, people: int) -> None:
     rng = np.random.default_rng(seed)
-    m, people = problem(rng, goals, answers=answers, lapse=max(lapse, 1e-6)), max(1, believed)
+    m = problem(rng, goals, answers=answers, lapse=max(lapse, 1e-6))
     p = rng.random((3, len(m.counts), m.chosen.shape[1])) * (rng.random((3, len(m.counts), 1)) < 0.9) + 1e-6
     value = rng.choice([0.0, -1.0, -np.inf, -2.5], (3, len(m.counts)))
-    minds = Minds(
-        read_only(rng.integers(0, goals, 3)), p, value, read_only(rng.random((*p.shape[1:], goals)) < 0.5),
-        read_only(rng.choice([0.0, 0.5], (len(m.goal_of), 1))), float(rng.choice([0.0, 0.2])), lapse, on_grid,
-    )  # fmt: skip
+    minds = Minds(read_only(rng.integers(0, goals, 3)), p, value, float(rng.choice([0.0, 0.2])), lapse, on_grid)
     states = rng.integers(0, len(m.counts), people)
     first = PeopleArrays(
         states, rng.integers(0, 3, people), rng.integers(0, 3, people), rng.choice(m.theta, people),
-        np.zeros(people, dtype=np.int64), rng.random((people, 2)),
-        beliefs(rng, people, m) if believed else np.empty((0, 1, 1)),
-        np.full(people, -1), np.zeros(people), np.zeros(people, dtype=bool),
+        np.zeros(people, dtype=np.int64), rng.random((people, 2)), np.full(people, -1), np.zeros(people),
     )  # fmt: skip
     rows = np.flatnonzero(rng.random(people) < 0.8)
     both = [PeopleArrays(*(array.copy() for array in first)) for _ in range(2)]
@@ -81,6 +77,27 @@ def test_a_step_of_people(seed: int, goals: int, answers: bool, lapse: float, on
     act_compiled(rows, both[1], minds, m)
     for name, one, other in zip(first._fields, *both, strict=True):
         np.testing.assert_array_equal(one, other, err_msg=name)
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, GOALS, st.booleans(), LAPSES, st.booleans(), st.sampled_from([1, 2, 40]))
+def test_the_beliefs_after_a_step(
+    seed: int, goals: int, answers: bool, lapse: float, believed: bool, people: int
+) -> None:  # fmt: skip
+    rng = np.random.default_rng(seed)
+    m = problem(rng, goals, answers=answers, lapse=max(lapse, 1e-6))
+    optimal = read_only(rng.random((*m.chosen.shape[:2], goals)) < 0.5)
+    possible = read_only(rng.choice([0.0, 0.5], (len(m.goal_of), 1)))
+    rows = np.flatnonzero(rng.random(people) < 0.8)
+    x, robot = rng.integers(0, len(m.counts), len(rows)), rng.integers(0, 3, len(rows))
+    slot = np.where(rng.random(len(rows)) < 0.1, -1, rng.integers(0, m.counts[m.afterstate[x, robot]]))
+    known = beliefs(rng, people, m) if believed else np.empty((0, 1, 1))
+    goes_on = rng.random(len(rows)) < 0.7
+    found = [(known.copy(), np.ones(people, dtype=bool)) for _ in range(2)]
+    for update_by, (belief, erred) in zip((update_readable, update_seen), found, strict=True):
+        update_by(rows, x, robot, slot, goes_on, belief, erred, optimal, possible, m)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @settings(max_examples=40, deadline=None)

@@ -17,9 +17,9 @@ from assist.people.belief import ImpossibleObservationError
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import HumanModel, Population
+from assist.person.beliefs import Acts, PersonModel, Seen
 from assist.person.dynamics import Minds, PeopleArrays, act
 from assist.person.pomdp import AssistPOMDP
-from assist.person.problem_arrays import ProblemArrays
 from assist.simulation.common_random_numbers import BLOCK
 from assist.simulation.episode import plain_summary
 from assist.simulation.episodes import Episodes
@@ -241,15 +241,17 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             belief = rng.dirichlet(np.ones(betas * thetas)).reshape(betas, thetas)
             people = PeopleArrays(
                 np.full(n, x), np.full(n, robot), np.zeros(n, dtype=np.int64), np.full(n, theta),
-                np.zeros(n, dtype=np.int64),
-                rng.random((n, 2)), np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=np.int64), np.zeros(n),
-                np.zeros(n, dtype=bool),
+                np.zeros(n, dtype=np.int64), rng.random((n, 2)), np.zeros(n, dtype=np.int64), np.zeros(n),
             )  # fmt: skip
+            known = Seen(people.x, np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=bool))
+            modelled = PersonModel.of(pomdp)
             alone = choice(model.q, tiny_choices.applicable, np.full(len(tiny_choices), beta))
             minds = Minds.of_model(pomdp)._replace(
                 goal=np.zeros(1, dtype=np.int64), p=alone[None], value=value[None], eta=model.eta, on_grid=False
             )
-            act(np.arange(n), people, minds, ProblemArrays.of(pomdp))
+            act(np.arange(n), people, minds, modelled.arrays)
+            acts = Acts(np.full(n, x), people.robot, people.slot, np.zeros(n, dtype=bool))
+            known.observe(acts, people.robot, [(modelled, np.arange(n))], lambda _: np.empty(0))
             place, told = pomdp.afterstate[x, robot], pomdp.suggested[x, robot]
             if tiny_choices.goal[place]:
                 assert (people.x == place).all()
@@ -261,7 +263,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             assert (np.abs(seen - p) < 5 * np.sqrt(p * (1 - p) / n) + 1e-12).all()
             assert (people.x == tiny_choices.targets[place, people.slot]).all()
             assert (people.cost == tiny_choices.costs[place, people.slot]).all()
-            assert (people.erred == ~tiny_choices.optimal[place, people.slot]).all()
+            assert (known.erred == ~tiny_choices.optimal[place, people.slot]).all()
             after = theta
             if told >= 0:
                 after = trust(theta, value[x], value[tiny_choices.targets[x, told]], model.eta)
@@ -270,7 +272,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             expected = pomdp.update(
                 np.repeat(belief[None], 50, axis=0), np.full(50, x), np.full(50, robot), people.slot[some]
             )
-            np.testing.assert_allclose(people.belief[some], expected, rtol=1e-9, atol=1e-15)
+            np.testing.assert_allclose(known.belief[some], expected, rtol=1e-9, atol=1e-15)
 
 
 def test_in_the_models_world_the_belief_is_right_on_average(pool: Pool) -> None:
