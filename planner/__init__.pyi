@@ -29,9 +29,9 @@ from .pddl.instance_finder import instance as instance
 from .pddl.instances import Instance as Instance
 from .pddl.instances import PDDLError as PDDLError
 from .search.numbering import SweepOptions as SweepOptions
-from .states.packing import Packing as Packing
-from .states.state_space import StateSpace as StateSpace
-from .states.state_space import Transitions as Transitions
+from .search.packing import Packing as Packing
+from .search.state_space import StateSpace as StateSpace
+from .search.state_space import Transitions as Transitions
 from .system.errors import InputFileError as InputFileError
 from .system.errors import MismatchError as MismatchError
 from .system.limits import LimitError as LimitError

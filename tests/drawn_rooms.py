@@ -14,8 +14,8 @@ from test_architecture import ROOMS, ROOT, imports, modules, within
 FILE = ROOT / "docs" / "figures" / "architecture.svg"
 WIDTH, HEIGHT, ACROSS, DOWN, MARGIN = 218, 78, 236, 118, 12
 COLUMNS = {
-    "planner.system": 2, "planner.pddl": 2, "planner.grounding": 2, "planner.states": 2,
-    "planner.search.kernels": 1, "planner.search.ranking": 2, "planner.search.symmetry": 3, "planner.search": 2,
+    "planner.system": 2, "planner.pddl": 2, "planner.grounding": 2,
+    "planner.search.kernels": 1, "planner.search": 2,
     "planner.costtogo": 2, "planner.batch": 1.5, "planner": 2.5,
     "assist.people": 2, "assist.cli.terminal": 5, "assist.person": 0.5, "assist.learning": 2, "assist.drawing": 4,
     "assist.team": 0.5, "assist.large_tasks": 0.5, "assist.certify.information_relaxation": 0, "assist.simulation": 1,

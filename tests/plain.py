@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from planner.grounding.semantics import derived, successors
 from planner.grounding.task import Fact, Task
 from planner.search.distances import UNREACHED
-from planner.states.packing import Ints
-from planner.states.state_space import Part, StateSpace
+from planner.search.state_space import Part, StateSpace
+from planner.system.arrays import Ints
 
 
 @dataclass(frozen=True)

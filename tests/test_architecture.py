@@ -26,14 +26,10 @@ ROOMS = {
         validation plan_execution validation_process built_actions built_bounds built_formulas built_problems""",
     "planner.grounding": """fast_downward task leaving sas_reader cross_check plain_assignments shown_names translation
         semantics""",
-    "planner.states": "packing state_space",
-    "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors
-        expansion distance_updates""",
-    "planner.search.ranking": """transition_normal_form digits mutexes linear_invariants variable_clusters
-        state_ranking""",
-    "planner.search.symmetry": "automorphisms canonical_states",
-    "planner.search": """distances search_space rules sorted_space numbering met_states forward_search backward_search
-        relaxation successor_generator state_registry ranked_index compiled_search""",
+    "planner.search.kernels": "packed_successors state_sets ranked_successors block_steps",
+    "planner.search": """packing distances state_space search_space sorted_space transition_normal_form digits mutexes
+        linear_invariants variable_clusters state_ranking automorphisms canonical_states numbering met_states
+        forward_search backward_search successor_generator state_registry ranked_index compiled_search""",
     "planner.costtogo": """watched_states trial_search number_values load shown cost_to_go table astar cache
         verification first_answer sweep goals orbit_table table_file on_demand portfolio""",
     "planner.batch": "solve_record solve_instance results_folder solve_batch",

@@ -12,7 +12,7 @@ from ..grounding.fast_downward import FastDownwardError
 from ..grounding.leaving import out_of_range, with_leaving, without_leaving
 from ..grounding.semantics import plan_cost
 from ..grounding.task import Task
-from ..states.packing import can_hold
+from ..search.packing import can_hold
 from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits, MemoryLimitError
 from .load import task_of
 from .shown import Plan

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Task
-from ..states.packing import Ints
-from ..states.state_space import Transitions
+from ..search.state_space import Transitions
+from ..system.arrays import Ints
 from ..system.errors import MismatchError
 from .shown import Plan
 

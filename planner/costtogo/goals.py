@@ -16,7 +16,7 @@ from ..grounding.task import Effect, Fact, Task
 from ..pddl.instances import PDDLError
 from ..search.backward_search import distances
 from ..search.numbering import SweepOptions
-from ..states.state_space import StateSpace
+from ..search.state_space import StateSpace
 from ..system.limits import Budget
 from ..system.machine import processors
 from ..system.progress import Wanted, shows_progress

@@ -30,10 +30,11 @@ from ..search.distances import UNREACHED
 from ..search.kernels import packed_successors
 from ..search.kernels.packed_successors import PackedOperators
 from ..search.met_states import StateRegistry
+from ..search.packing import Packing, holds
 from ..search.sorted_space import Successors, TooLargeError
+from ..search.state_space import Transitions, joined, state_numbers
 from ..search.successor_generator import Expanded, expanded, packed_operators
-from ..states.packing import Ints, Packing, Words, holds
-from ..states.state_space import Transitions, joined, state_numbers
+from ..system.arrays import Ints, Words
 from ..system.limits import NO_LIMITS, LimitError, Limits
 from ..system.machine import processors
 from ..system.threads import on_threads

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Task
+from ..search.automorphisms import symmetries
 from ..search.backward_search import distances
+from ..search.canonical_states import Forms, canonical
 from ..search.distances import EXACT, UNREACHED, as_floats, compact, is_dead_end
 from ..search.forward_search import explore
+from ..search.packing import Packing
 from ..search.state_registry import RegistryIndex, RegistrySpace
-from ..search.symmetry.automorphisms import symmetries
-from ..search.symmetry.canonical_states import Forms, canonical
-from ..states.packing import Packing, Words
-from ..states.state_space import StateSpace
-from ..system.arrays import outline
+from ..search.state_space import StateSpace
+from ..system.arrays import Words, outline
 from ..system.limits import Budget, LimitError
 from ..system.machine import processors
 from ..system.progress_reports import Progress

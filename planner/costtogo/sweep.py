@@ -1,7 +1,7 @@
 """The sweep: all reachable states of a task and their exact cost-to-go, fast and in little memory.
 
 `sweep` computes a `Table` in three steps: it constructs a ranking of the states (`ranking`), finds the reachable states
-and their distances (`forward_search`, `backward_search`), and numbers the states as `states.state_space` says.
+and their distances (`forward_search`, `backward_search`), and numbers the states as `search.state_space` says.
 
 Tasks with derived variables, with ranks beyond 62 bits, or with operators that split into very many moves use a slower
 method: a registry of packed states, with all transitions in memory.
@@ -20,7 +20,7 @@ from ..search.forward_search import explore
 from ..search.numbering import SweepOptions, strides
 from ..search.search_space import SearchSpace
 from ..search.sorted_space import SortedSpace, TooLargeError
-from ..states.state_space import StateSpace
+from ..search.state_space import StateSpace
 from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError
 from ..system.machine import processors
 from ..system.progress import Progress, Wanted, shows_progress

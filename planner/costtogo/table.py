@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Task
 from ..search.distances import UNREACHED, as_floats, is_dead_end, plan_lengths
-from ..states.packing import Ints
-from ..states.state_space import StateSpace, Transitions, state_numbers
+from ..search.state_space import StateSpace, Transitions, state_numbers
+from ..system.arrays import Ints
 from ..system.results import Result
 from .cost_to_go import optimal_choices, optimal_plan
 from .shown import Plan, State

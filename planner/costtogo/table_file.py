@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import in_unit, pddl_fact
 from ..search.distances import as_floats
-from ..states.packing import Ints, Packing, Words
-from ..states.state_space import state_numbers
-from ..system.arrays import outline
+from ..search.packing import Packing
+from ..search.state_space import state_numbers
+from ..system.arrays import Ints, Words, outline
 from ..system.errors import DamagedFileError
 from ..system.files import atomic
 from .table import Table

@@ -12,8 +12,9 @@ import numpy as np
 from ..grounding.semantics import derived
 from ..grounding.task import Task
 from ..search.met_states import StateRegistry
+from ..search.packing import Packing, holds
 from ..search.successor_generator import expanded, packed_operators
-from ..states.packing import Ints, Packing, holds
+from ..system.arrays import Ints
 
 STATES_AT_A_TIME = 10_000
 

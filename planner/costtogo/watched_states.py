@@ -10,9 +10,9 @@ import numpy as np
 from ..grounding.task import Task
 from ..pddl.numeric_expressions import Number, whole
 from ..pddl.value_sets import Fluent
+from ..search.packing import Packing, holds
 from ..search.state_registry import RegistrySpace
 from ..search.successor_generator import Expanded
-from ..states.packing import Packing, holds
 from ..system.limits import Budget, LimitError
 
 

@@ -7,19 +7,26 @@ Breadth-first search is the case of a single positive cost, in which there is on
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Fact
-from ..states.packing import Ints
+from ..system.arrays import Ints
 from ..system.limits import Budget, CostLimitError
 from ..system.progress_reports import Progress
 from ..system.threads import on_threads
 from .distances import EXACT, compact, retyped, smallest_type
 from .search_space import SearchSpace, check
+
+Relax = Callable[[Ints, int, Any, Ints, Ints], tuple[int, int]]
+"""Kernel that relaxes a block, such as `block_steps.relax_stored` with its first arguments.
+
+Arguments are the keys, the first position, the distance, and the two outputs. It returns the position reached and the
+filled length.
+"""
 
 
 def distances(
@@ -80,3 +87,24 @@ def distances(
         settled = min(total, settled + keys)
         progress("cost-to-go", settled, total)
     return compact(distance)
+
+
+def relaxed(relax: Relax, block: Ints, d: Any, room: int, kinds: int) -> list[tuple[int, Ints]]:
+    """Relax the transitions into a block of states at distance `d` by a kernel, called until the block is finished.
+
+    `room` is the size of the kernel's output, at least the number of predecessors of a state; `kinds` is the number
+    of distinct costs. Return pairs as `SearchSpace.settle` does.
+    """
+    from .kernels.block_steps import by_kind  # which compiles
+
+    pushed: list[tuple[int, Ints]] = []
+    out, through = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    stop = 0
+    while stop < len(block):
+        stop, filled = relax(block, stop, d, out, through)
+        begin, ordered = np.zeros(kinds + 2, dtype=np.int64), np.empty(filled, dtype=np.int64)
+        by_kind(out[:filled], through[:filled], begin, ordered)
+        pushed += [
+            (kind, ordered[begin[kind] : begin[kind + 1]]) for kind in np.flatnonzero(np.diff(begin[:-1])).tolist()
+        ]
+    return pushed

@@ -8,17 +8,17 @@ from contextlib import suppress
 from ..grounding.task import Task
 from ..system.limits import Budget, LimitError, MemoryLimitError
 from ..system.progress_reports import Progress
+from .digits import LOOKING, MANY, TOO_MUCH_MEMORY, UnrankedError, moves_and_groups
 from .forward_search import explore
 from .kernels.ranked_successors import RankedOperators
+from .mutexes import Mutexes
 from .numbering import SweepOptions
 from .ranked_index import RankedSpace
-from .ranking.digits import LOOKING, MANY, TOO_MUCH_MEMORY, UnrankedError, moves_and_groups
-from .ranking.mutexes import Mutexes
-from .ranking.state_ranking import StateRanking
-from .ranking.transition_normal_form import TNFOperator
 from .search_space import SearchSpace
+from .state_ranking import StateRanking
 from .state_registry import RegistrySpace
 from .successor_generator import ranked_operators
+from .transition_normal_form import TNFOperator
 
 
 def explored(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..states.packing import Ints
+from ..system.arrays import Ints
 
 UNREACHED = np.iinfo(np.int64).max
 """Distance of states from which no goal state is reachable."""

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..states.packing import Ints, Words
+from ..system.arrays import Ints, Words
 from ..system.limits import LimitError
-from .kernels import state_hash
+from .kernels import state_sets
 
 FEW = 1 << 13
 """States that a dictionary numbers, if few are expected. More take less time and memory in the compiled hash table."""
@@ -97,16 +97,16 @@ class StateRegistry:
                 return self._numbers_of_few(states, self._few)
             if self._few is not None:
                 self._few = None
-                state_hash.fill_slots(self.slots, self._states.rows, 0, self._held)
+                state_sets.fill_slots(self.slots, self._states.rows, 0, self._held)
         full = 0.7  # load factor above which the hash table is enlarged. Higher saves memory, and makes lookups slower
         with self._lock:
             most = self._held + len(states)
             self._states.make_room(most)
             if most > full * len(self.slots):
                 self.slots = np.zeros(1 << int(most / full * 2).bit_length(), dtype=np.uint64)
-                state_hash.fill_slots(self.slots, self._states.rows, 0, self._held)
+                state_sets.fill_slots(self.slots, self._states.rows, 0, self._held)
             numbers = np.empty(len(states), dtype=np.int32)
-            self._held = state_hash.insert(self.slots, self._states.rows, self._held, states, numbers)
+            self._held = state_sets.insert(self.slots, self._states.rows, self._held, states, numbers)
         if self._held > MOST:
             raise LimitError(f"more than {MOST} states without a ranking")
         return numbers
@@ -128,7 +128,7 @@ class StateRegistry:
                 order = np.lexsort(rows.T[::-1]) if rows.shape[1] > 1 else rows[:, 0].argsort()
                 rows[:] = rows[order]
                 number[start + order] = np.arange(start, stop, dtype=np.int32)
-            state_hash.renumber(self.slots, number)
+            state_sets.renumber(self.slots, number)
         return number
 
     def trimmed(self) -> Words:

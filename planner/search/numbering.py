@@ -1,4 +1,4 @@
-"""When states are numbered by rank, and when by layer; `states.state_space` states the rule."""
+"""When states are numbered by rank, and when by layer; `state_space` states the rule."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..grounding.task import Task
 from ..system.limits import Budget, MemoryLimitError
-from .ranking.digits import LOOKING, MANY, Digits, UnrankedError, moves_and_groups
+from .digits import LOOKING, MANY, Digits, UnrankedError, moves_and_groups
 from .sorted_space import MOST_STATES, TooLargeError
 
 

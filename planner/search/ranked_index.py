@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Fact
-from ..states.packing import Ints, Words
-from ..states.state_space import Part
+from ..system.arrays import Ints, Words
 from ..system.limits import Budget
 from ..system.threads import on_threads
-from .kernels import distance_updates, expansion, rank_set, unranking
-from .kernels.rank_set import RankSet
+from .backward_search import relaxed
+from .digits import MANY
+from .kernels import block_steps, ranked_successors, state_sets
 from .kernels.ranked_successors import RankedOperators
-from .ranking.digits import MANY
-from .ranking.state_ranking import StateRanking
-from .relaxation import relaxed
+from .kernels.state_sets import RankSet
+from .state_ranking import StateRanking
+from .state_space import Part
 
 RANKS_AT_A_TIME = 1 << 16
 """Ranks in a block of the frontier, which is the unit of a thread's work and of checks of limits."""
@@ -66,7 +66,7 @@ class RankedIndex:
     def numbers(self, values: NDArray[np.int64]) -> Ints:
         """Return the numbers of the states with the given values, shape (n, variables); -1 where there is none."""
         out = np.empty(len(values), dtype=np.int64)
-        rank_set.numbers_of(self.states, self.coding.encode(values), out)
+        state_sets.numbers_of(self.states, self.coding.encode(values), out)
         return out
 
     def values(self, numbers: Ints) -> NDArray[np.int64]:
@@ -75,7 +75,7 @@ class RankedIndex:
 
     def _ranks(self, numbers: Ints) -> Ints:
         ranks = np.empty(len(numbers), dtype=np.int64)
-        rank_set.select(self.states, numbers, ranks)
+        state_sets.select(self.states, numbers, ranks)
         return ranks
 
     def blocks(self) -> Iterator[Ints]:
@@ -83,12 +83,12 @@ class RankedIndex:
         start = 0
         while start < len(self.states.bits):
             out = np.empty(RANKS_AT_A_TIME, dtype=np.int64)
-            start, filled = rank_set.list_members(self.states, start, out)
+            start, filled = state_sets.list_members(self.states, start, out)
             yield out[:filled]
 
     def _holding(self, ranks: Ints, facts: Sequence[Fact]) -> NDArray[np.bool_]:
         marks = np.empty(len(ranks), dtype=bool)
-        unranking.mark(self.coding.decoder, ranks, *self.coding.packing.condition(facts), marks)
+        ranked_successors.mark(self.coding.decoder, ranks, *self.coding.packing.condition(facts), marks)
         return marks
 
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
@@ -103,7 +103,7 @@ class RankedIndex:
         candidates = self.coding.matching(facts, min(len(self), most_candidates))
         if candidates is not None:  # at most as many as states
             numbers = np.empty(len(candidates), dtype=np.int64)
-            rank_set.numbers_of(self.states, candidates, numbers)
+            state_sets.numbers_of(self.states, candidates, numbers)
             blocks = [candidates[numbers >= 0]]
         for block in blocks:
             self.budget.check_time(len(self))
@@ -118,7 +118,7 @@ class RankedIndex:
                 ranks = block[at : at + size]
                 counts, actions = np.empty(len(ranks), np.int32), np.empty(len(ranks) * most, np.int32)
                 targets = np.empty(len(actions), np.int64)
-                filled = expansion.fill_transitions(
+                filled = block_steps.fill_transitions(
                     self.operators, self.coding.decoder, self.states, ranks, counts, actions, targets
                 )
                 yield counts, actions[:filled], targets[:filled]
@@ -192,7 +192,9 @@ class RankedSpace:
         """Add the successors of a block, by some operators, to a bitmap; return the new ones and transition counts."""
         out, stop, found = np.empty(max(RANKS_AT_A_TIME, 4 * operators.tree.most), dtype=np.int64), 0, []
         while stop < len(block):
-            stop, filled, count = expansion.expand_block(operators, self.index.coding.decoder, closed, block, stop, out)
+            stop, filled, count = block_steps.expand_block(
+                operators, self.index.coding.decoder, closed, block, stop, out
+            )
             found.append((out[:filled].copy(), count))
         return found
 
@@ -209,19 +211,19 @@ class RankedSpace:
 
     def finish(self) -> None:
         """Count the states before each block of the bitmap."""
-        rank_set.count_states(*self.index.states)
+        state_sets.count_states(*self.index.states)
 
     def begin(self, goal: Sequence[Fact], distance: NDArray[Any]) -> list[Ints]:
         """Set the distance of the goal states to 0, and return their ranks."""
         states, blocks = self.index.states, list(self.index.ranks_where(goal))
         self._closed = np.empty(0, dtype=np.uint64)  # of the search for another goal
         for block in blocks:
-            rank_set.label(states, distance, 0, block)
+            state_sets.label(states, distance, 0, block)
         fits = self.nbytes + distance.nbytes + states.bits.nbytes <= self.index.budget.room * CLOSED_BITMAP_SHARE
         # Beyond 128 ranks per state, the bitmap takes more memory than it saves time; a megabyte does not matter.
         if fits and 64 * len(states.bits) <= 128 * max(len(self), 1 << 16):
             self._closed = np.empty(len(states.bits), dtype=np.uint64)
-            rank_set.close(states, distance, np.iinfo(distance.dtype).max, self._closed)
+            state_sets.close(states, distance, np.iinfo(distance.dtype).max, self._closed)
         return blocks
 
     def settle(self, block: Ints, d: Any, distance: NDArray[Any], costs: NDArray[Any]) -> list[tuple[int, Ints]]:
@@ -232,9 +234,9 @@ class RankedSpace:
         """
         states, decoder = self.index.states, self.index.coding.decoder
         if len(self._closed) and len(costs) == 1 and costs[0]:
-            rank_set.label(states, distance, d, block)
+            state_sets.label(states, distance, d, block)
             return [(0, ranks) for ranks, _ in self._new(self._inverse, self._closed, block) if len(ranks)]
         relax = partial(
-            distance_updates.relax_moves, self._inverse, decoder, states, self._closed, self._kinds, costs, distance
+            block_steps.relax_moves, self._inverse, decoder, states, self._closed, self._kinds, costs, distance
         )
         return relaxed(relax, block, d, max(RANKS_AT_A_TIME, 4 * self._inverse.tree.most), len(costs))

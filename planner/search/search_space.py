@@ -20,9 +20,9 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from ..grounding.task import Fact
-from ..states.packing import Ints
-from ..states.state_space import StateIndex
+from ..system.arrays import Ints
 from ..system.limits import Budget
+from .state_space import StateIndex
 
 
 class SearchSpace(Protocol):

@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Fact, Task
-from ..states.packing import Ints, Packing, Words, holds
-from ..states.state_space import Part
-from ..system.arrays import outline
+from ..system.arrays import Ints, Words, outline
 from ..system.limits import Budget
-from .rules import Rule, axiom_stages, grouped, possible_operators
+from .packing import Packing, Rule, axiom_stages, grouped, holds, possible_operators
+from .state_space import Part
 
 MOST_STATES = 100_000
 """States up to which a task is small. Their search takes a fifth of a second, compiling takes five."""

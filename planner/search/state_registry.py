@@ -12,15 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Fact, Task
-from ..states.packing import Ints, Packing, Words, holds
-from ..states.state_space import Part
+from ..system.arrays import Ints, Words
 from ..system.limits import Budget
-from .kernels import distance_updates, packed_successors, state_hash
+from .backward_search import relaxed
+from .canonical_states import Forms, canonical
+from .kernels import block_steps, packed_successors, state_sets
 from .kernels.packed_successors import PackedOperators
 from .met_states import GrowingArray, StateRegistry
-from .relaxation import relaxed
+from .packing import Packing, holds
+from .state_space import Part
 from .successor_generator import TRANSITIONS_AT_A_TIME, Expanded, expanded, packed_operators
-from .symmetry.canonical_states import Forms, canonical
 
 STATES_AT_A_TIME = 1 << 12
 """Largest number of states in a block that is expanded at once. It bounds the memory of a block."""
@@ -64,7 +65,7 @@ class RegistryIndex:
             states = states.copy()
             canonical(self.forms, states)
         numbers = np.empty(len(states), dtype=np.int64)
-        state_hash.look_up(self.slots, self.states, states, numbers)
+        state_sets.look_up(self.slots, self.states, states, numbers)
         return numbers
 
     def transitions(self, numbers: Ints | None = None) -> Iterator[Part]:
@@ -156,7 +157,7 @@ class RegistrySpace:
         kinds = self._kinds.trimmed(self.transitions if len(self.costs) > 1 else 0)
         self._into = np.zeros(len(self) + 2, dtype=np.int64)
         self._sources, sorted_kinds = np.empty_like(targets), np.empty_like(kinds)
-        distance_updates.transpose(
+        block_steps.transpose(
             self._counts.trimmed(self._expanded), targets, kinds, number, self._into, self._sources, sorted_kinds
         )
         self._kinds.rows = sorted_kinds
@@ -170,6 +171,6 @@ class RegistrySpace:
 
     def settle(self, block: Ints, d: Any, distance: NDArray[Any], costs: NDArray[Any]) -> list[tuple[int, Ints]]:
         """Relax the stored transitions into the states of a block at distance `d`."""
-        relax = partial(distance_updates.relax_stored, self._into, self._sources, self._kinds.rows, costs, distance)
+        relax = partial(block_steps.relax_stored, self._into, self._sources, self._kinds.rows, costs, distance)
         ends = self._into[block + 1] - self._into[block]
         return relaxed(relax, block, d, max(TRANSITIONS_AT_A_TIME, int(ends.max(initial=1))), len(costs))

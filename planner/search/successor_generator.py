@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Fact, Task
-from ..states.packing import Ints, Packing, Words
+from ..system.arrays import Ints, Words
 from ..system.limits import Check, unchecked
 from .kernels import packed_successors
-from .kernels.decision_tree import DecisionTree
-from .kernels.packed_successors import PackedOperators, Rules
+from .kernels.packed_successors import DecisionTree, PackedOperators, Rules
 from .kernels.ranked_successors import ApplicableSets, RankedOperators
-from .ranking.state_ranking import StateRanking
-from .ranking.transition_normal_form import TNFOperator
-from .rules import Rule, axiom_stages, grouped, possible_operators
+from .packing import Packing, Rule, axiom_stages, grouped, possible_operators
+from .state_ranking import StateRanking
+from .transition_normal_form import TNFOperator
 
 
 class _DecisionTreeBuilder:

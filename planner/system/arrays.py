@@ -1,4 +1,4 @@
-"""Read-only arrays in frozen dataclasses, and their representation in one line."""
+"""Types of arrays, read-only arrays in frozen dataclasses, and their representation in one line."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 T = TypeVar("T", bound=np.generic)
+
+Ints = NDArray[np.int64]
+Words = NDArray[np.uint64]
+"""Packed states have these: 64-bit words, several variables in one."""
 
 
 def read_only(record: Any) -> None:

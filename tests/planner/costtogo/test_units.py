@@ -24,7 +24,7 @@ from planner.costtogo.astar import astar
 from planner.costtogo.cost_to_go import optimal_choices
 from planner.costtogo.orbit_table import orbits
 from planner.costtogo.verification import check_successors
-from planner.states.state_space import Transitions
+from planner.search.state_space import Transitions
 
 TENTHS = [(1, 2, 1), (2, 0, 2), (1, 0, 3), (1, 3, 1), (3, 0, 3)]
 """Two optimal ways from node 1, of cost 1 + 2 and 3, and a worse one."""

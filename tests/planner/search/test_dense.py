@@ -16,11 +16,11 @@ from plain import explore
 from test_sweep import COMPILED, UNLISTED, check, module, random_task
 
 from planner import Effect, Operator, Task, Variable, instance, load
-from planner.search.ranking.digits import Digits
-from planner.search.ranking.linear_invariants import PRIME, determined, invariants
-from planner.search.ranking.mutexes import Mutexes
-from planner.search.ranking.transition_normal_form import split_operators
-from planner.search.ranking.variable_clusters import clusters
+from planner.search.digits import Digits
+from planner.search.linear_invariants import PRIME, determined, invariants
+from planner.search.mutexes import Mutexes
+from planner.search.transition_normal_form import split_operators
+from planner.search.variable_clusters import clusters
 
 Draft = tuple[list[int], list[int], list[tuple[dict[int, int], dict[int, int]]]]
 """Domain sizes, an initial state, and operators: what must hold, and what then holds."""

@@ -18,14 +18,14 @@ from test_sweep import check as compared
 from planner import Effect, LimitError, Operator, Task, Variable, instance
 from planner.costtogo.orbit_table import orbits
 from planner.search import compiled_search
-from planner.search.ranking.linear_invariants import determined, invariants
-from planner.search.ranking.mutexes import Mutexes
-from planner.search.ranking.state_ranking import StateRanking
-from planner.search.ranking.transition_normal_form import TNFOperator, exactly_one, split_operators
-from planner.search.ranking.variable_clusters import clusters
+from planner.search.linear_invariants import determined, invariants
+from planner.search.mutexes import Mutexes
+from planner.search.packing import Packing
+from planner.search.state_ranking import StateRanking
 from planner.search.state_registry import RegistrySpace
 from planner.search.successor_generator import packed_operators, ranked_operators
-from planner.states.packing import Packing
+from planner.search.transition_normal_form import TNFOperator, exactly_one, split_operators
+from planner.search.variable_clusters import clusters
 from planner.system.limits import Budget, Check, MemoryLimitError, unchecked
 
 FREE = Budget(None, math.inf, None)
@@ -95,7 +95,7 @@ SEARCHES: dict[str, Callable[[Task, Check], Any]] = {
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check the limits after every step."""
     for name in SEARCHED:
-        monkeypatch.setattr(importlib.import_module(f"planner.search.ranking.{name}"), "STEPS_PER_CHECK", 0)
+        monkeypatch.setattr(importlib.import_module(f"planner.search.{name}"), "STEPS_PER_CHECK", 0)
 
 
 @pytest.mark.usefixtures("often")
@@ -128,7 +128,7 @@ def test_what_is_found_does_not_depend_on_how_often_is_asked(seed: int) -> None:
     piecewise = found(task)
     with pytest.MonkeyPatch.context() as patch:
         for name in SEARCHED:
-            patch.setattr(importlib.import_module(f"planner.search.ranking.{name}"), "STEPS_PER_CHECK", 1 << 30)
+            patch.setattr(importlib.import_module(f"planner.search.{name}"), "STEPS_PER_CHECK", 1 << 30)
         at_once = found(task)
     for one, other in zip(piecewise, at_once, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -18,9 +18,9 @@ from test_symmetry import copies
 from planner import CostToGo, Effect, LimitError, OnDemand, Operator, Packing, Table, Task, Variable
 from planner.costtogo.orbit_table import orbits
 from planner.grounding import semantics
+from planner.search.automorphisms import symmetries
 from planner.search.ranked_index import RankedIndex
 from planner.search.state_registry import RegistryIndex
-from planner.search.symmetry.automorphisms import symmetries
 
 State = tuple[int, ...]
 

@@ -40,8 +40,8 @@ from planner.costtogo import on_demand
 from planner.costtogo.orbit_table import OrbitTable, orbits
 from planner.costtogo.verification import check_successors
 from planner.grounding.semantics import plan_cost, replay
-from planner.search.symmetry.automorphisms import Symmetries, symmetries
-from planner.search.symmetry.canonical_states import Forms, canonical
+from planner.search.automorphisms import Symmetries, symmetries
+from planner.search.canonical_states import Forms, canonical
 
 
 def switches(costs: list[int], goal: list[int], initial: list[int] | None = None) -> Task:
@@ -274,7 +274,7 @@ def test_who_stops_a_search_does_not_wait_for_the_forms_of_many_states(monkeypat
 
 def test_a_guess_that_is_none_does_not_count(monkeypatch):
     """If colours distinguish nothing, the guesses are wrong, and none is accepted."""
-    search = importlib.import_module("planner.search.symmetry.automorphisms")._Search
+    search = importlib.import_module("planner.search.automorphisms")._Search
     task = switches([1, 2, 3], [0, 1, 2])
     monkeypatch.setattr(search, "_refined", lambda _self, colors: colors * np.uint64(0) + np.uint64(1))
     marked = lambda _self, colors, fact: np.where(np.arange(len(colors)) == fact, colors.max() + 1, colors)  # noqa: E731
@@ -294,9 +294,7 @@ def test_a_guess_that_is_none_does_not_count(monkeypatch):
     ],
 )
 def test_symmetries_are_proven(costs, goal, symmetry, proven):
-    search = importlib.import_module("planner.search.symmetry.automorphisms")._Search(
-        switches(costs, goal), 1000, lambda: None
-    )
+    search = importlib.import_module("planner.search.automorphisms")._Search(switches(costs, goal), 1000, lambda: None)
     assert search.proven(np.array(symmetry)) == proven
 
 

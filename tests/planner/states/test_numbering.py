@@ -1,4 +1,4 @@
-"""States have the numbers of the rule in `planner.states.state_space`, here by a search in plain Python."""
+"""States have the numbers of the rule in `planner.search.state_space`, here by a search in plain Python."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from planner import LimitError, Packing, StateSpace, Table, Task, load
 from planner.costtogo.orbit_table import orbits
 from planner.grounding.semantics import derived, successors
 from planner.search import compiled_search
-from planner.states.packing import Ints
+from planner.system.arrays import Ints
 from planner.system.limits import Budget
 
 module = importlib.import_module("planner.costtogo.sweep")
-digits = importlib.import_module("planner.search.ranking.digits")
+digits = importlib.import_module("planner.search.digits")
 State = tuple[int, ...]
 
 

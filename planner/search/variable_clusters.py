@@ -17,10 +17,10 @@ from itertools import combinations, count
 import numpy as np
 from numpy.typing import NDArray
 
-from ...states.packing import Ints, Words
-from ...system.jit import njit
-from ...system.limits import Check, unchecked
-from ..kernels.state_hash import entry_of, fill_slots, find, hash_of
+from ..system.arrays import Ints, Words
+from ..system.jit import njit
+from ..system.limits import Check, unchecked
+from .kernels.state_sets import entry_of, fill_slots, find, hash_of
 from .mutexes import Mutexes
 
 MOST_VALUES = 1 << 16

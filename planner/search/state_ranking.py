@@ -23,13 +23,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...grounding.task import Fact, Task
-from ...states.packing import Ints, Packing, Words
-from ...system.limits import Check, unchecked
-from ..kernels.unranking import FIELD_BITS, FIELDS, NOWHERE, PRIME, UnrankingTables, decode_all
+from ..grounding.task import Fact, Task
+from ..system.arrays import Ints, Words
+from ..system.limits import Check, unchecked
 from .digits import Digits, Sum
+from .kernels.ranked_successors import FIELD_BITS, FIELDS, NOWHERE, PRIME, UnrankingTables, decode_all
 from .linear_invariants import Determined, determined
 from .mutexes import Mutexes
+from .packing import Packing
 from .transition_normal_form import TNFOperator
 from .variable_clusters import Cluster, clusters
 

@@ -13,8 +13,8 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ...grounding.task import Fact, Operator, Task
-from ...system.limits import Check, unchecked
+from ..grounding.task import Fact, Operator, Task
+from ..system.limits import Check, unchecked
 
 
 @dataclass(frozen=True)

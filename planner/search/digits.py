@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from ...grounding.task import Fact, Task
-from ...system.limits import Budget, Check, MemoryLimitError, unchecked
+from ..grounding.task import Fact, Task
+from ..system.limits import Budget, Check, MemoryLimitError, unchecked
 from .transition_normal_form import TNFOperator, exactly_one, split_operators
 
 LOOKING = "a ranking was looked for"

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...grounding.task import Task
-from ...states.packing import Ints
-from ...system.arrays import padded
-from ...system.jit import njit
-from ...system.limits import Check, unchecked
+from ..grounding.task import Task
+from ..system.arrays import Ints, padded
+from ..system.jit import njit
+from ..system.limits import Check, unchecked
 from .transition_normal_form import TNFOperator
 
 STEPS_PER_CHECK = 1 << 21

@@ -28,9 +28,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Fact, Task
-from ..system.arrays import outline
+from ..system.arrays import Ints, outline
 from ..system.limits import Check, unchecked
-from .packing import Ints
 
 Part = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.signedinteger]]
 """Number of transitions of each state of a block, their actions, and their targets."""

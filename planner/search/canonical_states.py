@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...states.packing import Ints, Packing, Words
-from ...system.jit import njit
+from ..system.arrays import Ints, Words
+from ..system.jit import njit
 from .automorphisms import Symmetries
+from .packing import Packing
 
 
 class Forms(NamedTuple):

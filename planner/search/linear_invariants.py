@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...grounding.task import Task
-from ...states.packing import Ints
-from ...system.jit import njit
-from ...system.limits import Check, unchecked
-from ..kernels.unranking import PRIME
+from ..grounding.task import Task
+from ..system.arrays import Ints
+from ..system.jit import njit
+from ..system.limits import Check, unchecked
+from .kernels.ranked_successors import PRIME
 from .transition_normal_form import TNFOperator
 
 STEPS_PER_CHECK = 1 << 28

@@ -25,9 +25,8 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from ...grounding.task import Fact, Task
-from ...states.packing import Ints
-from ...system.arrays import padded
+from ..grounding.task import Fact, Task
+from ..system.arrays import Ints, padded
 
 Colors = NDArray[np.uint64]
 

@@ -1,1 +1,0 @@
-"""Symmetries of a task, and the canonical state of each orbit."""

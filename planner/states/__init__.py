@@ -1,1 +1,0 @@
-"""States of a grounded task and their transitions."""
