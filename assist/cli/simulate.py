@@ -58,6 +58,7 @@ def simulate(
     from ..person.observation_model import ObservationModel
     from ..plots import style
     from ..plots.episode import episode_figure
+    from ..reports.policy_comparison import comparison_of
     from ..simulation.episode import plain_summary
     from ..simulation.episodes import Episodes
     from ..simulation.illustration import Illustration
@@ -65,7 +66,7 @@ def simulate(
     from ..simulation.simulate import simulate as run
     from ..team.plain_setting import plain_setting
     from ..team.policies import UserPolicy
-    from .output.episode_summaries import show_differences, show_summaries
+    from .output.episode_summaries import show_comparison
 
     if not problems:
         refuse_unused(["goal_knowledge"], "without --goals")
@@ -131,7 +132,4 @@ def simulate(
             "policies": [plain_summary(summary) for summary in summaries], "versions": versions(),
         })  # fmt: skip
     else:
-        show_summaries(summaries, drawn, size)
-        if len(results) > 1 and episodes > 1:
-            click.echo()
-            show_differences(results)
+        show_comparison(comparison_of(results), drawn, size)

@@ -14,9 +14,10 @@ import html
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from inspect import signature
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -24,14 +25,15 @@ from planner.system.errors import expected
 from planner.system.progress import Progress, Wanted, shows_progress
 from planner.system.results import Result, html_table
 
-from ..certify.certificate import Certificate
-from ..certify.comparison import certify
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
+from ..simulation.episode import SHOWN
 from ..simulation.episodes import Episodes, Summary
 from ..simulation.pool import Pool, require_pool
 from ..simulation.simulate import simulate
 from ..team.policies import by_name
+from ..team.robots import Robot
+from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from . import statistics
 from .statistics import IntervalEstimate
@@ -39,14 +41,22 @@ from .statistics import IntervalEstimate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from ..certify.certificate import Certificate
+
+SETTINGS = tuple(each.name for each in fields(Setting))
+"""What may be varied by its name."""
+
 FIRST_PORTION = 64
 """Episodes of each policy in the first portion; later ones are twice as large as the one before."""
+
+Cells: TypeAlias = tuple[list[str], list[list[str]]]
+"""The head and the lines of a table that people see."""
 
 MEASURES = {"actions": "actions per person", "interventions": "interventions", "discounted_return": "return"}
 """What is compared, a mean of `Summary`, with its name in tables."""
 
 DIFFERENCES = ("actions", "discounted_return")
-"""The measures whose differences the table shows; the frame has all."""
+"""The measures whose differences tables show; the frame has all."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +166,7 @@ class PolicyComparison(Result):
         return found
 
     def figure(self) -> Figure:
-        """Return a figure of the means and differences with their intervals; with the extra `plots`.
+        """Return a figure of the means, and under one condition of the differences; with the extra `plots`.
 
         Raises
         ------
@@ -167,45 +177,63 @@ class PolicyComparison(Result):
 
         return comparison_figure(self)
 
-    def table(self) -> tuple[list[str], list[list[str]]]:
-        """Return the columns and the rows of the table that people see."""
-        several = len({row.humans for row in self.rows}) > 1
+    def means(self) -> Cells:
+        """Return the head and the lines of the table of means, each with its standard error."""
+        shown = dict(SHOWN)
+        if all(row.summary.costs[0] == row.summary.actions[0] for row in self.rows):  # each action costs 1
+            del shown["costs"]
+        if any(row.summary.executions[0] for row in self.rows):  # otherwise all interventions are suggestions
+            shown |= {"suggestions": "suggestions", "executions": "executions"}
         with_gap = any(row.certificate is not None for row in self.rows)
-        columns = [*([self.varied] if self.varied else []), *(["people"] if several else []), "policy"]
-        for name, shown in MEASURES.items():
-            columns += [shown, *([f"difference to {self.baseline}"] if name in DIFFERENCES else [])]
-        columns += ["cut off", *(["gap to the optimum"] if with_gap else [])]
-        lines = []
-        for row in self.rows:
-            cells = [*([f"{row.varied}"] if self.varied else []), *([f"{row.humans}"] if several else []), row.policy]
-            for name in MEASURES:
-                mean, error = getattr(row.summary, name)
-                cells.append(f"{mean:.2f}" if math.isnan(error) else f"{mean:.2f} ± {error:.2f}")
-                if name in DIFFERENCES:
-                    cells.append("" if row.differences is None else shown_interval(row.differences[name]))
-            cells += [f"{row.summary.cut_off}", *([_gap(row.certificate)] if with_gap else [])]
-            lines.append(cells)
-        return columns, lines
+        head = [*self._condition_head(), *(name.replace("_", " ") for name in shown.values()), "cut off"]
+        lines = [
+            [
+                *self._condition(row), *(_mean(*getattr(row.summary, name)) for name in shown),
+                f"{row.summary.cut_off}", *([_gap(row.certificate)] if with_gap else []),
+            ]
+            for row in self.rows
+        ]  # fmt: skip
+        return [*head, *(["gap to the optimum"] if with_gap else [])], lines
+
+    def differences(self) -> Cells:
+        """Return the head and the lines of the table of differences to the baseline, with their intervals."""
+        interval = f"({100 * self.level:g} % interval)"
+        head = [*self._condition_head()[:-1], f"difference to {self.baseline}"]
+        head += [f"{MEASURES[name]} {interval}" for name in DIFFERENCES]
+        lines = [
+            [*self._condition(row), *(shown_interval(row.differences[name]) for name in DIFFERENCES)]
+            for row in self.rows if row.differences is not None
+        ]  # fmt: skip
+        return head, lines
 
     def note(self) -> str:
-        """Return the sentence below the table, which says what its numbers are."""
+        """Return the sentence below the table of means, which says what its numbers are."""
         count = {row.summary.episodes for row in self.rows}
-        episodes = f"{min(count):,}" if len(count) == 1 else f"{min(count):,} to {max(count):,}"
-        how = f"differences in the same episodes, {self.level:.0%} interval"
-        return f"mean ± standard error over {episodes} episodes; {how}"
+        if count == {1}:
+            return "of one episode"
+        return f"mean ± standard error over {_range(count)} episodes"
+
+    def _condition_head(self) -> list[str]:
+        several = len({row.humans for row in self.rows}) > 1
+        return [*([self.varied] if self.varied else []), *(["people"] if several else []), "policy"]
+
+    def _condition(self, row: ComparedPolicy) -> list[str]:
+        named = {self.varied: f"{row.varied}", "people": f"{row.humans}", "policy": row.policy}
+        return [named[name] for name in self._condition_head()]
 
     def __str__(self) -> str:
-        columns, lines = self.table()
-        width = [max(len(line[i]) for line in [columns, *lines]) for i in range(len(columns))]
-        rows = ["  ".join(cell.ljust(w) for cell, w in zip(line, width, strict=True)) for line in [columns, *lines]]
-        return "\n".join([*(row.rstrip() for row in rows), self.note()])
+        means, differences = (_lines(*cells) for cells in (self.means(), self.differences()))
+        return "\n".join([*means, self.note(), *(["", *differences] if len(differences) > 1 else [])])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        columns, lines = self.table()
-        cells = [dict(enumerate(line)) for line in lines]
-        return f"{html_table(cells, columns)}<p>{html.escape(self.note())}</p>"
+        means, differences = (
+            html_table([dict(enumerate(line)) for line in lines], head)
+            for head, lines in (self.means(), self.differences())
+        )
+        several = any(row.differences is not None for row in self.rows)
+        return f"{means}<p>{html.escape(self.note())}</p>{differences * several}"
 
 
 @shows_progress
@@ -230,7 +258,7 @@ def compare(
     Parameters
     ----------
     pool : Pool, or mapping to pools
-        People and robot. With several pools, such as one for each cost of a suggestion, a key is a condition.
+        People and robot. With several pools, such as one for each population, a key is a condition.
     policies : one or more policies, or a mapping of names to policies
         Names of `assist.team.policies.POLICIES`, or callables; the latter have their own names unless given.
     humans : int or iterable of int
@@ -241,7 +269,7 @@ def compare(
     baseline : str, optional
         The policy that differences refer to; by default "none" if it is compared, else the first.
     varied : str
-        What the keys of several pools are, such as "c_suggest": the name of a column and of an axis.
+        What the keys of several pools are, such as "population": the name of a column and of an axis.
     level : float
         Confidence level of intervals.
     certified : bool
@@ -253,7 +281,9 @@ def compare(
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes.
     **options
-        Further arguments of `simulate`, such as `goals` or `world`.
+        Fields of `Setting` in place of the pool's: a value, or for one of them a list of values, each of which is a
+        condition with the same people, such as `c_suggest=[0.1, 1.0]`. And further arguments of `simulate`, such as
+        `goals` or `world`.
 
     Returns
     -------
@@ -267,11 +297,12 @@ def compare(
         A parameter is out of its range, a policy is unknown, or two have one name.
     """
     assert callable(progress)
-    pools = dict(pool) if isinstance(pool, Mapping) else {"": pool}
-    if not pools:
-        raise ValueError("pool: expected at least one")
-    for one in pools.values():
-        require_pool(one)
+    known = [*SETTINGS, *signature(simulate).parameters]
+    unknown = next((name for name in options if name not in known), None)
+    if unknown is not None:
+        raise TypeError(f"compare has no argument {unknown!r}; {expected(unknown, known)}")
+    settings = {name: options.pop(name) for name in list(options) if name in SETTINGS}
+    pools, varied = _pools(pool, varied, settings)
     named = by_name(policies)
     if not named:
         raise ValueError("policies: expected at least one")
@@ -286,12 +317,14 @@ def compare(
     conditions = [(key, one, size) for key, one in pools.items() for size in sizes]
     rows: list[ComparedPolicy] = []
     for done, (key, one, size) in enumerate(conditions):
-        share = None if limit is None else limit / len(conditions)
+        share = None if limit is None else limit / len(conditions) / (1 + certified)
         tell = partial(_told, progress, f" ({done + 1} of {len(conditions)} conditions)" * (len(conditions) > 1))
         run = partial(simulate, one, humans=size, seed=seed_number, jobs=jobs, **options)
         runs = _runs(run, named, count, share, tell)
         gaps: dict[str, Certificate] = {}
         if certified:
+            from ..certify.comparison import certify  # which a comparison without bounds need not compile
+
             _, found = certify(
                 one, named, team=range(size), episodes=max(count, 2), seed=seed_number, time_limit=share, progress=tell
             )
@@ -300,7 +333,38 @@ def compare(
             ComparedPolicy.of(run, None if name == base else runs[base], level, key, gaps.get(name))
             for name, run in runs.items()
         ]
-    return PolicyComparison(tuple(rows), base, varied if isinstance(pool, Mapping) else "", level)
+    return PolicyComparison(tuple(rows), base, varied, level)
+
+
+def _pools(pool: Pool | Mapping[Any, Pool], varied: str, settings: Mapping[str, Any]) -> tuple[dict[Any, Pool], str]:
+    """Return the pool of each condition, and the name of what varies; "" if nothing does."""
+    pools = dict(pool) if isinstance(pool, Mapping) else {"": pool}
+    if not pools:
+        raise ValueError("pool: expected at least one")
+    for one in pools.values():
+        require_pool(one)
+    several = [name for name, value in settings.items() if _is_several(value)]
+    if several and (len(several) > 1 or isinstance(pool, Mapping)):
+        others = [*several[1:], *["pool"] * isinstance(pool, Mapping)]
+        raise ValueError(f"{several[0]} and {others[0]}: expected several values of one of them")
+    if not settings:
+        return pools, varied if isinstance(pool, Mapping) else ""
+    fixed = {name: value for name, value in settings.items() if name not in several}
+    if not several:
+        pools = {key: one.under(replace(one.setting, **fixed)) for key, one in pools.items()}
+        return pools, varied if isinstance(pool, Mapping) else ""
+    (name,), (one,) = several, pools.values()
+    values = list(settings[name])
+    if not values:
+        raise ValueError(f"{name}: expected at least one value")
+    return {value: one.under(replace(one.setting, **fixed, **{name: value})) for value in values}, name
+
+
+def _is_several(value: Any) -> bool:
+    """Return whether a field of a setting was given several values. Robots are the value of one field together."""
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, list | tuple | range) and not any(isinstance(one, Robot) for one in value)
 
 
 def comparison_of(runs: Iterable[Episodes], *, baseline: str | None = None, level: float = 0.95) -> PolicyComparison:
@@ -361,6 +425,27 @@ def _parts(name: str, estimate: IntervalEstimate | None) -> dict[str, float]:
     """Return the columns of an estimate; NaN where there is none."""
     found = estimate or IntervalEstimate(math.nan, math.nan, math.nan)
     return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
+
+
+def _mean(mean: float, error: float) -> str:
+    """Return a mean with its standard error, as tables show it; a single episode has no standard error."""
+    return f"{mean:.2f}" if math.isnan(error) else f"{mean:.2f} ± {error:.2f}"
+
+
+def _range(counts: set[int]) -> str:
+    return " to ".join(f"{count:,}" for count in sorted({min(counts), max(counts)}))
+
+
+def _lines(head: list[str], lines: list[list[str]]) -> list[str]:
+    """Return a table as lines of text; columns are aligned right after that of the policy."""
+    left = next(n for n, name in enumerate(head) if name == "policy" or name.startswith("difference to "))
+    width = [max(len(line[n]) for line in [head, *lines]) for n in range(len(head))]
+    return [
+        "  ".join(
+            cell.ljust(w) if n <= left else cell.rjust(w) for n, (cell, w) in enumerate(zip(line, width, strict=True))
+        ).rstrip()
+        for line in [head, *lines]
+    ]
 
 
 def shown_interval(estimate: IntervalEstimate) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,6 +68,8 @@ class Pool(Result):
         the task of their policy. The policies of `sample` are solved on first use.
     model : int array, shape (people,)
         Index of each person's policy.
+    again : callable, optional
+        Draws the same people with another setting; None unless `sample` made the pool.
 
     Raises
     ------
@@ -78,6 +81,7 @@ class Pool(Result):
     people: tuple[Human, ...]
     policies: tuple[Policy, ...]
     model: NDArray[np.int64]
+    again: Callable[..., Pool] | None = field(default=None, repr=False)
 
     def __eq__(self, other: object) -> bool:
         """Whether both have the same people and problems, solved or not."""
@@ -188,7 +192,12 @@ class Pool(Result):
         setting = setting or Setting()
         population = population or Population()
         prior = prior or population
-        rng = np.random.default_rng(np.random.SeedSequence(entropy(seed), spawn_key=(0,)))
+        number_of_seed = entropy(seed)
+        again = partial(
+            cls.sample, table, size, seed=number_of_seed, population=population, prior=prior, solver=solver,
+            memory_limit_mb=memory_limit_mb, states=states, region=region,
+        )  # fmt: skip
+        rng = np.random.default_rng(np.random.SeedSequence(number_of_seed, spawn_key=(0,)))
         if isinstance(table, Goals) and (population.weights or prior.weights):
             raise ValueError("people with weights of terms: expected one goal")
         needed = {
@@ -219,7 +228,23 @@ class Pool(Result):
             ground = SharedTask(table, prior, region or min(default_size(table), room))
             policies = TruncatedPolicy.of_people(ground, people, setting)
         number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
-        return cls(setting, tuple(people), tuple(policies), number)
+        return cls(setting, tuple(people), tuple(policies), number, again)
+
+    def under(self, setting: Setting) -> Pool:
+        """Return the same people at the same task, with another setting of the robot.
+
+        Parameters
+        ----------
+        setting : Setting
+
+        Raises
+        ------
+        ValueError
+            The pool is not one of `sample`.
+        """
+        if self.again is None:
+            raise ValueError("another setting: expected a pool of Pool.sample, which knows how its people were drawn")
+        return self.again(setting=setting)
 
     @classmethod
     def joined(cls, pools: Sequence[Pool]) -> Pool:

@@ -45,4 +45,5 @@ def union(pools: Sequence[P]) -> P:
         people=tuple(human for pool in pools for human in pool.people),
         policies=tuple(policy for pool in pools for policy in pool.policies),
         model=np.concatenate([pool.model + offset for pool, offset in zip(pools, offsets, strict=True)]),
+        again=None,
     )

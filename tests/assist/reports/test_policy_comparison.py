@@ -64,11 +64,29 @@ def test_the_frame_is_tidy(found: PolicyComparison) -> None:
 def test_pools_are_conditions_and_have_a_column(pool: Pool) -> None:
     cheap = Pool.sample(cost_to_go("kitting/tiny"), 6, seed=0, setting=Setting(c_suggest=0.05))
     found = compare({0.05: cheap, 0.5: pool}, POLICIES, humans=2, episodes=30, varied="c_suggest")
+    assert compare(pool, POLICIES, humans=2, episodes=30, c_suggest=[0.05, 0.5]) == found  # in one call
     frame = found.to_frame()
     assert frame.c_suggest.tolist() == [0.05] * 3 + [0.5] * 3
     assert frame[frame.policy == "attention"].interventions.is_monotonic_decreasing
     assert str(found).splitlines()[0].split()[:2] == ["c_suggest", "policy"]
     assert [axis.get_xlabel() for axis in found.figure().axes] == ["c_suggest"] * 3
+
+
+def test_a_setting_is_changed_for_the_same_people(pool: Pool) -> None:
+    found = compare(pool, ["none", "attention"], humans=2, episodes=20, c_move=3.0)
+    other = Pool.sample(cost_to_go("kitting/tiny"), 6, seed=0, setting=Setting(c_suggest=0.5, c_move=3.0))
+    assert found == compare(other, ["none", "attention"], humans=2, episodes=20)
+    assert pool.under(other.setting) == other != pool
+    with pytest.raises(ValueError, match="which knows how its people were drawn"):
+        Pool.joined([pool, pool]).under(other.setting)
+
+
+def test_under_one_condition_the_figure_has_the_differences(pool: Pool) -> None:
+    found = compare(pool, POLICIES, humans=2, episodes=5)
+    labels = [axis.get_ylabel() for axis in found.figure().axes]
+    assert labels[3:] == [
+        f"{label},\nminus none" for label in ("actions per person", "interventions per episode", "return")
+    ]
 
 
 def test_the_gap_to_the_optimum_is_that_of_certify(pool: Pool) -> None:
@@ -81,7 +99,7 @@ def test_the_gap_to_the_optimum_is_that_of_certify(pool: Pool) -> None:
 
 def test_it_is_shown_in_notebooks_drawn_and_pickled(found: PolicyComparison) -> None:
     page = found._repr_html_()
-    assert page.count("<tr>") == 1 + len(found)
+    assert page.count("<tr>") == 1 + len(found) + 1 + 2 * 2  # means, and differences of two policies for each size
     assert "attention" in page
     assert "difference to none" in page
     figure = found.figure()
@@ -112,6 +130,10 @@ def test_a_users_policy_and_one_episode(pool: Pool) -> None:
         ({"baseline": "priority"}, "baseline 'priority'"),
         ({"level": 1.0}, "between 0 and 1"),
         ({"humans": 0}, "humans"),
+        ({"c_sugest": 1.0}, "no argument 'c_sugest'; did you mean 'c_suggest'"),
+        ({"c_suggest": []}, "c_suggest: expected at least one value"),
+        ({"c_suggest": [0.1, 1.0], "c_move": [0.1, 1.0]}, "c_suggest and c_move: expected several values of one"),
+        ({"c_suggest": [-1.0]}, "c_suggest"),
         ({"pool": {}}, "pool: expected at least one"),
         ({"pool": "kitting/tiny"}, "Pool.sample"),
     ],
