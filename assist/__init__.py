@@ -2,6 +2,7 @@
 
 The folders, in an order in which each builds on earlier ones; the default path is people, person, team, simulation:
 
+declare      fields of settings and plans, declared once: checks, messages, tables of files, options
 people       models of people: choices, influence and trust, populations, and beliefs about a person
 person       the problem of assisting one person as a POMDP, and its solutions between proven bounds
 learning     estimates of people's parameters and goals from recorded actions

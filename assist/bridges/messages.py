@@ -14,17 +14,15 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta
-
-from assist.texts.typed_toml import fault, regular_expression
-
+from ..declare.declared import Expected
+from ..declare.tables import fault, regular_expression
 from ..people.action_names import wrong_form
 
 Fields = dict[str, str]
 """Fields of a message, as texts."""
 
-Names = Annotated[dict[str, str], Meta(description="a table of texts")]
-ObserveTables = Annotated[dict[str, Any] | list[dict[str, Any]], Meta(description="a table, or a list of tables")]
+Names = Annotated[dict[str, str], Expected("a table of texts")]
+ObserveTables = Annotated[dict[str, Any] | list[dict[str, Any]], Expected("a table, or a list of tables")]
 
 FIELD = re.compile(r"\{(\w+)\}")
 LEVEL = re.compile(r"\{(\w+)\}|[^{}+#]*")

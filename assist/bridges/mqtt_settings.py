@@ -5,25 +5,26 @@ from __future__ import annotations
 import os
 import ssl
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct, field
+from pydantic import Field
 
-from assist.texts import typed_toml
-from assist.texts.typed_toml import Text, Texts, Truth, convert, fault, located
-
+from ..declare import tables as toml
+from ..declare.declared import Expected, Number, Text, Texts, Truth, Whole, declared
+from ..declare.tables import convert, fault, located
 from .messages import Names, ObserveTables, Source, Topic, chosen, observed_in, source_of
 
 ENVIRONMENT = "KITASSIST_MQTT_"
 """Prefix of the environment variables PASSWORD, CA, CERTIFICATE and KEY."""
 
-Port = Annotated[int, Meta(ge=1, le=65535, description="a port, 1 to 65535")]
-Seconds = Annotated[float, Meta(gt=0, le=3600, description="seconds above 0, at most 3600")]
+Port = Annotated[Whole, Field(ge=1, le=65535), Expected("a port, 1 to 65535")]
+Seconds = Annotated[Number, Field(gt=0, le=3600), Expected("seconds above 0, at most 3600")]
 
 
-class BrokerTable(Struct, forbid_unknown_fields=True):
+@declared
+class BrokerTable:
     """The table `broker`."""
 
     host: Text = "localhost"
@@ -33,7 +34,8 @@ class BrokerTable(Struct, forbid_unknown_fields=True):
     tls: Truth = False
 
 
-class ObserveTable(Struct, forbid_unknown_fields=True):
+@declared
+class ObserveTable:
     """A table `observe`."""
 
     topic: Text
@@ -46,20 +48,23 @@ class ObserveTable(Struct, forbid_unknown_fields=True):
     begins: Truth = False
 
 
-class OutputTable(Struct, forbid_unknown_fields=True):
+@declared
+class OutputTable:
     """A table `advice` or `robot`."""
 
     topic: Text
     fields: Texts | None = None
 
 
-class TopicTable(Struct, forbid_unknown_fields=True):
+@declared
+class TopicTable:
     """A table `answers`, `arrived` or `status`."""
 
     topic: Text
 
 
-class FileTables(Struct, forbid_unknown_fields=True):
+@declared
+class FileTables:
     """The whole file."""
 
     observe: ObserveTables
@@ -143,7 +148,7 @@ class MqttSettings:
         """
         file = Path(file)
         with located(file):
-            tables = convert(typed_toml.load(file), FileTables, file)
+            tables = convert(toml.load(file), FileTables, file)
             broker = tables.broker
             port = broker.port or (8883 if broker.tls else 1883)
             names = tables.names or {}

@@ -8,25 +8,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from msgspec import Meta, Struct
+from pydantic import Field
 
-from assist.texts import typed_toml
-from assist.texts.typed_toml import Text, Truth, convert, fault, located
-
+from ..declare import tables as toml
+from ..declare.declared import Expected, Text, Truth, declared
+from ..declare.tables import convert, fault, located
 from .messages import Names, Source, Topic, source_of
 
 PASSWORD = "KITASSIST_OPCUA_PASSWORD"
 NODE = re.compile(r"(ns=\d+;)?[isgb]=.+")
 
 
-class ServerTable(Struct, forbid_unknown_fields=True):
+@declared
+class ServerTable:
     """The table `server`."""
 
     url: Text
     username: Text | None = None
 
 
-class ObserveTable(Struct, forbid_unknown_fields=True):
+@declared
+class ObserveTable:
     """A table of `observe`."""
 
     node: Text
@@ -38,14 +40,16 @@ class ObserveTable(Struct, forbid_unknown_fields=True):
     begins: Truth = False
 
 
-class AdviceTable(Struct, forbid_unknown_fields=True):
+@declared
+class AdviceTable:
     """A table of `advice`."""
 
     node: Text
     person: Text
 
 
-class OwnServerTable(Struct, forbid_unknown_fields=True):
+@declared
+class OwnServerTable:
     """The table `own_server`."""
 
     url: Text
@@ -56,19 +60,21 @@ class OwnServerTable(Struct, forbid_unknown_fields=True):
     username: Text | None = None
 
 
-class OwnServerFileTables(Struct, forbid_unknown_fields=True):
+@declared
+class OwnServerFileTables:
     """The whole file, for a server of the assistant's own."""
 
     own_server: OwnServerTable
     names: Names | None = None
 
 
-class FileTables(Struct, forbid_unknown_fields=True):
+@declared
+class FileTables:
     """The whole file, for another program's server."""
 
     server: ServerTable
-    observe: Annotated[list[ObserveTable], Meta(min_length=1, description="one table or more")]
-    advice: list[AdviceTable] = []
+    observe: Annotated[tuple[ObserveTable, ...], Field(min_length=1), Expected("one table or more")]
+    advice: tuple[AdviceTable, ...] = ()
     names: Names | None = None
 
 
@@ -125,7 +131,7 @@ class OpcUaSettings:
         """
         file = Path(file)
         with located(file):
-            tables = convert(typed_toml.load(file), FileTables, file)
+            tables = convert(toml.load(file), FileTables, file)
             _require_url(tables.server.url, file, "server.url")
             observed = []
             for number, one in enumerate(tables.observe, start=1):
@@ -177,7 +183,7 @@ class OwnServerSettings:
         """
         file = Path(file)
         with located(file):
-            tables = convert(typed_toml.load(file), OwnServerFileTables, file)
+            tables = convert(toml.load(file), OwnServerFileTables, file)
             table = tables.own_server
             _require_url(table.url, file, "own_server.url")
             source = source_of(table, Topic("node"), tables.names or {}, file, "own_server")

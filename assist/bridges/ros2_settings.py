@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct
-
-from assist.texts import typed_toml
-from assist.texts.typed_toml import AnyTable, Text, Texts, Truth, convert, fault, located
-
+from ..declare import tables as toml
+from ..declare.declared import AnyTable, Expected, Text, Texts, Truth, declared
+from ..declare.tables import convert, fault, located
 from .messages import (
     FIELD,
     Fields,
@@ -36,16 +34,18 @@ TYPE = re.compile(r"[a-z]\w*/((msg|action)/)?[A-Z]\w*", re.ASCII)
 ANSWER = "person", "id", "status", "detail", "seq"
 NULLABLE = {"reason", "cost_to_go"}  # which messages of ROS cannot contain
 
-Places = Annotated[dict[str, dict[str, Any]], Meta(description="a table for each person")]
+Places = Annotated[dict[str, dict[str, Any]], Expected("a table for each person")]
 
 
-class RosbridgeTable(Struct, forbid_unknown_fields=True):
+@declared
+class RosbridgeTable:
     """The table `rosbridge`."""
 
     url: Text
 
 
-class ObserveTable(Struct, forbid_unknown_fields=True):
+@declared
+class ObserveTable:
     """A table `observe`."""
 
     topic: Text
@@ -58,7 +58,8 @@ class ObserveTable(Struct, forbid_unknown_fields=True):
     begins: Truth = False
 
 
-class OutputTable(Struct, forbid_unknown_fields=True):
+@declared
+class OutputTable:
     """A table `advice` or `answers`."""
 
     topic: Text
@@ -66,16 +67,18 @@ class OutputTable(Struct, forbid_unknown_fields=True):
     fields: Texts | None = None
 
 
-class GoToTable(Struct, forbid_unknown_fields=True):
+@declared
+class GoToTable:
     """The table `go_to`."""
 
     action: Text
     type: Text
     goal: AnyTable
-    places: Places = {}
+    places: Places = field(default_factory=dict)
 
 
-class FileTables(Struct, forbid_unknown_fields=True):
+@declared
+class FileTables:
     """The whole file."""
 
     rosbridge: RosbridgeTable
@@ -218,7 +221,7 @@ class Ros2Settings:
         """
         file = Path(file)
         with located(file):
-            tables = convert(typed_toml.load(file), FileTables, file)
+            tables = convert(toml.load(file), FileTables, file)
             if not re.fullmatch(r"wss?://[^\s/:]+(:\d+)?(/\S*)?", tables.rosbridge.url):
                 raise fault(file, "rosbridge.url", f"{tables.rosbridge.url!r}; expected ws://host:port or wss://host")
             names = tables.names or {}

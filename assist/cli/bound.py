@@ -47,7 +47,7 @@ def bound(
     from ..certify.comparison import Comparison
     from ..certify.computation import InterruptedBound
     from ..certify.information_relaxation.confidence import CONFIDENCE
-    from ..team.plain_setting import plain_setting
+    from ..declare.declared import plain
     from .output.person_bounds import show_samples
 
     start = time.perf_counter()
@@ -83,7 +83,7 @@ def bound(
             "policies": [asdict(certificate) for certificate in certificates], "upper_seen": found.upper_seen,
             "upper_proven": found.proven, "sampled": found.sampled and asdict(found.sampled),
             "confidence": CONFIDENCE if found.sampled and found.sampled.enough else 1.0,
-            "price": found.price.tolist(), "seconds": found.seconds, "setting": plain_setting(made.pool.setting),
+            "price": found.price.tolist(), "seconds": found.seconds, "setting": plain(made.pool.setting),
             "population": made.population.as_dict(), "seed": team["seed"], "versions": versions(),
         })  # fmt: skip
         return

@@ -54,6 +54,7 @@ def simulate(
     ask_error: float, **team: Any,
 ) -> None:  # fmt: skip
     """Simulate a team of people and a robot that assists them, and compare policies."""
+    from ..declare.declared import plain
     from ..live.trace_reasons import TraceReasons
     from ..person.observation_model import ObservationModel
     from ..plots import style
@@ -64,7 +65,6 @@ def simulate(
     from ..simulation.illustration import Illustration
     from ..simulation.pool import MAX_ENUMERATED
     from ..simulation.simulate import simulate as run
-    from ..team.plain_setting import plain_setting
     from ..team.policies import UserPolicy
     from .output.episode_summaries import show_comparison
 
@@ -127,7 +127,7 @@ def simulate(
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": team["humans"],
             "pool": size, "drawn": drawn, "episodes": episodes, "seed": team["seed"],
-            "setting": plain_setting(made.pool.setting), "population": made.population.as_dict(),
+            "setting": plain(made.pool.setting), "population": made.population.as_dict(),
             **({"goals": dict(goals.prior), "goal_knowledge": goal_knowledge} if goals else {}),
             "policies": [plain_summary(summary) for summary in summaries], "versions": versions(),
         })  # fmt: skip

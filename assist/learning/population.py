@@ -26,6 +26,7 @@ from scipy.special import logit, ndtr
 
 from planner.system.results import Result
 
+from ..declare.declared import DeclarationError, spelt
 from ..people.arguments import number
 from ..people.decision import NOTHING, Floats
 from ..people.human import Population, Range
@@ -246,7 +247,10 @@ def trust_of(record: dict[str, Any]) -> Shipped | None:
         return None
     if not isinstance(plain, dict):
         raise ValueError(f"trust {plain!r}; expected an object as `kitassist fit --trust --population` writes it")  # noqa: TRY004
-    return rule_of(plain)
+    try:
+        return rule_of(plain)
+    except DeclarationError as error:
+        raise ValueError(f"{spelt(('trust', *error.place))}: {error.told}") from None
 
 
 def rate_of(record: dict[str, Any]) -> dict[str, float]:

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike
 
 from planner import CostToGo, known_costs
 
+from ..declare.declared import plain
 from ..explain.explanation import Explanation
 from ..people.decision import NOTHING
 from ..people.goals import Goals
@@ -37,8 +38,7 @@ from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
-from ..team.plain_setting import plain_setting
-from ..team.robots import Robot, robots_of
+from ..team.robots import Robot
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy
 from ..team.travel import Travel
@@ -121,7 +121,7 @@ class Assistant:
             raise TypeError(f"people {people!r}: expected a list of names")
         self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
         if robots is not None:
-            self.setting = replace(self.setting, robots=robots_of(robots))
+            self.setting = replace(self.setting, robots=robots)  # type: ignore[arg-type]  # or their number
         if self.setting.fleet.executes:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy
@@ -608,7 +608,7 @@ class Assistant:
             {
                 "format": FORMAT,
                 "policy": self.policy if isinstance(self.policy, str) else None,
-                "setting": plain_setting(self.setting),
+                "setting": plain(self.setting),
                 "population": self.population.as_dict(),
                 "distance": self.distance,
                 "step": self._step,

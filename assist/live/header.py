@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from planner import CostToGo
 from planner.system.errors import ResultsExistError
 
+from ..declare.declared import plain
 from ..large_tasks.person_problem import WHOLE, is_whole
 from ..people.belief import Grid
 from ..people.choice_model import chances
@@ -22,7 +23,6 @@ from ..people.decision import perceived_cost
 from ..people.goals import Goals, first_of
 from ..people.human import Population
 from ..people.mixture import Mixture
-from ..team.plain_setting import plain_setting
 from .assistant import Assistant
 from .live_task import digest
 
@@ -35,7 +35,7 @@ def header_of(desk: Assistant, tasks: Mapping[str, CostToGo | Goals], distance: 
     return {
         "format": FORMAT,
         "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
-        "setting": plain_setting(desk.setting),
+        "setting": plain(desk.setting),
         "population": desk.population.as_dict(),
         "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
         "tasks": {name: digest(task) for name, task in tasks.items()},

@@ -10,11 +10,10 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..declare.declared import MOST as MOST
+
 Seed = int | np.random.Generator
 """An integer of 0 or more, or a generator from which one is drawn."""
-
-MOST = 1e15
-"""Largest cost, rate or size: sums of larger numbers are not exact in floating point, and products overflow."""
 
 
 def whole(name: str, value: object, least: int = 0) -> int:

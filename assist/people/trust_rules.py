@@ -14,16 +14,20 @@ attribute `counts`, the number of outcomes that a person has seen is part of the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal, Protocol, TypeAlias, get_args
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from .arguments import MOST, number, whole
+from planner.system.errors import expected
+
+from ..declare.declared import MOST, DeclarationError, Number, Truth, Whole, declared, plain
 from .decision import Floats, trust
 
 Feedback = Literal["perceived", "true", "never"]
+OF_FEEDBACK = "What people who follow a suggestion see of the outcome: by their own costs, by exact ones, or nothing."
 
 LEAST = 0.01
 """Least theta that logit steps lead to, and one minus the largest: a step from 0 or 1 on the logit scale leads nowhere.
@@ -84,64 +88,62 @@ class TrustRule(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@declared
 class EquationSeven:
-    """Equation (7) of the paper: theta' = clip(theta + eta (V(x_r) - V(x)) / utility_scale, 0, 1).
+    """Equation (7) of the paper: theta' = clip(theta + eta (V(x_r) - V(x)) / utility_scale, 0, 1)."""
 
-    Attributes
-    ----------
-    eta : float
-        Rate; 0.2 in the paper's study.
-    utility_scale : float
-        Unit of V, in cost units.
-    uses_answer : bool
-        False: the rule does not use the answer.
-    feedback : str
-        "never": nor the outcome.
-    """
-
-    eta: float = 0.2
-    utility_scale: float = 1.0
-    uses_answer = False
-    feedback: Feedback = "never"
+    eta: Annotated[Number, Field(ge=0, le=MOST, description="Rate of the trust update; 0.2 in the paper's study.")] = (
+        0.2
+    )
+    utility_scale: Annotated[Number, Field(ge=1 / MOST, le=MOST, description="Unit of V, in cost units.")] = 1.0
+    feedback: Annotated[Literal["never"], Field(description="The outcome does not matter.")] = "never"
+    uses_answer: ClassVar[bool] = False
+    tag: ClassVar[Mapping[str, str]] = {"rule": "paper"}
 
     def update(self, theta: Floats, event: Event) -> Floats:
         """Return theta after the event; equation (7)."""
         return trust(theta, 0.0, event.gain, self.eta, self.utility_scale)
 
 
-@dataclass(frozen=True)
+@declared
 class LogitSteps:
-    """A rule that adds a step to logit(theta), which depends on agreement and on the outcome as the person sees it.
+    """A rule that adds a step to logit(theta), which depends on agreement and on the outcome as the person sees it."""
 
-    Attributes
-    ----------
-    agreement : float
-        Step where the person would have chosen the suggested action anyway, in log-odds.
-    gain, loss : float
-        Step up after a suggestion that the person followed and saw to be right, and step down after one that they
-        followed and saw to be wrong, in log-odds; 0 or more.
-    at_agreement : bool
-        Whether these steps are also taken at agreement, in place of `agreement`.
-    feedback : "perceived", "true" or "never"
-        As in `TrustRule`.
-    """
+    agreement: Annotated[
+        Number,
+        Field(
+            ge=-MOST,
+            le=MOST,
+            description="Step where the person would have chosen the suggested action anyway, in log-odds.",
+        ),
+    ] = 0.0
+    gain: Annotated[
+        Number,
+        Field(
+            ge=0,
+            le=MOST,
+            description="Step up after a suggestion that the person followed and saw to be right, in log-odds.",
+        ),
+    ] = 0.0
+    loss: Annotated[
+        Number,
+        Field(
+            ge=0,
+            le=MOST,
+            description="Step down after a suggestion that the person followed and saw to be wrong, in log-odds.",
+        ),
+    ] = 0.0
+    at_agreement: Annotated[
+        Truth, Field(description="Whether these two steps are also taken at agreement, in place of `agreement`.")
+    ] = False
+    feedback: Annotated[Feedback, Field(description=OF_FEEDBACK)] = "perceived"
 
-    agreement: float = 0.0
-    gain: float = 0.0
-    loss: float = 0.0
-    at_agreement: bool = False
-    feedback: Feedback = "perceived"
-
-    def __post_init__(self) -> None:
-        for name in ("agreement", "gain", "loss"):
-            object.__setattr__(self, name, number(name, getattr(self, name)))
-            if not abs(getattr(self, name)) <= MOST:
-                raise ValueError(f"{name} {getattr(self, name):g}: expected a step of at most {MOST:g} log-odds")
-        if min(self.gain, self.loss) < 0:
-            raise ValueError(f"gain {self.gain:g}, loss {self.loss:g}: expected 0 or more")
-        if self.feedback not in get_args(Feedback):
-            raise ValueError(f"feedback '{self.feedback}': expected one of {', '.join(get_args(Feedback))}")
+    @property
+    def tag(self) -> Mapping[str, str]:
+        """The name of the rule of which it is one."""
+        if self.at_agreement:
+            return {"rule": "outcome"}
+        return {"rule": "outcome-at-disagreement" if self.agreement or self.gain or self.loss else "constant"}
 
     @property
     def uses_answer(self) -> bool:
@@ -157,7 +159,7 @@ class LogitSteps:
         return np.where(step == 0, theta, moved)
 
 
-@dataclass(frozen=True)
+@declared
 class Reliability:
     """A rule by which theta is the mean of a beta distribution whose counts are the outcomes that the person has seen.
 
@@ -165,34 +167,25 @@ class Reliability:
 
         n' = (1 - forgetting) n + 1,  theta' = ((1 - forgetting) n theta + [right]) / n'.
 
-    Attributes
-    ----------
-    weight : float
-        Value of n at first: how many outcomes the initial theta is worth.
-    forgetting : float
-        Share of the counts that is forgotten at each outcome, below 1.
-    counts : int
-        Number of outcomes by which n moves; it then stays, so that all later outcomes have the same weight. A robot's
-        problem has a grid of theta for each number from 0 to `counts`.
-    feedback : "perceived", "true" or "never"
-        As in `TrustRule`.
+    A robot's problem has a grid of theta for each number of outcomes from 0 to `counts`.
     """
 
-    weight: float = 20.0
-    forgetting: float = 0.05
-    counts: int = 5
-    feedback: Feedback = "perceived"
+    weight: Annotated[
+        Number,
+        Field(gt=0, le=MOST, description="Value of n at first: how many outcomes the initial theta is worth."),
+    ] = 20.0
+    forgetting: Annotated[
+        Number, Field(ge=0, lt=1, description="Share of the counts that is forgotten at each outcome.")
+    ] = 0.05
+    counts: Annotated[
+        Whole,
+        Field(
+            ge=0, description="Number of outcomes by which n moves; then it stays, and outcomes have the same weight."
+        ),
+    ] = 5
+    feedback: Annotated[Feedback, Field(description=OF_FEEDBACK)] = "perceived"
 
-    def __post_init__(self) -> None:
-        for name in ("weight", "forgetting"):
-            object.__setattr__(self, name, number(name, getattr(self, name)))
-        object.__setattr__(self, "counts", whole("counts", self.counts, 0))
-        if not 0 < self.weight <= MOST:
-            raise ValueError(f"weight {self.weight:g}: expected a number above 0, at most {MOST:g}")
-        if not 0 <= self.forgetting < 1:
-            raise ValueError(f"forgetting {self.forgetting:g}: expected 0 <= forgetting < 1")
-        if self.feedback not in get_args(Feedback):
-            raise ValueError(f"feedback '{self.feedback}': expected one of {', '.join(get_args(Feedback))}")
+    tag: ClassVar[Mapping[str, str]] = {"rule": "reliability"}
 
     @property
     def uses_answer(self) -> bool:
@@ -274,7 +267,9 @@ def outcome_at_disagreement(
     return LogitSteps(agreement, gain, loss, feedback=feedback)
 
 
-RULES: dict[str, Callable[..., TrustRule]] = {
+Shipped: TypeAlias = EquationSeven | LogitSteps | Reliability
+
+RULES: dict[str, Callable[..., Shipped]] = {
     "paper": EquationSeven,
     "constant": constant,
     "outcome": outcome,
@@ -284,9 +279,57 @@ RULES: dict[str, Callable[..., TrustRule]] = {
 """Functions that make the shipped rules, by name."""
 
 
-Shipped: TypeAlias = EquationSeven | LogitSteps | Reliability
-KINDS: dict[str, type[Shipped]] = {"paper": EquationSeven, "reliability": Reliability}
-"""Classes of the shipped rules that are not `LogitSteps`, by name."""
+def plain_rule(rule: TrustRule) -> dict[str, Any]:
+    """Return a shipped rule as plain data, from which `rule_of` makes an equal one.
+
+    Raises
+    ------
+    ValueError
+        The rule is the user's own.
+    """
+    if not isinstance(rule, Shipped):
+        raise ValueError(f"trust {rule!r}: a rule that is not saved; expected one of those shipped")  # noqa: TRY004
+    found: dict[str, Any] = plain(rule)
+    return found
+
+
+def rule_of(given: Mapping[str, Any]) -> Shipped:
+    """Return the rule of a table, whose field `rule` is its name; fields that it lacks are the rule's own.
+
+    Raises
+    ------
+    ValueError
+        There is no such rule, or it has no such field.
+    """
+    name, numbers = given.get("rule"), {key: value for key, value in given.items() if key != "rule"}
+    if name not in RULES:
+        said = "is missing" if name is None else f"'{name}'"
+        right = expected(str(name), RULES) if name else f"expected one of {', '.join(RULES)}"
+        raise DeclarationError(("rule",), None, f"{said}; {right}", f"rule {said}; {right}")
+    return replace(RULES[name](), **numbers)
+
+
+def rule_given(rule: Any) -> str | TrustRule | None:
+    """Return a trust rule, its name or None; a table becomes its rule.
+
+    Raises
+    ------
+    ValueError
+        It is none of these.
+    """
+    if rule is None:
+        return None
+    if isinstance(rule, Mapping):
+        return rule_of(rule)
+    if isinstance(rule, str):
+        if rule not in RULES:
+            raise ValueError(f"'{rule}'; {expected(rule, RULES, ', or a rule')}")
+        return rule
+    for name in ("uses_answer", "feedback", "update"):
+        if not hasattr(rule, name):
+            raise ValueError(f"{rule!r}; expected a name, or an object with uses_answer, feedback and update")
+    found: TrustRule = rule
+    return found
 
 
 def trust_rule(rule: str | TrustRule | None, eta: float, utility_scale: float) -> TrustRule:
@@ -297,80 +340,11 @@ def trust_rule(rule: str | TrustRule | None, eta: float, utility_scale: float) -
     ValueError
         There is no rule of that name, or the object is none.
     """
-    if rule is None:
-        rule = "paper"
-    if isinstance(rule, str):
-        if rule not in RULES:
-            raise ValueError(f"trust '{rule}': expected one of {', '.join(RULES)}, or a rule")
-        return EquationSeven(eta, utility_scale) if rule == "paper" else RULES[rule]()
-    for name in ("uses_answer", "feedback", "update"):
-        if not hasattr(rule, name):
-            raise ValueError(f"trust {rule!r}: expected a name, or an object with uses_answer, feedback and update")
-    return rule
-
-
-def plain_rule(name: str, rule: TrustRule) -> dict[str, Any]:
-    """Return a shipped rule as plain data, from which `rule_of` makes an equal one.
-
-    Raises
-    ------
-    ValueError
-        The rule is the user's own.
-    """
-    if not isinstance(rule, Shipped):
-        raise ValueError(f"trust {rule!r}: a rule that is not saved; expected one of those shipped")  # noqa: TRY004
-    return {"rule": name, **vars(rule)}
-
-
-def rule_of(plain: Mapping[str, Any]) -> Shipped:
-    """Return the rule of `plain_rule`.
-
-    Raises
-    ------
-    ValueError
-        It is no such rule.
-    """
-    name, numbers = plain.get("rule"), {key: value for key, value in plain.items() if key != "rule"}
-    if name not in RULES:
-        raise ValueError(f"trust rule '{name}'; expected one of {', '.join(RULES)}")
-    kind = KINDS.get(name, LogitSteps)
-    try:
-        return kind(**numbers)
-    except TypeError:
-        names = ", ".join(one.name for one in fields(kind))
-        raise ValueError(f"trust rule {name} with {', '.join(numbers)}; expected some of {names}") from None
-
-
-def rule_given(name: str, rule: Any) -> Any:
-    """Return a rule, its name or None; plain data, as `plain_setting` writes them, are converted to the rule.
-
-    Raises
-    ------
-    ValueError
-        No rule has these data. The message begins with `name`.
-    """
-    if not isinstance(rule, Mapping):
-        return rule
-    try:
-        return rule_with(rule)
-    except ValueError as error:
-        raise ValueError(f"{name} {error}") from None
-
-
-def rule_with(numbers: Mapping[str, Any]) -> LogitSteps | Reliability:
-    """Return the rule with these attributes, as `plain_setting` writes them.
-
-    Raises
-    ------
-    ValueError
-        No rule has them.
-    """
-    kinds = (LogitSteps, Reliability)
-    for kind in kinds:
-        if set(numbers) <= {one.name for one in fields(kind)}:
-            return kind(**numbers)
-    names = " or of ".join(", ".join(one.name for one in fields(kind)) for kind in kinds)
-    raise ValueError(f"{dict(numbers)}: expected some of {names}")
+    found = rule_given("paper" if rule is None else rule)
+    if not isinstance(found, str):
+        assert found is not None
+        return found
+    return EquationSeven(eta, utility_scale) if found == "paper" else RULES[found]()
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import field
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
+from ..declare.declared import Number, declared
 from ..people.action_names import words_of
-from ..people.arguments import number
 from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.decision import Floats
 
@@ -52,37 +53,32 @@ class Evidence(NamedTuple):
         return cls(each)
 
 
-@dataclass(frozen=True)
+Share = Annotated[Number, Field(ge=0, lt=1)]
+
+
+@declared
 class ObservationModel:
     """How often the robot misses a person's action, or takes it for another one.
 
-    Attributes
-    ----------
-    miss : float
-        Probability that an action is not seen, in [0, 1).
-    confusion : float, or mapping of str to mapping of str to float
-        Probability that an action that is seen is taken for another one, in [0, 1). A number applies to all actions:
-        the other one is any of those that are applicable, with equal probability. A mapping has, for an action, the
-        probability of each action that is seen in its place; actions are in PDDL notation.
-
-    Raises
-    ------
-    ValueError
-        A probability is out of its range.
+    A number as `confusion` applies to all actions: the other one is any of those that are applicable, with equal
+    probability. A mapping has, for an action, the probability of each action that is seen in its place; actions are in
+    PDDL notation.
     """
 
-    miss: float = 0.0
-    confusion: float | Table = field(default=0.0, hash=False)
+    miss: Annotated[Share, Field(description="Probability that an action is not seen.")] = 0.0
+    confusion: Annotated[
+        Share | dict[str, dict[str, Share]],
+        Field(description="Probability that an action that is seen is taken for another one, or a table of such."),
+    ] = field(default=0.0, hash=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "miss", _share("miss", self.miss))
         if not isinstance(self.confusion, Mapping):
-            object.__setattr__(self, "confusion", _share("confusion", self.confusion))
             return
         rows: dict[str, Mapping[str, float]] = {}
         for action, row in self.confusion.items():
-            others = {_plain(seen): _share(f"confusion of {action}", p) for seen, p in row.items()}
-            _share(f"confusion of {action}: sum", _total(others))
+            others = {_plain(seen): p for seen, p in row.items()}
+            if not _total(others) < 1:
+                raise ValueError(f"confusion of {action}: sum {_total(others):g}: expected a number below 1")
             if _plain(action) in others:
                 raise ValueError(f"confusion of {action}: expected other actions only, and it is one of them")
             rows[_plain(action)] = others
@@ -94,13 +90,6 @@ class ObservationModel:
         table = self.confusion
         confused = any(map(_total, table.values())) if isinstance(table, Mapping) else table
         return not (self.miss or confused)
-
-    def as_dict(self) -> dict[str, object]:
-        """Return the fields as plain data, from which `ObservationModel` makes an equal one."""
-        table: Any = self.confusion
-        if isinstance(table, Mapping):
-            table = {action: dict(row) for action, row in table.items()}
-        return {"miss": self.miss, "confusion": table}
 
     def evidence(self, choices: Choices, seen: int | None) -> Evidence:
         """Return the likelihood of each action of a task after an action was seen, or nothing (None)."""
@@ -141,21 +130,6 @@ class ObservationModel:
         return int(choices.actions[x, other + (other >= slot)])
 
 
-def observation_given(seen: Any) -> ObservationModel | None:
-    """Return an observation model, or None if it makes no errors; plain data are converted to the model.
-
-    Raises
-    ------
-    ValueError
-        It is no such model.
-    """
-    if isinstance(seen, Mapping):
-        seen = ObservationModel(**seen)
-    elif not isinstance(seen, ObservationModel | None):
-        raise ValueError(f"observation {seen!r}: expected an ObservationModel")  # noqa: TRY004
-    return None if seen is None or seen.is_perfect else seen
-
-
 def _numbers(choices: Choices, table: Table) -> dict[str, int]:
     """Return the ground action of each name, after checking that the table's names are among them."""
     numbers = {STAND_STILL: WAIT}
@@ -173,10 +147,3 @@ def _total(row: Mapping[str, float]) -> float:
 
 def _plain(action: str) -> str:
     return f"({' '.join(words_of(action))})"
-
-
-def _share(name: str, value: float) -> float:
-    share = number(name, value)
-    if not 0 <= share < 1:
-        raise ValueError(f"{name} {share:g}: expected 0 <= {name} < 1")
-    return share

@@ -9,61 +9,58 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from msgspec import Struct
+from pydantic import Field
 
-from assist.texts.typed_toml import (
-    AnyTable,
-    Number,
-    Pair,
-    Seed,
-    Tables,
-    Text,
-    Texts,
-    Truth,
-    Whole,
-    Wholes,
-    convert,
-    fault,
-    given,
-    label,
-    load,
-    located,
-    shown,
-)
 from planner import Instance, InstanceError, find_instances
 from planner.pddl import bundled
 from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
 
+from ..declare.declared import (
+    AnyTable,
+    Count,
+    Counts,
+    Expected,
+    Number,
+    Range,
+    Seed,
+    Text,
+    Texts,
+    Truth,
+    declared,
+    shown,
+)
+from ..declare.tables import convert, fault, label, load, located, replaced
 from ..learning import population as populations
 from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..people.terms import TERMS
 from ..people.user_code import UserChoiceModel, UserCodeError, parse
 from ..team.policy_names import POLICIES
-from ..team.setting_table import SettingTable
 from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study
 
 PROTOCOLS = Path(__file__).parent / "protocols"
 
 
-class ConditionTable(Struct, forbid_unknown_fields=True):
+@declared
+class ConditionTable:
     """A table of `conditions`. Missing fields have the study's values."""
 
     name: Text
     populations: Texts | None = None
     instances: Texts | None = None
     policies: Texts | None = None
-    humans: Wholes | None = None
-    settings: Tables | None = None
+    humans: Counts | None = None
+    settings: Annotated[tuple[AnyTable, ...], Field(min_length=1), Expected("one table or more")] | None = None
     priors: Texts = (OWN,)
-    repeats: Whole | None = None
+    repeats: Count | None = None
 
 
-class ContrastTable(Struct, forbid_unknown_fields=True):
+@declared
+class ContrastTable:
     """A table of `contrasts`."""
 
     name: Text
@@ -71,54 +68,58 @@ class ContrastTable(Struct, forbid_unknown_fields=True):
     to: Texts
 
 
-class InterventionsTable(Struct, forbid_unknown_fields=True):
+@declared
+class InterventionsTable:
     """A table of `reference.interventions`."""
 
     populations: Texts
     mean: Number
 
 
-class ReferenceTable(Struct, forbid_unknown_fields=True):
+@declared
+class ReferenceTable:
     """The table `reference`."""
 
     source: Text
     name: Text = "the reference"
-    headline: AnyTable = {}
-    interventions: list[InterventionsTable] = []
+    headline: AnyTable = field(default_factory=dict)
+    interventions: tuple[InterventionsTable, ...] = ()
     declines: Truth = False
     contrasts: Texts | None = None
 
 
-class PopulationTable(Struct, forbid_unknown_fields=True):
+@declared
+class PopulationTable:
     """A table of `populations`: ranges of parameters, or a file."""
 
-    beta: Pair | None = None
-    theta: Pair | None = None
-    sigma: Pair | None = None
+    beta: Range | None = None
+    theta: Range | None = None
+    sigma: Range | None = None
     noise: Text | None = None
-    weights: dict[str, Pair] = {}
+    weights: dict[str, Range] = field(default_factory=dict)
     people: Text | None = None
     file: Text | None = None
     advice_takers: Truth = False
 
 
-class StudyTable(Struct, forbid_unknown_fields=True):
+@declared
+class StudyTable:
     """The whole file."""
 
     instances: Texts
     title: Text | None = None
     seed: Seed = 0
-    repeats: Whole = 50
-    pool: Whole = 12
-    draws: Whole = 6
-    trials: Whole = 5
-    humans: Wholes = (1, 2, 3, 4, 5, 6)
+    repeats: Count = 50
+    pool: Count = 12
+    draws: Count = 6
+    trials: Count = 5
+    humans: Counts = (1, 2, 3, 4, 5, 6)
     policies: Texts = ("none", "reactive", "attention")
     focus: Text | None = None
-    setting: AnyTable = {}
-    populations: dict[str, AnyTable] = {}
-    conditions: list[ConditionTable] | None = None
-    contrasts: list[ContrastTable] = []
+    setting: AnyTable = field(default_factory=dict)
+    populations: dict[str, AnyTable] = field(default_factory=dict)
+    conditions: tuple[ConditionTable, ...] | None = None
+    contrasts: tuple[ContrastTable, ...] = ()
     reference: ReferenceTable | None = None
 
 
@@ -179,7 +180,7 @@ class Reader:
         policies = self._policies("policies", table.policies)
         setting = self._setting("setting", table.setting, Setting())
         names = tuple(label for label, _ in instances)
-        tables = [ConditionTable("team size")] if table.conditions is None else table.conditions
+        tables = (ConditionTable("team size"),) if table.conditions is None else table.conditions
         if not tables:
             raise fault(self.file, "conditions", "[]; expected one table or more")
         conditions = [
@@ -315,11 +316,7 @@ class Reader:
 
     def _setting(self, place: str, content: dict[str, Any], base: Setting) -> Setting:
         """Return a setting that replaces the given fields of `base`."""
-        table = convert(content, SettingTable, self.file, place)
-        try:
-            return replace(base, **given(table))
-        except ValueError as error:
-            raise fault(self.file, place, str(error)) from None
+        return replaced(base, content, self.file, place)
 
     def _reference(
         self, people: dict[str, Population | Mixture], contrasts: tuple[Contrast, ...], first: Condition

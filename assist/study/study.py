@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from planner import Instance
 
+from ..declare.declared import plain
 from ..people.human import Population
 from ..people.mixture import Mixture
 from ..people.user_code import UserChoiceModel
-from ..team.plain_setting import plain_setting
 from ..team.settings import Setting
 
 SCHEMA = 1
@@ -244,10 +244,10 @@ class Study:
         return json.loads(json.dumps(self._plain(), default=str))
 
     def _plain(self) -> dict[str, Any]:
-        plain = asdict(self) | {"populations": [(name, people.as_dict()) for name, people in self.populations]}
-        for condition, own in zip(plain["conditions"], self.conditions, strict=True):
-            condition["settings"] = tuple((label, plain_setting(setting)) for label, setting in own.settings)
-        return plain
+        found = asdict(self) | {"populations": [(name, people.as_dict()) for name, people in self.populations]}
+        for condition, own in zip(found["conditions"], self.conditions, strict=True):
+            condition["settings"] = tuple((label, plain(setting)) for label, setting in own.settings)
+        return found
 
     def seed_of(self, repeat: int) -> int:
         """Return the random seed of a repeat."""

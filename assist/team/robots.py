@@ -13,83 +13,47 @@ room for another one leaves for free, as in people's problems, and comes back at
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planner.system.arrays import frozen
-from planner.system.errors import expected
 
-from ..people.arguments import MOST, whole, within
+from ..declare.declared import MOST, Number, Truth, Usual, declared
 from ..people.decision import Floats
 
 SUGGESTION, EXECUTION = 0, 1
 """The two classes of robot actions, which cost differently."""
 
 
-@dataclass(frozen=True)
-class Robot:
-    """One robot of a team. Where a field is None, the robot has the value of the setting.
+@declared
+class OfRobots:
+    """What robots can do and what it costs; a `Setting` has these fields for robots that do not say otherwise."""
 
-    Attributes
-    ----------
-    execute : bool, optional
-        Whether the robot can also execute an action itself.
-    c_suggest, c_execute, c_move : float, optional
-        Costs of a suggestion, of an action that the robot executes, and of moving by a distance of 1, in cost units.
-    travel_time : float, optional
-        Steps for moving by a distance of 1.
-
-    Raises
-    ------
-    ValueError
-        A value is out of its range.
-    """
-
-    execute: bool | None = None
-    c_suggest: float | None = None
-    c_execute: float | None = None
-    c_move: float | None = None
-    travel_time: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, value in self.as_dict().items():
-            if name == "execute":
-                if not isinstance(value, bool | np.bool_):
-                    raise ValueError(f"execute {value!r}: expected True or False")
-                object.__setattr__(self, name, bool(value))
-            else:
-                object.__setattr__(self, name, within(name, value, 0, MOST))
-
-    @classmethod
-    def of(cls, plain: Robot | Mapping[str, Any]) -> Robot:
-        """Return the robot that `as_dict` converted to plain data; a robot is returned unchanged.
-
-        Raises
-        ------
-        ValueError
-            It has unknown fields, or is no robot.
-        """
-        if isinstance(plain, Robot):
-            return plain
-        if not isinstance(plain, Mapping):
-            raise ValueError(f"{plain!r}; expected a Robot")  # noqa: TRY004
-        known = [one.name for one in fields(cls)]
-        for name in plain:
-            if name not in known:
-                raise ValueError(f"{name!r} is unknown; {expected(str(name), known)}")
-        return cls(**plain)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields that are given, as plain data."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+    execute: Annotated[Truth, Field(description="Whether the robot can also execute an action itself.")] = False
+    c_suggest: Annotated[Number, Usual(), Field(ge=0, le=MOST, description="Cost of a suggestion, in cost units.")] = (
+        1.0
+    )
+    c_execute: Annotated[
+        Number, Field(ge=0, le=MOST, description="Cost of an action that the robot executes, in cost units.")
+    ] = 1.0
+    c_move: Annotated[
+        Number, Usual(), Field(ge=0, le=MOST, description="Cost of moving by a distance of 1, in cost units.")
+    ] = 0.5
+    travel_time: Annotated[Number, Field(ge=0, le=MOST, description="Steps for moving by a distance of 1.")] = 0.0
 
 
-USUAL = Robot(execute=False, c_suggest=1.0, c_execute=1.0, c_move=0.5, travel_time=0.0)
+@declared(partial=True)
+class Robot(OfRobots):
+    """One robot of a team. Where a field is None, the robot has the value of the setting."""
+
+
+USUAL = OfRobots()
 """A robot of a setting that says nothing else."""
 
 
@@ -105,7 +69,7 @@ class Fleet:
     robots: tuple[Robot, ...]
 
     @classmethod
-    def of(cls, robots: Sequence[Robot], usual: Any = USUAL) -> Fleet:
+    def of(cls, robots: Sequence[Robot], usual: OfRobots = USUAL) -> Fleet:
         """Return robots with the values of `usual`, such as a `Setting`, in the fields that are None."""
         return cls(tuple(
             replace(robot, **{name: getattr(usual, name) for name, value in vars(robot).items() if value is None})
@@ -159,24 +123,3 @@ class Fleet:
     def extra_of(self, robot: NDArray[np.int64], executes: NDArray[np.bool_]) -> Floats:
         """Return the extra costs of actions of robots, given by their numbers from 0; others are suggestions."""
         return np.where(executes, self.extra[robot, EXECUTION], self.extra[robot, SUGGESTION])
-
-
-def robots_of(robots: Any) -> tuple[Robot, ...]:
-    """Return the robots of a team, given as a sequence, or by their number if nothing more is to be said of them.
-
-    Raises
-    ------
-    ValueError
-        It is neither a number from 1 upwards nor a sequence of robots.
-    """
-    if not isinstance(robots, Sequence) or isinstance(robots, str):
-        return (Robot(),) * whole("robots", robots, 1)
-    if not robots:
-        raise ValueError("robots []: expected one or more")
-    each = []
-    for m, robot in enumerate(robots, start=1):
-        try:
-            each.append(Robot.of(robot))
-        except ValueError as error:
-            raise ValueError(f"robot {m}: {error}") from None
-    return tuple(each)

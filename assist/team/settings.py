@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Annotated, Any, Literal
 
 from numpy.typing import ArrayLike
+from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
+from pydantic_core import PydanticCustomError
 
-from ..people.arguments import MOST, number, one_of, whole, within
+from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of
+from ..people.arguments import whole
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
@@ -16,62 +19,35 @@ from ..people.human import Human, HumanModel, Population
 from ..people.mixture import Mixture
 from ..people.trust_rules import TrustRule, rule_given, trust_rule
 from ..person.leaf_bounds import LeafBounds
-from ..person.observation_model import ObservationModel, observation_given
+from ..person.observation_model import ObservationModel
 from ..person.pomdp import AssistPOMDP, Suggestions
-from .robots import Fleet, Robot, robots_of
+from .robots import Fleet, OfRobots, Robot
 from .travel import Travel
 
 Knowledge = Literal["own", "exact"]
 
-RULES_OF = ("trust", "believed_trust")
-"""Fields of a setting that are trust rules: of people, and of the robot's model of them."""
+
+def _robots(given: Any) -> Any:
+    """Return as many robots as a number says; anything else as it is."""
+    if isinstance(given, list | tuple):
+        return given
+    try:
+        return (Robot(),) * whole("robots", given, 1)
+    except ValueError:
+        raise PydanticCustomError("kind", "a number of robots") from None
 
 
-@dataclass(frozen=True)
-class Setting:
-    """The parameters of a simulation.
+def _observed(given: ObservationModel | None) -> ObservationModel | None:
+    """Return an observation model, or None if it makes no errors."""
+    return None if given is None or given.is_perfect else given
 
-    Attributes
-    ----------
-    gamma : float
-        Discount factor per step, in (0, 1).
-    c_suggest, c_move : float
-        Costs of a suggestion, and of moving by a distance of 1, in cost units.
-    travel_time : float
-        Steps for moving by a distance of 1.
-    eta : float
-        Rate of the trust update (equation 7).
-    utility_scale : float
-        Unit of value in the trust update, in cost units.
-    lapse : float
-        Probability of a uniform choice in the robot's model of people.
-    knowledge : "own" or "exact"
-        Whether the robot knows each person's perceived costs (as in the paper), or only h*.
-    suggestions : "optimal" or "all"
-        Whether the robot suggests optimal actions only, or any applicable action.
-    execute : bool
-        Whether the robot can also execute an action itself.
-    c_execute : float
-        Cost of an action executed by the robot, in cost units.
-    max_steps : int
-        Largest number of steps of an episode.
-    robots : sequence of Robot, or int
-        The M robots of a team. What a robot does not say, as everything if only their number is given, is as in this
-        setting. All begin at the base.
-    trust : str or TrustRule, optional
-        How theta moves, for people and in the robot's model of them: "paper" (equation 7 with `eta` and
-        `utility_scale`), "constant", "outcome", "outcome-at-disagreement", "reliability", or a rule. Unless given
-        it is the paper's for simulated people, and constant for real people (`live`), as data of real people support.
-    believed_trust : str or TrustRule, optional
-        How the robot believes that theta moves; the rule of `trust` unless given. Bounds hold for the robot's model.
-    c_ask : float, optional
-        Cost of asking a person who pursues one of several goals "is it this one?", in cost units; a live robot also
-        asks "what did you do last?" after uncertain actions. Unless given, the robot does not ask.
-    ask_error : float
-        Probability that the answer about a goal is wrong.
-    observation : ObservationModel, optional
-        How reliably the robot sees people's actions; every action as it is, by default. Otherwise the robot may suggest
-        any applicable action, as with `suggestions="all"`, since it may mistake the state of a task.
+
+Rule = Annotated[str | TrustRule | None, PlainValidator(rule_given)]
+
+
+@declared
+class Setting(OfRobots):
+    """The parameters of a simulation or of a live team: costs, time, trust, the robots and what they know.
 
     Raises
     ------
@@ -79,54 +55,70 @@ class Setting:
         A parameter is out of its range.
     """
 
-    gamma: float = 0.99
-    c_suggest: float = 1.0
-    c_move: float = 0.5
-    travel_time: float = 0.0
-    eta: float = 0.2
-    utility_scale: float = 1.0
-    lapse: float = 1e-3
-    knowledge: Knowledge = "own"
-    suggestions: Suggestions = "optimal"
-    execute: bool = False
-    c_execute: float = 1.0
-    max_steps: int = 500
-    trust: str | TrustRule | None = None
-    believed_trust: str | TrustRule | None = None
-    robots: tuple[Robot, ...] = (Robot(),)
-    observation: ObservationModel | None = None
-    c_ask: float | None = None
-    ask_error: float = 0.0
+    gamma: Annotated[Number, Field(gt=0, lt=1, description="Discount factor per step.")] = 0.99
+    eta: Annotated[Number, Field(ge=0, le=MOST, description="Rate of the trust update (equation 7).")] = 0.2
+    utility_scale: Annotated[
+        Number,
+        Field(ge=1 / MOST, le=MOST, description="Unit of value in the trust update, in cost units."),
+    ] = 1.0
+    lapse: Annotated[
+        Number, Field(ge=0, lt=1, description="Probability of a uniform choice in the robot's model of people.")
+    ] = 1e-3
+    knowledge: Annotated[
+        Knowledge,
+        Field(description="Whether the robot knows each person's own perceived costs, or the exact costs only."),
+    ] = "own"
+    suggestions: Annotated[
+        Suggestions, Field(description="Whether the robot suggests optimal actions only, or any applicable action.")
+    ] = "optimal"
+    max_steps: Annotated[Whole, Field(ge=1, description="Steps after which an episode is cut off.")] = 500
+    trust: Annotated[
+        Rule,
+        Usual(),
+        Expected('the name of a trust rule, or a table such as {rule = "outcome", gain = 0.1}'),
+        Field(
+            description="How influence (theta) moves: a rule or its name; unless given, by equation 7 for simulated "
+            "people, and not at all for real ones, as data of real people support."
+        ),
+    ] = None
+    believed_trust: Annotated[
+        Rule,
+        Expected('the name of a trust rule, or a table such as {rule = "outcome", gain = 0.1}'),
+        Field(description="How the robot believes that theta moves; the rule of `trust` unless given."),
+    ] = None
+    robots: Annotated[
+        tuple[Robot, ...],
+        BeforeValidator(_robots),
+        Usual("M"),
+        Expected("a number of robots, or a list of one table or more"),
+        Field(
+            min_length=1,
+            description="The robots: their number, or a table for each with what differs from the setting.",
+        ),
+    ] = (Robot(),)
+    observation: Annotated[
+        ObservationModel | None,
+        AfterValidator(_observed),
+        Field(description="How reliably the robot sees people's actions; every action as it is unless given."),
+    ] = None
+    c_ask: Annotated[
+        Number | None,
+        Field(
+            ge=0,
+            le=MOST,
+            description="Cost of asking a person for the goal or, live, the last action; unless given, none is asked.",
+        ),
+    ] = None
+    ask_error: Annotated[
+        Number, Field(ge=0, lt=0.5, description="Probability that the answer about a goal is wrong.")
+    ] = 0.0
 
     def __post_init__(self) -> None:
-        usual = Robot(self.execute, self.c_suggest, self.c_execute, self.c_move, self.travel_time)
-        for name, value in vars(usual).items():
-            object.__setattr__(self, name, value)
-        for name in ("gamma", "lapse", "ask_error"):
-            object.__setattr__(self, name, number(name, getattr(self, name)))
-        for name in ("eta", *(() if self.c_ask is None else ("c_ask",))):
-            object.__setattr__(self, name, within(name, getattr(self, name), 0, MOST))
-        object.__setattr__(self, "utility_scale", within("utility_scale", self.utility_scale, 1 / MOST, MOST))
-        if not 0 < self.gamma < 1:
-            raise ValueError(f"gamma {self.gamma:g}: expected 0 < gamma < 1")
-        if not 0 <= self.lapse < 1:
-            raise ValueError(f"lapse {self.lapse:g}: expected 0 <= lapse < 1")
-        if not 0 <= self.ask_error < 1 / 2:
-            raise ValueError(f"ask_error {self.ask_error:g}: expected 0 <= ask_error < 0.5")
-        one_of("knowledge", self.knowledge, get_args(Knowledge))
-        one_of("suggestions", self.suggestions, get_args(Suggestions))
-        object.__setattr__(self, "max_steps", whole("max_steps", self.max_steps, 1))
-        object.__setattr__(self, "robots", robots_of(self.robots))
-        object.__setattr__(self, "observation", observation_given(self.observation))
         for m, robot in enumerate(self.fleet.robots, start=1):
             if self.observation is not None and robot.execute:
                 who = f"robot {m}: " * (self.robots[m - 1].execute is not None)
                 raise ValueError(f"{who}execute: expected actions that are all seen as they are")
-        for name in RULES_OF:
-            object.__setattr__(self, name, rule_given(name, getattr(self, name)))
         self.travel(1)  # raises an error for impossible travel
-        self.trust_rule()  # raises an error for an unknown rule
-        self.believed_rule()
 
     @cached_property
     def fleet(self) -> Fleet:
@@ -171,14 +163,13 @@ class Setting:
 
     def require_effect(self) -> None:
         """Raise an error if a cost or a rate was changed that has no effect together with the other parameters."""
-        usual = {field.name: field.default for field in fields(self)}
         without = {"c_execute": not self.fleet.executes and "robots that execute"}
         by_equation_seven = self.trust in (None, "paper") or self.believed_trust == "paper"
         without |= dict.fromkeys(("eta", "utility_scale"), not by_equation_seven and "trust 'paper'")
         for name, what in without.items():
-            value = getattr(self, name)
-            if what and value != usual[name]:
-                raise ValueError(f"{name} {value:g} has no effect without {what}; expected {usual[name]:g}")
+            value, usual = getattr(self, name), default_of(Setting, name)
+            if what and value != usual:
+                raise ValueError(f"{name} {value:g} has no effect without {what}; expected {usual:g}")
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Return the travel between `places` people; `distance` as in `Travel.of`."""

@@ -6,62 +6,49 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from dataclasses import field
 from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct
+from pydantic import Field, Strict
 
-from assist.texts.typed_toml import (
-    AnyTable,
-    Number,
-    Pair,
-    Seed,
-    Text,
-    Texts,
-    Truth,
-    Whole,
-    convert,
-    fault,
-    given,
-    load,
-    located,
-)
 from planner import Instance, InstanceError, find_instances
 from planner.pddl import bundled
-from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
 
+from ..declare.declared import AnyTable, Count, Expected, Number, Range, Seed, Text, Texts, Truth, Whole, declared
+from ..declare.tables import convert, fault, load, located, replaced
 from ..people.human import Population
 from ..people.mixture import Mixture, advice_takers
 from ..people.user_code import parse
 from ..team.policy_names import POLICIES
-from ..team.setting_table import SettingTable
 from ..team.settings import Setting
 from ..texts.catalogue import FIRST, Catalogue, catalogue
 from .plan import BETWEEN, OUTCOMES, WITHIN, Condition, Grouping, UserStudy
 from .questionnaire_file import QuestionnaireTable, questionnaires_of
 from .questionnaires import BEFORE, END, Questionnaire
 
-Minutes = Annotated[float, Meta(gt=0, le=10_000, description="a number of minutes above 0")]
+Minutes = Annotated[Number, Field(gt=0, le=10_000), Expected("a number of minutes above 0")]
 # More simulated people would keep the robot away from the participant.
-Mates = Annotated[int, Meta(ge=0, le=20, description="a whole number from 0 to 20")]
-Members = Annotated[int, Meta(ge=2, le=20, description="a whole number from 2 to 20")]
-Day = Annotated[date, Meta(description="a date such as 2027-03-31")]
+Mates = Annotated[Whole, Field(ge=0, le=20), Expected("a whole number from 0 to 20")]
+Members = Annotated[Whole, Field(ge=2, le=20), Expected("a whole number from 2 to 20")]
+Day = Annotated[date, Strict(), Expected("a date such as 2027-03-31")]
 
 
-class ConditionTable(Struct, forbid_unknown_fields=True):
+@declared
+class ConditionTable:
     """A table of `conditions`."""
 
     name: Text
     policy: Text
-    setting: AnyTable = {}
+    setting: AnyTable = field(default_factory=dict)
     reasons: Truth | None = None
 
 
-class GroupTable(Struct, forbid_unknown_fields=True, frozen=True):
+@declared
+class GroupTable:
     """The table `group`."""
 
     size: Members
@@ -69,19 +56,21 @@ class GroupTable(Struct, forbid_unknown_fields=True, frozen=True):
     then: Text = "end"
 
 
-class PopulationTable(Struct, forbid_unknown_fields=True, frozen=True):
+@declared
+class PopulationTable:
     """The table `population`."""
 
-    beta: Pair | None = None
-    theta: Pair | None = None
-    sigma: Pair | None = None
+    beta: Range | None = None
+    theta: Range | None = None
+    sigma: Range | None = None
 
 
-class FileTable(Struct, forbid_unknown_fields=True):
+@declared
+class FileTable:
     """The whole file."""
 
     tasks: Texts
-    conditions: list[ConditionTable]
+    conditions: tuple[ConditionTable, ...]
     consent: Text
     instructions: Text
     language: Text = FIRST
@@ -90,25 +79,25 @@ class FileTable(Struct, forbid_unknown_fields=True):
     practice: Text | None = None
     design: Text = BETWEEN
     reference: Text | None = None
-    participants: Whole | None = None
+    participants: Count | None = None
     simulated: Mates | None = None
     again: Truth = True
     reasons: Truth = False
     cost_to_go: Truth = False
-    per_address: Whole | None = None
+    per_address: Count | None = None
     replace: Truth = False
     away: Minutes = 10.0
     minutes: Minutes | None = None
     tick: Number = 2.0
     code: Text | None = None
     withdraw_until: Day | None = None
-    exclude_failed_checks: Whole | None = None
+    exclude_failed_checks: Count | None = None
     confirmatory: Texts | None = None
     seed: Seed = 0
-    setting: AnyTable = {}
+    setting: AnyTable = field(default_factory=dict)
     population: PopulationTable = PopulationTable()
     group: GroupTable | None = None
-    questionnaires: list[QuestionnaireTable] = []
+    questionnaires: tuple[QuestionnaireTable, ...] = ()
 
 
 def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
@@ -208,7 +197,7 @@ def _confirmatory(file: Path, table: FileTable, questionnaires: tuple[Questionna
     return tuple(names)
 
 
-def _conditions(file: Path, tables: list[ConditionTable], carried_out: bool) -> list[str]:
+def _conditions(file: Path, tables: tuple[ConditionTable, ...], carried_out: bool) -> list[str]:
     if not tables:
         raise fault(file, "conditions", "[]; expected one table or more")
     names: list[str] = []
@@ -242,12 +231,7 @@ def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instan
 
 
 def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Setting:
-    try:
-        setting = replace(Setting(), **given(convert(content, SettingTable, file, place))).for_real_people()
-    except ValueError as error:
-        if isinstance(error, InputFileError):
-            raise
-        raise fault(file, place, str(error)) from None
+    setting = replaced(Setting(), content, file, place).for_real_people()
     if setting.travel_time:
         message = f"{setting.travel_time:g}; expected 0, since the robot of a user study does not move"
         raise fault(file, f"{place}.travel_time", message)

@@ -12,11 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct
+from pydantic import Field
 
-from assist.texts.typed_toml import Number, Text, Texts, Truth, fault, shown
 from planner.system.errors import expected as meant
 
+from ..declare.declared import Expected, Number, Text, Texts, Truth, Whole, declared, shown
+from ..declare.tables import fault
 from ..texts.catalogue import Catalogue
 from .questionnaires import (
     AFTER,
@@ -35,8 +36,8 @@ from .questionnaires import (
     forms,
 )
 
-Points = Annotated[int, Meta(ge=2, le=11, description="a whole number from 2 to 11")]
-Correct = Annotated[int | float | str, Meta(description="an answer: a number or an option")]
+Points = Annotated[Whole, Field(ge=2, le=11), Expected("a whole number from 2 to 11")]
+Correct = Annotated[Whole | Number | Text, Expected("an answer: a number or an option")]
 NAME = re.compile(r"[A-Za-z][\w-]{0,40}")
 SCALE, LIMITS = {"low", "high"}, {"min", "max", "step"}
 KEYS = {
@@ -46,7 +47,8 @@ KEYS = {
 """Keys of the forms of items, in addition to those of all forms."""
 
 
-class _Form(Struct, forbid_unknown_fields=True, kw_only=True):
+@declared(kw_only=True)
+class _Form:
     """Keys that an item may have, and that a questionnaire may have as defaults for its items."""
 
     required: Truth | None = None
@@ -60,7 +62,8 @@ class _Form(Struct, forbid_unknown_fields=True, kw_only=True):
     options: Texts | None = None
 
 
-class ItemTable(_Form, forbid_unknown_fields=True, kw_only=True):
+@declared(kw_only=True)
+class ItemTable(_Form):
     """A table of a questionnaire's `items`."""
 
     name: Text
@@ -71,28 +74,29 @@ class ItemTable(_Form, forbid_unknown_fields=True, kw_only=True):
     conditions: Texts | None = None
 
 
-class QuestionnaireTable(_Form, forbid_unknown_fields=True, kw_only=True):
+@declared(kw_only=True)
+class QuestionnaireTable(_Form):
     """A table of `questionnaires`."""
 
     form: Text
     name: Text | None = None
     title: Text | None = None
     introduction: Text | None = None
-    items: list[ItemTable] | None = None
+    items: tuple[ItemTable, ...] | None = None
     shuffle: Truth = False
     when: Text = AFTER
     conditions: Texts | None = None
 
 
 def questionnaires_of(
-    file: Path, tables: list[QuestionnaireTable], conditions: list[str], texts: Catalogue, *, within: bool
+    file: Path, tables: tuple[QuestionnaireTable, ...], conditions: list[str], texts: Catalogue, *, within: bool
 ) -> tuple[Questionnaire, ...]:
     """Return the questionnaires of a study's file.
 
     Parameters
     ----------
     file : Path
-    tables : list of QuestionnaireTable
+    tables : tuple of QuestionnaireTable
     conditions : list of str
         Names of the study's conditions.
     texts : Catalogue

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from teams import equal
 
 from assist.certify import upper_bound
+from assist.declare.declared import plain
 from assist.learning import Log, infer_goals
 from assist.live import Assistant, Session
 from assist.people import Goals, HumanModel, Population
@@ -26,7 +27,6 @@ from assist.person.beliefs import Seen
 from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team import Setting
-from assist.team.plain_setting import plain_setting
 from assist.team.questions import Questions, benefit, likelihood_of
 from planner import LimitError, Table, sweep, sweep_goals
 from planner.system.errors import ResultsExistError
@@ -434,7 +434,7 @@ def test_questions_are_asked_where_they_are_worth_their_cost() -> None:
     assert found[0.01].questions.mean() > 0.5
     np.testing.assert_array_equal(found[None].discounted_return, found[100.0].discounted_return)
     assert found[0.01].discounted_return.mean() > found[None].discounted_return.mean()
-    assert Setting(**plain_setting(setting)) == setting
+    assert Setting(**plain(setting)) == setting
     with pytest.raises(ValueError, match=r"ask_error 0\.7: expected 0 <= ask_error < 0.5"):
         Setting(c_ask=1, ask_error=0.7)
 

@@ -54,11 +54,11 @@ class Robots(click.ParamType):  # type: ignore[type-arg]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Robot, ...]:
         """Return the robots; a configuration file has given their number or their tables."""
-        from ...team.robots import robots_of
+        from ...team.settings import Setting
 
         try:
             found = tomllib.loads(f"robots = {value}")["robots"] if isinstance(value, str) else value
-            return robots_of(found)
+            return Setting(robots=found).robots
         except tomllib.TOMLDecodeError:
             self.fail(
                 f"{value}: expected a number, or a list such as [{{c_suggest = 0.2}}, {{c_move = 2}}]", param, ctx

@@ -9,18 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from glob import glob
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import click
 from click.core import ParameterSource
 
-from planner.system.errors import InputFileError, MissingExtraError
+from planner.system.errors import InputFileError
 
 from ...people.user_code import parse
 from .common import INPUT_FILE, ROBOTS, Option
-
-if TYPE_CHECKING:
-    from msgspec import Struct
 
 ENVIRONMENT = "KITASSIST_"
 
@@ -63,19 +60,16 @@ def read_config(file: Path, options: Sequence[click.Parameter], tables: Sequence
     ------
     click.UsageError
         The file cannot be read, or a value is unknown or faulty.
-    MissingExtraError
-        The library for typed tables is not installed.
     """
-    try:
-        from assist.texts import typed_toml
-    except ImportError as error:
-        raise MissingExtraError("a configuration file needs", str(error.name), "web") from None
+    from ...declare import tables as toml
+
     known = {_name(option): option for option in options if option.name != "config"}
     try:
-        with typed_toml.located(file):
-            found = typed_toml.given(typed_toml.convert(typed_toml.load(file), _kinds(known, tables), file))
+        with toml.located(file):
+            table = toml.convert(toml.load(file), _kinds(known, tables), file)
     except InputFileError as error:
         raise click.UsageError(str(error)) from None
+    found = {name: value for name, value in vars(table).items() if value is not None}
     values: dict[str, Any] = {name: dict(found[name]) for name in tables if name in found}
     for name, option in known.items():
         if name in found:
@@ -134,47 +128,36 @@ BESIDE: dict[str, Callable[[Path, str], str]] = {
 """Options whose texts may be paths, and how these begin in a folder."""
 
 
-def _kinds(options: dict[str, click.Parameter], tables: Sequence[str]) -> type[Struct]:
-    """Return the type of the whole file."""
-    import msgspec
-    from msgspec import UNSET, UnsetType
+def _kinds(options: dict[str, click.Parameter], tables: Sequence[str]) -> type[Any]:
+    """Return the declared class of the whole file."""
+    from ...declare.declared import Expected, Text, declared
 
-    from assist.texts.typed_toml import Text
-
-    texts = Annotated[dict[str, Text], msgspec.Meta(description="a table of texts")]
+    texts = Annotated[dict[str, Text], Expected("a table of texts")]
     kinds = {name: _kind(option) for name, option in options.items()} | dict.fromkeys(tables, texts)
-    fields: list[tuple[str, Any, Any]] = [(name, kind | UnsetType, UNSET) for name, kind in kinds.items()]
-    return msgspec.defstruct("Config", fields, forbid_unknown_fields=True)
+    fields = {name: kind | None for name, kind in kinds.items()}
+    return declared(type("Config", (), {"__annotations__": fields, **dict.fromkeys(kinds)}))
 
 
 def _kind(option: click.Parameter) -> Any:
     """Return the type that an option's value has in a file."""
-    from msgspec import Meta
+    from pydantic import Field
 
-    from assist.texts.typed_toml import Pair, Text, Texts, Truth, WholeOrTables
+    from ...declare.declared import Expected, Number, Range, Text, Texts, Truth, Whole
 
     if getattr(option, "is_flag", False):
         return Truth
     if getattr(option, "multiple", False) or option.nargs == -1:
         return Texts
     if option.nargs == 2:
-        return Pair
+        return Range
     kind = option.type
     if kind is ROBOTS:
-        return WholeOrTables
+        return Annotated[int | list[dict[str, Any]], Expected("a whole number of 1 or more, or one table or more")]
     if isinstance(kind, click.Choice):
-        choices = tuple(kind.choices)
-        return Annotated[Literal[choices], Meta(description=" or ".join(f'"{one}"' for one in choices))]
+        return Literal[tuple(kind.choices)]  # noqa: RUF100
     if isinstance(kind, click.IntRange):
-        return Annotated[int, Meta(ge=kind.min, le=kind.max, description=f"a whole number{_range(kind.min, kind.max)}")]
+        return Annotated[Whole, Field(ge=kind.min, le=kind.max)]
     if isinstance(kind, click.FloatRange):
-        if kind.min_open:
-            return Annotated[float, Meta(gt=kind.min, le=kind.max, description=f"a number above {kind.min:g}")]
-        return Annotated[float, Meta(ge=kind.min, le=kind.max, description=f"a number{_range(kind.min, kind.max)}")]
+        limits: dict[str, Any] = {"gt" if kind.min_open else "ge": kind.min, "lt" if kind.max_open else "le": kind.max}
+        return Annotated[Number, Field(**limits)]
     return Text
-
-
-def _range(least: float | None, most: float | None) -> str:
-    if least is None:
-        return ""
-    return f" of {least:g} or more" if most is None else f" from {least:g} to {most:g}"

@@ -243,17 +243,16 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
         The settings are faulty, or a file of the TLS settings cannot be read.
     """
     try:
-        from assist.texts import typed_toml
-
         from ...bridges import mqtt, opcua, opcua_server
         from ...bridges.mqtt_settings import MqttSettings
         from ...bridges.opcua_settings import OpcUaSettings, OwnServerSettings
         from ...bridges.ros2 import Ros2Bridge
         from ...bridges.ros2_settings import Ros2Settings
+        from ...declare import tables as toml
     except ImportError as error:  # of the library for typed tables
         raise MissingExtraError("a bridge needs", str(error.name), "mqtt") from None
     try:
-        tables = typed_toml.load(file)
+        tables = toml.load(file)
         if "rosbridge" in tables:
             return partial(Ros2Bridge, Ros2Settings.read(file, robots))
         if "own_server" in tables:

@@ -13,6 +13,7 @@ import pytest
 from conftest import KITTING, invoke, kit
 from recorded import write_log
 
+from assist.declare import plain
 from assist.learning import Method, Observations
 from assist.learning.comparison import Comparison, holm, ratio
 from assist.learning.influence_population import InfluencePopulation
@@ -363,7 +364,7 @@ def test_a_population_file_has_the_rule(rule: str, log_file: Path, tmp_path: Pat
     if isinstance(own, EquationSeven):
         assert (setting["trust"], setting["eta"]) == ("paper", own.eta)
     else:
-        assert setting["trust"] == vars(own)
+        assert setting["trust"] == plain(own)
     twice = invoke(*simulated, "--population", people, "--trust", "constant")
     assert (twice.exit_code, f"--population {people} also sets --trust" in twice.stderr) == (2, True)
 
@@ -386,9 +387,9 @@ def test_a_population_drawn_from_a_file_is_like_the_one_that_was_fitted(log_file
     ("bad", "words"),
     [
         ("outcome", "trust 'outcome'; expected an object"),
-        ({"rule": "vanity"}, "trust rule 'vanity'; expected one of paper"),
-        ({"rule": "paper", "gain": 1}, "trust rule paper with gain; expected some of eta, utility_scale"),
-        ({"rule": "outcome", "gain": -1}, "gain -1, loss 0: expected 0 or more"),
+        ({"rule": "vanity"}, "trust.rule: 'vanity'; expected one of paper"),
+        ({"rule": "paper", "gain": 1}, "trust.gain: unknown; expected one of eta, utility_scale"),
+        ({"rule": "outcome", "gain": -1}, "trust.gain: -1; expected a number from 0"),
     ],
 )
 def test_a_population_file_with_no_such_rule_is_refused(bad: object, words: str, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from sessions import EASY, HAPPENS, SETTING, all_of
 from starlette.testclient import TestClient
 
+from assist.declare.declared import plain
 from assist.live.assistant import Assistant
 from assist.live.events import Event
 from assist.live.session import Session
@@ -20,7 +21,6 @@ from assist.people.human import Population
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
-from assist.team.plain_setting import plain_setting
 from assist.team.robots import Robot
 from assist.team.settings import Setting
 from assist.texts import InvalidError
@@ -188,7 +188,7 @@ def test_a_session_of_two_robots_is_restored(
     robots: int | tuple[Robot, ...],
 ) -> None:  # fmt: skip
     rng, folder = np.random.default_rng(seed), tmp_path_factory.mktemp("session")
-    options: dict[str, Any] = {"setting": Setting(**plain_setting(SETTING) | {"robots": robots}), "population": EASY}
+    options: dict[str, Any] = {"setting": Setting(**plain(SETTING) | {"robots": robots}), "population": EASY}
     session = Session({"tiny": tiny}, folder / "one.sqlite", **options)
     session.report([Event("joined", name) for name in "abc"])
     for kind, who, luck in events:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from assist.certify.team_bound import upper_bound
 from assist.cli.options.person import TRUST
+from assist.declare.declared import plain
 from assist.interop.observed import Observed
 from assist.live.assistant import Assistant
 from assist.people.belief import Grid
@@ -35,6 +36,7 @@ from assist.people.trust_rules import (
     constant,
     outcome,
     outcome_at_disagreement,
+    rule_of,
 )
 from assist.person.belief_filter import update
 from assist.person.pomdp import AssistPOMDP
@@ -44,7 +46,6 @@ from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.study.protocol import read
-from assist.team.plain_setting import plain_setting
 from assist.team.settings import Setting
 
 ALL: dict[str, TrustRule] = {
@@ -88,13 +89,14 @@ def test_theta_moves_with_the_outcome_and_stays_without(theta: float, agrees: bo
 
 def test_what_cannot_be_is_refused() -> None:
     for rule, words in (
-        ("papr", "expected one of paper"),
+        ("papr", "trust: 'papr'; did you mean 'paper'"),
         (3, "expected a name, or an object"),
-        ({"steps": 1}, "agreement"),
+        ({"steps": 1}, "rule is missing; expected one of paper, constant"),
+        ({"rule": "outcome", "steps": 1}, "trust: steps: unknown; expected one of agreement, gain"),
     ):
         with pytest.raises(ValueError, match=words):
             Setting(trust=rule)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="expected 0 or more"):
+    with pytest.raises(ValueError, match="gain -1: expected a number from 0"):
         outcome(gain=-1)
     with pytest.raises(ValueError, match="feedback 'soon'"):
         LogitSteps(feedback="soon")  # type: ignore[arg-type]
@@ -103,8 +105,8 @@ def test_what_cannot_be_is_refused() -> None:
 def test_a_setting_is_its_own_plain_data() -> None:
     for trust in (None, "paper", "constant", outcome(0.3, 0.4, "true"), Reliability(3.0, 0.2, 4)):
         setting = Setting(trust=trust)
-        assert Setting(**plain_setting(setting)) == setting
-    assert "trust" not in plain_setting(Setting())
+        assert Setting(**plain(setting)) == setting
+    assert "trust" not in plain(Setting())
 
 
 def problem(rule: TrustRule | None, *, lapse: float = 0.05) -> AssistPOMDP:
@@ -313,13 +315,13 @@ def test_a_study_has_a_condition_for_each_rule(tmp_path: Path) -> None:
     file = tmp_path / "study.toml"
     file.write_text(
         f'instances = ["{KITTING / "tiny.pddl"}"]\nhumans = [2]\n[[conditions]]\nname = "rules"\n'
-        'settings = [{trust = "constant"}, {trust = {gain = 0.5, loss = 1.0}}]\n'
+        'settings = [{trust = "constant"}, {trust = {rule = "outcome-at-disagreement", gain = 0.5, loss = 1.0}}]\n'
     )
     study = read(file)
     rules = [setting.trust for _, setting in study.conditions[0].settings]
-    assert rules == ["constant", LogitSteps(gain=0.5, loss=1.0)]
-    plain = study.record()["conditions"][0]["settings"][1][1]["trust"]
-    assert LogitSteps(**plain) == rules[1]
+    assert rules == ["constant", LogitSteps(0.03, gain=0.5, loss=1.0)]
+    saved = study.record()["conditions"][0]["settings"][1][1]["trust"]
+    assert rule_of(saved) == rules[1]
 
 
 @pytest.mark.parametrize("trust", ["paper", "constant", "outcome"])
@@ -342,10 +344,10 @@ def test_what_the_robot_believes_changes_the_robot_and_nobody_else(trust: str) -
 def test_a_setting_with_a_belief_is_its_own_plain_data() -> None:
     for believed in ("constant", "paper", outcome(0.2, 0.3)):
         setting = Setting(trust="outcome", believed_trust=believed)
-        assert Setting(**json.loads(json.dumps(plain_setting(setting)))) == setting
-    assert "believed_trust" not in plain_setting(Setting())
+        assert Setting(**json.loads(json.dumps(plain(setting)))) == setting
+    assert "believed_trust" not in plain(Setting())
     assert Setting(believed_trust="constant").for_real_people().believed_rule() == constant()
-    with pytest.raises(ValueError, match="trust 'vanity'"):
+    with pytest.raises(ValueError, match="believed_trust: 'vanity'; expected one of paper"):
         Setting(believed_trust="vanity")
 
 

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_unknown_goals import SMALL, TASKS
 
+from assist.declare.declared import plain
 from assist.people import Grid, HumanModel, ImpossibleObservationError
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
@@ -21,7 +22,6 @@ from assist.person.observation_model import Evidence
 from assist.person.problem_arrays import ProblemArrays
 from assist.simulation import Episodes, Pool, simulate
 from assist.team import Setting
-from assist.team.plain_setting import plain_setting
 from assist.team.state import worth_of_actions
 
 Steps = list[tuple[ObservationModel, str | None, str | None]]
@@ -203,10 +203,10 @@ def test_an_observation_model_is_saved_with_its_setting_and_wrong_ones_are_refus
     table = {"(fetch box-a)": {"fetch box-b": 0.2}}
     for observation in (ObservationModel(0.1, 0.2), ObservationModel(0.1, table)):
         setting = Setting(observation=observation)
-        again = Setting(**json.loads(json.dumps(plain_setting(setting))))
+        again = Setting(**json.loads(json.dumps(plain(setting))))
         assert asdict(again.observation or ObservationModel()) == asdict(observation)
-    assert "observation" not in plain_setting(Setting(observation=ObservationModel()))
-    with pytest.raises(ValueError, match=r"miss 1: expected 0 <= miss < 1"):
+    assert "observation" not in plain(Setting(observation=ObservationModel()))
+    with pytest.raises(ValueError, match=r"miss 1: expected a number of 0 or more and below 1"):
         ObservationModel(1.0)
     with pytest.raises(ValueError, match="expected other actions only"):
         ObservationModel(0.0, {"(a)": {"(a)": 0.5}})

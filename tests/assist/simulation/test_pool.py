@@ -28,9 +28,9 @@ from planner import LimitError, OnDemand, Table
 @pytest.mark.parametrize(
     ("setting", "complaint"),
     [
-        ({"knowledge": "Own"}, "knowledge 'Own': expected 'own' or 'exact'"),
-        ({"suggestions": "optimum"}, "suggestions 'optimum': expected 'optimal' or 'all'"),
-        ({"execute": "no"}, "execute 'no': expected True or False"),
+        ({"knowledge": "Own"}, 'knowledge \'Own\': expected "own" or "exact"'),
+        ({"suggestions": "optimum"}, 'suggestions \'optimum\': expected "optimal" or "all"'),
+        ({"execute": "no"}, "execute 'no': expected true or false"),
         ({"max_steps": 0}, "max_steps 0: expected a whole number of 1 or more"),
         ({"max_steps": 2.5}, "max_steps 2.5"),
         ({"c_move": float("nan")}, "c_move nan"),

@@ -91,7 +91,7 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
         ("c_suggest = 0.2\n", 'c_suggest = "low"\n', 'setting.c_suggest: "low"; expected a number'),
         ("c_suggest = 0.2\n", "c_sugest = 0.2\n", "setting.c_sugest: unknown; did you mean 'c_suggest'?"),
         ("c_suggest = 0.2\n", 'knowledge = "all"\n', 'setting.knowledge: "all"; expected "own" or "exact"'),
-        ("c_move = 2.0", "c_move = -2.0", "conditions[2].settings[2]: c_move -2: expected a number from 0"),
+        ("c_move = 2.0", "c_move = -2.0", "conditions[2].settings[2].c_move: -2.0; expected a number from 0"),
         ("beta = [0.1, 0.5]", "beta = [0.5, 0.1]", "populations.novices: beta range (0.5, 0.1)"),
         ("beta = [0.1, 0.5]", "beta = 0.5", "populations.novices.beta: 0.5; expected two numbers"),
         ("beta = [0.1, 0.5]", 'file = "people.json"', "populations.novices.file: "),
@@ -173,7 +173,7 @@ def test_the_line_of_a_fault_is_named(tmp_path: Path, old: str, new: str, messag
 
 
 def test_what_can_be_read_but_not_done_is_refused_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(InputFileError, match=r"setting: gamma 1.5: expected 0 < gamma < 1"):
+    with pytest.raises(InputFileError, match=r"setting.gamma: 1.5; expected a number above 0 and below 1"):
         check(read(write(tmp_path, TINY.replace("c_suggest = 0.2\n", "gamma = 1.5\n"))))
     with pytest.raises(InputFileError, match="the goal cannot be reached"):
         check(read(write(tmp_path, TINY.replace("tiny.pddl", "unsolvable.pddl"))))

@@ -24,6 +24,7 @@ from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import upper_bound
 from assist.cli.options.config import read_config
 from assist.cli.serve import serve
+from assist.declare.declared import plain
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
 from assist.people.human import Population
@@ -34,7 +35,6 @@ from assist.simulation.trace import Trace
 from assist.study.protocol import read
 from assist.team.action_check import check
 from assist.team.assignment import assigned
-from assist.team.plain_setting import plain_setting
 from assist.team.policy_names import POLICIES
 from assist.team.robots import Robot
 from assist.team.settings import Setting
@@ -66,7 +66,7 @@ kinds_of_robots = st.builds(
 @given(robot=kinds_of_robots, count=st.integers(1, 4), execute=st.booleans())
 def test_robots_that_are_alike_are_a_number_of_robots(robot: Robot, count: int, execute: bool) -> None:
     setting = Setting(execute=execute, robots=(robot,) * count)
-    assert setting.fleet == replace(Setting(execute=execute), robots=count, **robot.as_dict()).fleet
+    assert setting.fleet == replace(Setting(execute=execute), robots=count, **plain(robot)).fleet
     assert set(setting.fleet.robots) == {replace(setting.fleet.best, c_execute=setting.fleet.robots[0].c_execute)}
     assert not setting.fleet.extra.any()
 
@@ -75,7 +75,7 @@ def test_robots_that_are_alike_are_a_number_of_robots(robot: Robot, count: int, 
 @given(robots=st.lists(kinds_of_robots, min_size=2, max_size=4).map(tuple))
 def test_the_best_robot_is_nowhere_worse(robots: tuple[Robot, ...]) -> None:
     setting = Setting(robots=robots)
-    assert Setting(**json.loads(json.dumps(plain_setting(setting)))) == setting
+    assert Setting(**json.loads(json.dumps(plain(setting)))) == setting
     best, travel = vars(setting.fleet.best), setting.travel(3, FAR)
     place = np.arange(4)
     ways = travel.steps_between(np.arange(len(robots))[:, None, None], place[:, None], place)
@@ -318,11 +318,11 @@ def test_prices_of_actions_bring_the_bound_closer_to_the_joint_optimum() -> None
 @pytest.mark.parametrize(
     ("robots", "message"),
     [
-        ((), r"robots \[\]: expected one or more"),
-        (("two",), "robot 1: 'two'; expected a Robot"),
-        (({"c_sugest": 1},), "robot 1: 'c_sugest' is unknown; .*c_suggest"),
-        ((Robot(), {"c_suggest": -1.0}), "robot 2: c_suggest -1: expected a number from 0"),
-        (({"execute": "yes"},), "robot 1: execute 'yes': expected True or False"),
+        ((), r"robots \(\): expected a number of robots, or a list"),
+        (("two",), r"robots\[1\] 'two': expected a table"),
+        (({"c_sugest": 1},), r"robots\[1\].c_sugest: unknown; .*c_suggest"),
+        ((Robot(), {"c_suggest": -1.0}), r"robots\[2\].c_suggest -1: expected a number from 0"),
+        (({"execute": "yes"},), r"robots\[1\].execute 'yes': expected true or false"),
     ],
 )
 def test_robots_that_cannot_be(robots: Any, message: str) -> None:
@@ -350,7 +350,7 @@ def test_commands_with_different_robots() -> None:
     assert record["policies"][0]["executions"]["mean"] > 0
     found = invoke("simulate", "kitting/tiny", "--humans", 2, "--robots", "[{c_sugest = 1}]")
     assert found.exit_code == 2
-    assert "robot 1: 'c_sugest' is unknown; did you mean 'c_suggest'?" in found.stderr
+    assert "robots[1].c_sugest: unknown; did you mean 'c_suggest'?" in found.stderr
     found = invoke("simulate", "kitting/tiny", "--humans", 2, "--robots", "two")
     assert "'--robots': two: expected a number, or a list such as [{c_suggest = 0.2}" in found.stderr
     found = invoke("serve", "kitting/tiny", "--humans", 2, "--robots", LIST)
@@ -363,7 +363,10 @@ def test_files_with_different_robots(tmp_path: Path) -> None:
     study.write_text(f'instances = ["kitting/tiny"]\n[setting]\nrobots = {LIST}\n')
     ((_, setting),) = read(study).conditions[0].settings
     assert setting.robots == (Robot(execute=True, c_execute=0.1), Robot(c_suggest=0.2))
-    for wrong, said in (("true", "a whole number of 1 or more, or one table or more"), ("[{c_move = -1}]", "robot 1")):
+    for wrong, said in (
+        ("true", "a number of robots, or a list of one table or more"),
+        ("[{c_move = -1}]", r"robots\[1\].c_move"),
+    ):
         study.write_text(f'instances = ["kitting/tiny"]\n[setting]\nrobots = {wrong}\n')
         with pytest.raises(InputFileError, match=said):
             read(study)

@@ -20,6 +20,7 @@ from assist.certify.prices import kinds_of
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import upper_bound
 from assist.coupled import Agents, joint_optimum
+from assist.declare.declared import plain
 from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.person.qmdp import qmdp
@@ -30,7 +31,6 @@ from assist.simulation.trace import Trace
 from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.attention_subproblem import AttentionSubproblem
-from assist.team.plain_setting import plain_setting
 from assist.team.policy_names import POLICIES
 from assist.team.robots import Robot
 from assist.team.settings import Setting
@@ -218,8 +218,8 @@ def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:
 def test_a_team_has_a_whole_number_of_robots(robots: object) -> None:
     with pytest.raises(ValueError, match="robots"):
         Setting(robots=robots)  # type: ignore[arg-type]
-    assert plain_setting(Setting())["robots"] == [{}]
-    assert Setting(**plain_setting(Setting(robots=3))).robots == (Robot(),) * 3
+    assert plain(Setting())["robots"] == [{}]
+    assert Setting(**plain(Setting(robots=3))).robots == (Robot(),) * 3
 
 
 def as_agents(visits: AttentionSubproblem, people: int) -> Agents:

@@ -7,13 +7,12 @@ import shutil
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from conftest import KITTING, ROOT
@@ -504,5 +503,5 @@ def test_the_example_is_a_study_and_the_documentation_shows_it() -> None:
     shown = tomllib.loads(page.split("```toml\n")[1].split("```")[0])
     assert shown
     assert shown.items() <= whole.items()
-    keys = {field.name for field in msgspec.structs.fields(FileTable)} - {"title"}
+    keys = {field.name for field in fields(FileTable)} - {"title"}
     assert [key for key in keys if f"`{key}`" not in page and f"[{key}]" not in page] == []

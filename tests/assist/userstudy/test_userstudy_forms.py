@@ -6,10 +6,10 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 from conftest import ROOT, kitassist
 from hypothesis import HealthCheck, given, settings
@@ -241,7 +241,7 @@ def test_the_page_describes_every_key_and_its_example_is_accepted(tmp_path: Path
     page = (ROOT / "docs" / "forms.md").read_text()
     example = page.split("```toml\n")[1].split("```")[0]
     assert [one.name for one in study_of(tmp_path, PLAIN + "\n" + example).questionnaires] == ["background"]
-    keys = {field.name for table in (ItemTable, QuestionnaireTable) for field in msgspec.structs.fields(table)}
+    keys = {field.name for table in (ItemTable, QuestionnaireTable) for field in fields(table)}
     assert [key for key in keys - {"name", "text", "form"} if f"`{key}`" not in page] == []
 
 

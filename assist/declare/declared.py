@@ -1,0 +1,400 @@
+"""The decorator `declared`, the types of declared fields, and errors of one sentence.
+
+    @declared
+    class Robot:
+        c_move: Annotated[Number, Field(ge=0, le=MOST, description="Cost of moving by a distance of 1.")] = 0.5
+
+`Robot(c_move=-1)` raises "c_move -1: expected a number from 0 to 1e+15", `Robot(c_mov=1)` proposes the nearest name.
+Numbers of any kind are accepted, numpy's scalars too, and become Python's own; truth values are no numbers. Mappings
+and lists become the declared classes and tuples of fields, so that plain data need no conversion of their own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import wraps
+from numbers import Real
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
+
+from pydantic import BeforeValidator, ConfigDict, Field, Strict, ValidationError
+from pydantic.dataclasses import dataclass as validated
+from pydantic_core import PydanticCustomError
+
+from planner.system.errors import expected as meant
+
+T = TypeVar("T")
+Place = tuple[str | int, ...]
+
+MOST = 1e15
+"""Largest cost, rate or size: sums of larger numbers are not exact in floating point, and products overflow."""
+
+CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class Kind:
+    """What a value of a type is, as messages say it; the limits of the field follow."""
+
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Expected:
+    """What a field's value is, limits included, where its type does not say it well."""
+
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Usual:
+    """Marks a field that is an option of the command line; other fields are set with `--set` or in a file.
+
+    Attributes
+    ----------
+    metavar : str, optional
+        Placeholder of the value in help texts.
+    """
+
+    metavar: str | None = None
+
+
+def _number(value: Any) -> float:
+    try:
+        if type(value) is not bool and isinstance(value, Real):
+            return float(value)
+    except OverflowError:
+        return math.inf
+    raise PydanticCustomError("kind", "a number")
+
+
+def _whole(value: Any) -> int:
+    try:
+        found = None if isinstance(value, bool) or type(value).__name__ == "bool" else operator.index(value)
+    except TypeError:
+        found = None
+    if found is None:
+        raise PydanticCustomError("kind", "a whole number")
+    return found
+
+
+def _truth(value: Any) -> bool:
+    if isinstance(value, bool) or type(value).__name__ == "bool":  # numpy's has that name, too
+        return bool(value)
+    raise PydanticCustomError("kind", "a truth value")
+
+
+def _pair(value: Any) -> Any:
+    """Return a sequence or an array of one axis as a tuple."""
+    listed = value.tolist() if hasattr(value, "tolist") else value
+    return tuple(listed) if isinstance(listed, list) else listed
+
+
+Number = Annotated[float, BeforeValidator(_number), Kind("a number")]
+Whole = Annotated[int, BeforeValidator(_whole), Kind("a whole number")]
+Truth = Annotated[bool, BeforeValidator(_truth), Kind("true or false")]
+Count = Annotated[Whole, Field(ge=1)]
+Seed = Annotated[Whole, Field(ge=0)]
+Text = Annotated[str, Strict(), Field(min_length=1), Expected("a text")]
+Range = Annotated[tuple[Number, Number], BeforeValidator(_pair), Expected("two numbers, [low, high]")]
+Texts = Annotated[tuple[Text, ...], Field(min_length=1), Expected("a list of texts")]
+Counts = Annotated[tuple[Count, ...], Field(min_length=1), Expected("a list of whole numbers of 1 or more")]
+AnyTable = Annotated[dict[str, Any], Strict(), Expected("a table")]
+
+
+class DeclarationError(ValueError):
+    """A value that a declared field does not have. The message is one sentence.
+
+    Attributes
+    ----------
+    place : tuple of str and int
+        Names of fields, and numbers within lists from 0; empty if the fault is one of several fields together.
+    found : str or None
+        The value, as a file has it; None if there is none to show.
+    right : str
+        What is expected, or what is wrong if `found` is None.
+    """
+
+    def __init__(self, place: Place, found: Any, right: str, message: str) -> None:
+        super().__init__(message)
+        self.place, self.found, self.right = place, found, right
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.place, self.found, self.right, str(self))
+
+    @property
+    def told(self) -> str:
+        """The fault as it is told after the place in a file."""
+        return self.right if self.found is None else f"{self.found}; expected {self.right}"
+
+    @classmethod
+    def of(cls, kind: Any, error: ValidationError, given: Any) -> DeclarationError:
+        """Return the error of a type, such as a declared class, that a validation of what was given found first."""
+        faults = error.errors(include_url=False)
+        unknown = next((one for one in faults if one["type"] in UNKNOWN), None)
+        unknown = unknown if faults[0]["type"] in {*UNKNOWN, *MISSING} else None
+        here = [one for one in faults if one["loc"][:1] == faults[0]["loc"][:1]]
+        fault = unknown or max(here, key=lambda one: len(_place(kind, one["loc"])[0]))  # of a union the nearest member
+        if unknown is not None:
+            place, owner = _place(kind, fault["loc"][:-1])
+            name = str(fault["loc"][-1])
+            right = f"unknown; {meant(name, names_of(owner))}"
+            where = (*place, name)
+            return cls(where, None, right, f"{spelt(where)}: {right}")
+        place, owner = _place(kind, fault["loc"])
+        if fault["type"] == "value_error":
+            inner = fault["ctx"]["error"]
+            if isinstance(inner, DeclarationError):
+                where = (*place, *inner.place)
+                message = str(inner) if not place else f"{spelt(place)}: {inner}"
+                return cls(where, inner.found, inner.right, message)
+            return cls(place, None, str(inner), f"{spelt(place)}: {inner}" if place else str(inner))
+        right = phrase(owner)
+        if fault["type"] in MISSING:
+            return cls(place, None, f"is missing; expected {right}", f"{spelt(place)}: is missing; expected {right}")
+        found = _at(given, place, fault["input"])
+        text = f"{found:g}" if isinstance(found, float) and "whole" not in right else repr(found)
+        return cls(place, shown(found), right, f"{spelt(place)} {text}: expected {right}".lstrip())
+
+
+UNKNOWN = {"unexpected_keyword_argument", "extra_forbidden"}
+MISSING = {"missing", "missing_argument"}
+
+
+@overload
+def declared(cls: type[T]) -> type[T]: ...
+@overload
+def declared(*, partial: bool = ..., kw_only: bool = ...) -> Callable[[type[T]], type[T]]: ...
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
+def declared(cls: type[T] | None = None, *, partial: bool = False, kw_only: bool = False) -> Any:
+    """Make a class one of declared fields: frozen, checked, compared by its values, with its fields in its docstring.
+
+    Parameters
+    ----------
+    cls : type
+    partial : bool
+        Whether the fields of its base are None in it unless they are given.
+    kw_only : bool
+        Whether fields are given by their names alone, so that those without a default may follow others.
+    """
+    if cls is None:
+        return lambda one: _declared(one, partial=partial, kw_only=kw_only)
+    return _declared(cls, partial=partial, kw_only=kw_only)
+
+
+def _declared(cls: type[T], *, partial: bool, kw_only: bool) -> type[T]:
+    if partial:
+        base = cls.__mro__[1]
+        hints, said = get_type_hints(base, include_extras=True), sentences(base)
+        cls.__annotations__ = {
+            name: Annotated[hints[name] | None, Field(description=text)] for name, text in said.items()
+        }
+        for name in said:
+            setattr(cls, name, None)
+    made: Any = validated(frozen=True, kw_only=kw_only, config=CONFIG)(cls)
+    bare = made.__init__
+    positional = [one.name for one in dataclasses.fields(made) if not one.kw_only]
+
+    @wraps(bare)
+    def __init__(self: Any, *given: Any, **named: Any) -> None:  # noqa: N807
+        every = dict(zip(positional, given, strict=False)) | named
+        if len(every) < len(given) + len(named):
+            raise TypeError(f"{type(self).__name__}: too many arguments, or one that is there twice")
+        try:
+            bare(self, **every)
+        except ValidationError as error:
+            raise DeclarationError.of(type(self), error, every) from None
+
+    made.__init__ = __init__
+    rows = [f"{name}\n    {text}" for name, text in sentences(made).items() if text]
+    if made.__doc__ and rows and "Attributes\n" not in made.__doc__:
+        made.__doc__ = "\n".join([made.__doc__.rstrip(), "", "Attributes", "----------", *rows, ""])
+    return made
+
+
+def is_declared(kind: Any) -> bool:
+    """Whether this is a declared class."""
+    return isinstance(kind, type) and hasattr(kind, "__pydantic_fields__")
+
+
+def names_of(kind: Any) -> list[str]:
+    """Return the names of the fields of a declared class, or of those in a union."""
+    return [name for one in _members(kind) if is_declared(one) for name in one.__pydantic_fields__]
+
+
+def annotation_of(kind: Any, name: str) -> Any:
+    """Return the annotation of a field of a declared class, with all that is declared of it."""
+    field = kind.__pydantic_fields__[name]
+    return Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+
+
+def default_of(kind: Any, name: str) -> Any:
+    """Return the default of a field of a declared class; `dataclasses.MISSING` if it has none."""
+    field = kind.__dataclass_fields__[name]
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return field.default
+
+
+def sentences(kind: Any) -> dict[str, str]:
+    """Return the sentence about each field of a declared class."""
+    return {name: field.description or "" for name, field in kind.__pydantic_fields__.items()}
+
+
+def marks(kind: Any) -> Iterator[Any]:
+    """Yield what is declared of a type: limits, placeholders and phrases, the outermost first."""
+    if get_origin(kind) is Annotated:
+        for one in reversed(kind.__metadata__):
+            yield from reversed(getattr(one, "metadata", [one]))
+        yield from marks(get_args(kind)[0])
+    else:
+        one = [part for part in _members(kind) if part is not type(None)]
+        if len(one) == 1 and one[0] is not kind:
+            yield from marks(one[0])
+
+
+def bare(kind: Any) -> Any:
+    """Return a type without what is declared of it, and without None."""
+    if get_origin(kind) is Annotated:
+        return bare(get_args(kind)[0])
+    one = [part for part in _members(kind) if part is not type(None)]
+    return bare(one[0]) if len(one) == 1 and one[0] is not kind else kind
+
+
+def phrase(kind: Any) -> str:
+    """Return what a value of a type is, such as "a number from 0 to 1"."""
+    said = list(marks(kind))
+    whole = next((one.text for one in said if isinstance(one, Expected)), None)
+    if whole is not None:
+        return whole
+    inner = bare(kind)
+    if get_origin(inner) is Literal:
+        return " or ".join(map(shown, get_args(inner)))
+    several = [part for part in _members(inner) if part is not type(None)]
+    if len(several) > 1:
+        return " or ".join(dict.fromkeys(map(phrase, several)))
+    if is_declared(inner) or get_origin(inner) is dict or inner is dict:
+        return "a table"
+    if get_origin(inner) in (tuple, list):
+        return f"a list of {phrase(get_args(inner)[0]).removeprefix('a ')}s"
+    what = next((one.text for one in said if isinstance(one, Kind)), {str: "a text"}.get(inner, "another value"))
+    return what + limits(said)
+
+
+def limits(said: Sequence[Any]) -> str:
+    """Return the limits of a number in words."""
+    low, most = _limit(said, "ge"), _limit(said, "le")
+    above, below = _limit(said, "gt"), _limit(said, "lt")
+    if low is not None and most is not None:
+        return f" from {low:g} to {most:g}"
+    least = "" if low is None else f" of {low:g} or more"
+    least = least if above is None else f" above {above:g}"
+    if most is not None:
+        return f"{least}, at most {most:g}" if least else f" of at most {most:g}"
+    if below is not None:
+        return f"{least} and below {below:g}" if least else f" below {below:g}"
+    return least
+
+
+def _limit(said: Sequence[Any], name: str) -> float | None:
+    return next((getattr(one, name) for one in said if getattr(one, name, None) is not None), None)
+
+
+def _members(kind: Any) -> tuple[Any, ...]:
+    if get_origin(kind) is Annotated:
+        return _members(get_args(kind)[0])
+    return get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+
+
+def _place(kind: Any, parts: Sequence[str | int]) -> tuple[Place, Any]:
+    """Return the place of a fault without the names of a union's members, and the type that is expected there."""
+    place: list[str | int] = []
+    named = False
+    for part in parts:
+        if not named and sum(one is not type(None) for one in _members(kind)) > 1:
+            named = True  # this part is the name of a member
+            continue
+        inner = _inner(kind, part)
+        if isinstance(part, int) and not is_declared(bare(inner)) and any(isinstance(m, Expected) for m in marks(kind)):
+            break  # what is expected of the whole list is said in one phrase
+        if inner is not None:
+            kind, named = inner, False
+            place.append(part)
+    return tuple(place), kind
+
+
+def _inner(kind: Any, part: str | int) -> Any:
+    for one in _members(kind):
+        one = _members(one)[0] if get_origin(one) is Annotated else one
+        arguments = get_args(one)
+        if is_declared(one) and part in one.__pydantic_fields__:
+            return annotation_of(one, str(part))
+        if isinstance(part, int) and get_origin(one) in (tuple, list):
+            return arguments[0] if get_origin(one) is list or arguments[-1] is Ellipsis else arguments[part]
+        if isinstance(part, str) and get_origin(one) in (dict, Mapping):
+            return arguments[1]
+    return None
+
+
+def _at(given: Any, place: Place, otherwise: Any) -> Any:
+    """Return the value at a place of what was given; `otherwise` where plain data end."""
+    for part in place:
+        try:
+            given = given[part]
+        except (KeyError, IndexError, TypeError):
+            return otherwise
+    return given
+
+
+def spelt(place: Place) -> str:
+    """Return a place as text, such as `robots[2].c_move`."""
+    text = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in place)
+    return text.removeprefix(".")
+
+
+def shown(value: Any) -> str:
+    """Return a value as JSON text, for messages."""
+    return json.dumps(value, default=str, ensure_ascii=False)
+
+
+def plain(value: Any) -> Any:
+    """Return a declared object as plain data, without fields that are None; its class makes an equal one from them.
+
+    An object of one of several classes begins with what `tag` says of it, such as `{"rule": "outcome"}`.
+
+    Parameters
+    ----------
+    value : declared object, or mapping, sequence, text, number or None
+
+    Raises
+    ------
+    ValueError
+        A value is a user's own object, which is not saved.
+    """
+    if is_declared(type(value)):
+        every = ((one.name, getattr(value, one.name)) for one in dataclasses.fields(value))
+        return getattr(value, "tag", {}) | {name: plain(own) for name, own in every if own is not None}
+    if isinstance(value, Mapping):
+        return {str(name): plain(own) for name, own in value.items()}
+    if isinstance(value, tuple | list):
+        return [plain(one) for one in value]
+    if value is None or isinstance(value, str | int | float):
+        return value
+    raise ValueError(f"{value!r} is not saved; expected one of those shipped")

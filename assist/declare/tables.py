@@ -1,0 +1,137 @@
+"""Declared classes in TOML files: an error has the file, the line and the place of the fault, and what is expected."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeVar
+
+from planner.system.errors import InputFileError
+
+from .declared import DeclarationError, shown, spelt
+
+T = TypeVar("T")
+
+
+def load(file: Path) -> dict[str, Any]:
+    """Read a TOML file, or raise an `InputFileError`. A byte order mark, as some editors write it, is ignored."""
+    try:
+        data = file.read_bytes()
+    except FileNotFoundError:
+        raise InputFileError(f"{file}: no such file") from None
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        message = f"byte {error.start} is not UTF-8; expected a text file in that encoding"
+        raise InputFileError(f"{file}:{line}: {message}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputFileError(f"{file}: {error}") from None
+
+
+def fault(file: Path, place: str, message: str) -> InputFileError:
+    """Return an error with the file and the place of the fault."""
+    return InputFileError(f"{file}: {place}: {message}")
+
+
+def regular_expression(text: str | None, file: Path, place: str) -> re.Pattern[str] | None:
+    """Return a compiled regular expression, None if there is none; raise `InputFileError` if the text is not one."""
+    try:
+        return None if text is None else re.compile(text)
+    except re.error as error:
+        raise fault(file, place, f"{text!r} is no regular expression: {error}") from None
+
+
+@contextmanager
+def located(file: Path) -> Iterator[None]:
+    """Add the line number to errors about a place in a file."""
+    try:
+        yield
+    except InputFileError as error:
+        what = str(error).removeprefix(f"{file}: ")
+        if what == str(error) or not file.is_file():
+            raise
+        raise InputFileError(f"{file}:{line_of(file, what)}: {what}") from error.__cause__
+
+
+def line_of(file: Path, fault: str) -> int:
+    """Return the line, counted from 1, where the value at fault begins, or the table that should contain it."""
+    said = re.search(r"\(at line (\d+), column \d+\)", fault)
+    text = file.read_bytes().decode("utf-8-sig", errors="replace")
+    if said or "end of document" in fault:
+        return int(said[1]) if said else len(text.splitlines())
+    path: list[Any] = [
+        int(number) - 1 if number else name
+        for name, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", fault.partition(": ")[0])
+    ]
+    lines = text.splitlines()
+    parsed: list[tuple[int, dict[str, Any]]] = [(0, {})]
+    for number in range(1, len(lines) + 1):  # a prefix that ends within a multi-line value does not parse
+        try:
+            parsed.append((number, tomllib.loads("\n".join(lines[:number]))))
+        except tomllib.TOMLDecodeError:
+            continue
+    while path:
+        for (before, _), (_, content) in pairwise(parsed):
+            if _has(content, path):
+                return before + 1
+        path.pop()
+    return 1
+
+
+def _has(content: Any, path: list[Any]) -> bool:
+    try:
+        for key in path:
+            content = content[key]
+    except (KeyError, IndexError, TypeError):
+        return False
+    return True
+
+
+def convert(content: Any, kind: type[T], file: Path, place: str = "") -> T:
+    """Convert the table at a place of a file, or the whole file, to a declared class.
+
+    Raises
+    ------
+    InputFileError
+        A field does not fit.
+    """
+    with told(file, place):
+        if not isinstance(content, Mapping):
+            raise fault(file, place or "the file", f"{shown(content)}; expected a table")
+        return kind(**content)
+
+
+def replaced(base: T, content: Mapping[str, Any], file: Path, place: str) -> T:
+    """Return an object of a declared class with the fields that the table at a place of a file sets.
+
+    Raises
+    ------
+    InputFileError
+        A field does not fit.
+    """
+    with told(file, place):
+        return replace(base, **content)  # type: ignore[type-var]
+
+
+@contextmanager
+def told(file: Path, place: str = "") -> Iterator[None]:
+    """Tell errors of declared classes with the file and the place of the fault."""
+    try:
+        yield
+    except DeclarationError as error:
+        within = f"{place}.{spelt(error.place)}".strip(".") if error.place else place
+        raise fault(file, within or "the file", error.told) from None
+
+
+def label(mapping: Mapping[str, Any]) -> str:
+    """Return the label of a setting: its keys and values in their order."""
+    return ", ".join(
+        f"{key} {value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else f"{key} {value}"
+        for key, value in mapping.items()
+    )

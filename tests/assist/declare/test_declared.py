@@ -1,0 +1,187 @@
+"""What follows from the declaration of fields: checks, errors of one sentence, plain data, and lines of files."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import json
+import pickle
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field, TypeAdapter
+
+from assist.declare.declared import (
+    DeclarationError,
+    Expected,
+    Number,
+    Text,
+    Texts,
+    Truth,
+    Whole,
+    declared,
+    is_declared,
+    plain,
+    sentences,
+)
+from assist.declare.tables import convert, load, located, replaced
+from assist.team.robots import OfRobots, Robot
+from assist.team.settings import Setting
+from planner.system.errors import InputFileError
+
+
+@declared
+class Wheel:
+    """A wheel."""
+
+    size: Annotated[Number, Field(gt=0, lt=9, description="Its size.")] = 1.0
+
+
+@declared
+class Cart:
+    """A cart."""
+
+    name: Text
+    wheels: Annotated[tuple[Wheel, ...], Field(min_length=1, description="Its wheels.")] = (Wheel(), Wheel())
+    load: Annotated[Whole | None, Field(ge=0, le=10, description="What it carries.")] = None
+    drive: Literal["front", "rear"] = "front"
+    brakes: Truth = True
+    tags: Texts = ("a",)
+    prices: dict[str, Number] | Number = 0.0
+
+
+FAULTS: list[tuple[dict[str, Any], str]] = [
+    ({}, "name: is missing; expected a text"),
+    ({"nam": "x"}, "nam: unknown; did you mean 'name'?"),
+    ({"name": ""}, "name '': expected a text"),
+    ({"load": 11}, "load 11: expected a whole number from 0 to 10"),
+    ({"load": 1.0}, "load 1.0: expected a whole number from 0 to 10"),
+    ({"load": True}, "load True: expected a whole number from 0 to 10"),
+    ({"brakes": 1}, "brakes 1: expected true or false"),
+    ({"drive": "reer"}, """drive 'reer': expected "front" or "rear\""""),
+    ({"tags": ["a", 3]}, "tags ['a', 3]: expected a list of texts"),
+    ({"wheels": [{}, {"size": 9}]}, "wheels[2].size 9: expected a number above 0 and below 9"),
+    ({"wheels": [{"sise": 1}]}, "wheels[1].sise: unknown; did you mean 'size'?"),
+    ({"wheels": [{"size": float("nan")}]}, "wheels[1].size nan: expected a number above 0 and below 9"),
+    ({"wheels": [{"size": np.True_}]}, f"wheels[1].size {np.True_!r}: expected a number above 0 and below 9"),
+    ({"wheels": []}, "wheels []: expected a list of tables"),
+    ({"prices": {"x": "y"}}, "prices.x 'y': expected a number"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "message"), FAULTS, ids=str)
+def test_a_fault_is_one_sentence(wrong: dict[str, Any], message: str) -> None:
+    named = {} if {"nam"} & set(wrong) or not wrong else {"name": "c"}
+    with pytest.raises(DeclarationError) as caught:
+        Cart(**named | wrong)
+    assert str(caught.value) == message
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.place) == (message, caught.value.place)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("load = 11", ":2: load: 11; expected a whole number from 0 to 10"),
+        ("tags = [\n'a',\n3,\n]", ':2: tags: ["a", 3]; expected a list of texts'),
+        ("[[wheels]]\n\n[[wheels]]\nsize = 9", ":5: wheels[2].size: 9; expected a number above 0 and below 9"),
+        ("[[wheels]]\nsize = 1\nsise = 1", ":4: wheels[1].sise: unknown; did you mean 'size'?"),
+        ("[[wheels]]\nsize = nan", ":3: wheels[1].size: NaN; expected a number above 0 and below 9"),
+        ("drive = 'reer'", ':2: drive: "reer"; expected "front" or "rear"'),
+    ],
+)
+def test_a_fault_in_a_file_has_its_line(text: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "cart.toml"
+    file.write_text(f"name = 'c'\n{text}\n")
+    with pytest.raises(InputFileError) as caught, located(file):
+        convert(load(file), Cart, file)
+    assert str(caught.value) == f"{file}{message}"
+
+
+def test_numbers_of_any_kind_become_pythons_own_and_objects_stay_frozen() -> None:
+    cart = Cart("c", [{"size": np.float32(0.5)}], np.int8(3), brakes=np.True_)  # type: ignore[arg-type,list-item]
+    assert (type(cart.wheels[0].size), type(cart.load), type(cart.brakes)) == (float, int, bool)
+    assert cart == Cart("c", (Wheel(0.5),), 3)
+    assert len({Wheel(0.5), Wheel(0.5), Wheel(1)}) == 2
+    with pytest.raises(AttributeError):
+        cart.name = "d"  # type: ignore[misc]
+    assert replace(cart, load=4).load == 4
+    with pytest.raises(DeclarationError, match="load 99"):
+        replace(cart, load=99)
+    assert pickle.loads(pickle.dumps(cart)) == copy.deepcopy(cart) == cart
+    with pytest.raises(InputFileError, match=r"^f: cart\.load: 99; expected a whole number from 0 to 10"):
+        replaced(cart, {"load": 99}, Path("f"), "cart")
+
+
+NUMBERS = st.floats(0, 1e15)
+ROBOTS = st.builds(
+    Robot, execute=st.none() | st.booleans(), c_suggest=st.none() | NUMBERS, c_execute=st.none() | NUMBERS,
+    c_move=st.none() | NUMBERS, travel_time=st.none() | st.floats(0, 1e3),
+)  # fmt: skip
+
+
+RULES = st.sampled_from([None, "paper", "outcome"]) | st.builds(
+    dict, rule=st.just("reliability"), counts=st.integers(0, 9)
+)
+
+
+@given(st.builds(
+    Setting, gamma=st.floats(0.01, 0.99), robots=st.lists(ROBOTS, min_size=1, max_size=3).map(tuple), trust=RULES,
+    c_ask=st.none() | NUMBERS, max_steps=st.integers(1, 10**9), c_move=NUMBERS,
+))  # fmt: skip
+def test_plain_data_make_an_equal_object(setting: Setting) -> None:
+    assert Setting(**json.loads(json.dumps(plain(setting)))) == setting
+    assert hash(Setting(**plain(setting))) == hash(setting)
+
+
+def classes() -> Iterator[type]:
+    """Yield all declared classes of the project."""
+    for file in sorted((Path(__file__).parents[3] / "assist").rglob("*.py")):
+        if "import declared" in file.read_text() or ", declared" in file.read_text():
+            module = import_module(".".join(file.relative_to(Path(__file__).parents[3]).with_suffix("").parts))
+            for _, one in inspect.getmembers(module, inspect.isclass):
+                if is_declared(one) and one.__module__ == module.__name__:
+                    yield one
+
+
+def test_no_declared_field_takes_one_kind_of_value_for_another() -> None:
+    """A text is no number, and a number no text or truth value, whatever pydantic would convert by itself."""
+    for one in classes():
+        for name, field in one.__pydantic_fields__.items():  # type: ignore[attr-defined]
+            for wrong in ("1", 1, b"x", True):
+                made = _made(field, wrong)
+                taken = isinstance(made, str | int | float) and type(made) is not type(wrong)
+                assert not taken or (type(wrong), type(made)) == (int, float), f"{one.__name__}.{name}: {wrong!r}"
+
+
+def _made(field: Any, value: Any) -> Any:
+    kind = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+    try:
+        return TypeAdapter(kind).validate_python(value)
+    except ValueError:
+        return value
+
+
+def test_a_setting_has_a_sentence_for_each_field_and_a_robot_the_same() -> None:
+    for kind in (Setting, Robot):
+        assert all(text[0].isupper() and text.endswith(".") for text in sentences(kind).values())
+        assert kind.__doc__ is not None
+        assert all(f"\n{one.name}\n" in kind.__doc__ for one in fields(kind))
+    assert sentences(Robot) == sentences(OfRobots)
+    assert vars(Robot()) == dict.fromkeys(vars(OfRobots()))
+
+
+def test_a_phrase_of_ones_own_stands_for_type_and_limits() -> None:
+    @declared
+    class Tank:
+        level: Annotated[Number, Field(ge=0), Expected("litres above the mark")] = 1.0
+
+    with pytest.raises(DeclarationError, match="level -1: expected litres above the mark"):
+        Tank(-1)
