@@ -36,7 +36,7 @@ from broken import ARGUMENTS, Fuzzer, Input
 from click.testing import CliRunner
 
 from assist.cli import main
-from planner.pddl import validation, validation_process, writer
+from planner.pddl import validation, writer
 
 CPU_SECONDS, SECONDS = 30, 400.0  # per input; the second allows for other load on the machine
 MEMORY = 3 << 30  # bytes beyond what the process has mapped already
@@ -82,19 +82,19 @@ def without_processes() -> None:
             translated[texts] = translate(reading, *limits)
         return translated[texts]
 
-    class SecondReader(validation_process.SecondReader):
+    class SecondReader(validation.SecondReader):
         def __init__(self, reading: Any, limits: Any = None) -> None:  # noqa: ARG002
             self._texts = writer.domain(reading, list_object=True), writer.problem(reading)
-            self._process, self._plan = None, None
+            self._process, self._asked = None, None
 
-        def ask(self, plan: Sequence[str]) -> None:
-            self._plan = plan
+        def ask(self, plan: Sequence[str] | None) -> None:
+            self._asked = plan
 
-        def answer(self, processor: float, seconds: float = 0.0) -> Any:  # noqa: ARG002
+        def answer(self, seconds: float) -> Any:  # noqa: ARG002
             try:
                 problem = parsed(*self._texts)
-                if self._plan is not None:
-                    validation.validate(problem, self._plan)
+                if self._asked is not None:
+                    validation.validate(problem, self._asked)
             except validation.InstanceRefusedError as error:
                 return str(error)
             return None

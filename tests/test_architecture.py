@@ -23,7 +23,7 @@ ROOMS = {
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
         saturation value_ranges value_encoder value_scope numeric_encoding numeric_compiler compilation writer
-        validation plan_execution validation_process built_actions built_bounds built_formulas built_problems""",
+        validation plan_execution built_actions built_bounds built_formulas built_problems""",
     "planner.grounding": """fast_downward task leaving sas_reader cross_check plain_assignments shown_names translation
         semantics""",
     "planner.search.kernels": "packed_successors state_sets ranked_successors block_steps",

@@ -27,8 +27,7 @@ from ..pddl.compilation import NO_SEQUENTIAL_PLAN
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.plan_execution import execute
 from ..pddl.reader import Reading, read
-from ..pddl.validation import InvalidPlanError
-from ..pddl.validation_process import SecondReader
+from ..pddl.validation import InvalidPlanError, SecondReader
 from ..system.compiling import compiling
 from ..system.errors import MismatchError
 from ..system.files import atomic
@@ -56,10 +55,8 @@ if TYPE_CHECKING:
     from ..costtogo.table import Table
 
 
-SECOND_READER = 5.0
-"""Seconds of processor time that the second reader gets once all else is done. Its start takes about one, and that of
-all else overlaps with it. On a busy machine this is the same amount of work.
-"""
+SECOND_READER = 20.0
+"""Longest time in seconds for which the second reader is waited for once all else is done, and the answer is known."""
 
 UNCHECKED = "read by Fast Downward's translator, not checked by unified-planning"
 
@@ -260,7 +257,7 @@ def _solve(
         if second is not None:
             start = time.monotonic()
             phases.progress("checking the plan", 0, None)
-            if unchecked := second.answer(SECOND_READER, phases.left()):
+            if unchecked := second.answer(min(SECOND_READER, phases.left())):
                 record["note"] = _joined(record["note"], f"{UNCHECKED}: {unchecked}")
             phases.add("validate", start)
         if whole is not None and use is not None:

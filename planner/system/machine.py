@@ -98,12 +98,6 @@ def used_mb(field: str = "VmRSS") -> float | None:
     return None if found is None else int(found[1]) * 1024 / 1e6
 
 
-def processor_seconds(pid: int) -> float | None:
-    """Return the processor time that a process has used; None where the system does not report it."""
-    found = _read(Path(f"/proc/{pid}/stat")).rpartition(")")[2].split()
-    return sum(map(int, found[11:13])) / os.sysconf("SC_CLK_TCK") if found else None
-
-
 def reset_peak_memory() -> None:
     """Reset the peak memory of the process, so that a worker can report the peak of each instance."""
     with suppress(OSError):  # otherwise the peak covers the whole process

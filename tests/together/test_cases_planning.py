@@ -23,9 +23,8 @@ from planner.batch.solve_record import SWEEPING, SolveOptions
 from planner.costtogo.verification import check_plan
 from planner.grounding import fast_downward
 from planner.grounding.semantics import plan_cost
-from planner.pddl import validation_process
-from planner.pddl.validation import InvalidPlanError
-from planner.pddl.validation_process import LATE
+from planner.pddl import validation
+from planner.pddl.validation import LATE, InvalidPlanError
 from planner.system.errors import MismatchError
 
 pytestmark = pytest.mark.cases
@@ -35,15 +34,15 @@ TINY = KITTING / "tiny.pddl"
 
 def test_a_second_reader_that_says_nothing_costs_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is stopped at once, as if it read for ever; the plan is there before it is waited for."""
-    idle = validation_process._Process.idle
+    idle = validation._Process.idle
 
     def stopped(*arguments: object) -> object:
         process = idle(*arguments)  # type: ignore[arg-type]
-        os.kill(process._popen.pid, signal.SIGSTOP)
+        os.kill(process.popen.pid, signal.SIGSTOP)
         return process
 
     told: list[dict] = []
-    monkeypatch.setattr(validation_process._Process, "idle", stopped)
+    monkeypatch.setattr(validation._Process, "idle", stopped)
     monkeypatch.setattr(solving, "SECOND_READER", 0.01)
     record = solve_instance(instance(TINY), SolveOptions(verify=1), tell=lambda record, _: told.append(record))
     assert (record["status"], record["cost"], told[0]["plan"]) == ("solved", 6, record["plan"])
@@ -56,7 +55,7 @@ def test_a_second_reader_that_contradicts_makes_the_answer_invalid(
     def rejects(*_: object) -> None:
         raise InvalidPlanError("unified-planning's validator rejects the plan: so there")
 
-    monkeypatch.setattr(validation_process._Process, "answer", rejects)
+    monkeypatch.setattr(validation._Process, "asked", rejects)
     record = solve_instance(instance(TINY), SolveOptions(verify=1), tmp_path / "tiny")
     assert (record["status"], record["plan"]) == ("invalid", None)
     assert record["error"]["message"] == "unified-planning's validator rejects the plan: so there"

@@ -133,10 +133,8 @@ slow = pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "other"),
     [
-        pytest.param(["solve", LARGE], "planner.pddl.validation_process", id="solve one"),
-        pytest.param(
-            ["solve", LARGE, str(TINY), "--jobs", "2"], "planner.pddl.validation_process", id="solve two", marks=slow
-        ),
+        pytest.param(["solve", LARGE], "planner.pddl.validation", id="solve one"),
+        pytest.param(["solve", LARGE, str(TINY), "--jobs", "2"], "planner.pddl.validation", id="solve two", marks=slow),
         pytest.param(
             ["simulate", LARGE, "--humans", "1", "--max-states", "1"], "bin/downward", id="simulate", marks=slow
         ),

@@ -14,8 +14,7 @@ from conftest import write_instance
 
 from planner import PDDLError, instance, load, sweep
 from planner.pddl.reader import read
-from planner.pddl.validation import InvalidPlanError
-from planner.pddl.validation_process import LATE, SecondReader
+from planner.pddl.validation import LATE, InvalidPlanError, SecondReader
 
 DOMAIN = """(define (domain sorting)
   (:requirements :strips :typing :action-costs)
@@ -142,29 +141,38 @@ def test_faults_of_a_problem_that_would_change_the_answer(
     assert (error.value.file.name, error.value.line) == ("problem.pddl", line)
 
 
+def process_of(second: SecondReader) -> int:
+    assert second._process is not None
+    return second._process.popen.pid
+
+
 def test_a_second_reader_that_dies_or_hangs_gives_a_reason() -> None:
     reading = read(instance("kitting/tiny"))
-    for number, reason in ((signal.SIGKILL, "its process died"), (signal.SIGSTOP, LATE)):
+    for number, seconds, reason in ((signal.SIGKILL, 60.0, "its process died"), (signal.SIGSTOP, 0.2, LATE)):
         with SecondReader(reading) as second:
-            assert second.answer(60.0) is None
-            assert second._process is not None
-            os.kill(second._process._popen.pid, number)
+            os.kill(process_of(second), number)
             second.ask(["(fetch box-a)"])
-            assert second.answer(0.2) == reason
+            assert second.answer(seconds) == reason
     with SecondReader(reading) as second:
         second.ask([])
         with pytest.raises(InvalidPlanError):
             second.answer(60.0)
 
 
+def test_a_second_reader_serves_one_instance_after_another() -> None:
+    processes = set()
+    for name in ("kitting/tiny", "kitting/paper"):
+        with SecondReader(read(instance(name))) as second:
+            processes.add(process_of(second))
+            assert second.answer(60.0) is None
+    assert len(processes) == 1
+
+
 def test_asking_the_second_reader_takes_no_time() -> None:
     """Neither a long text nor a long plan waits for a process that reads nothing."""
     reading = read(instance("kitting/tiny"))
     long = replace(reading, problem=replace(reading.problem, name="p" * 10_000_000))
-    with SecondReader(reading) as first:
-        assert first.answer(60.0) is None
     with SecondReader(long) as second:
-        assert second._process is not None
-        os.kill(second._process._popen.pid, signal.SIGSTOP)
+        os.kill(process_of(second), signal.SIGSTOP)
         second.ask(["(fetch box-a)"] * 100_000)
         assert second.answer(0.0) == LATE

@@ -13,7 +13,7 @@ from conftest import write_instance
 
 from planner import PDDLError, Table, Task, load, sweep
 from planner.pddl.reader import read
-from planner.pddl.validation_process import SecondReader
+from planner.pddl.validation import SecondReader
 
 DOMAIN = """(define (domain sorting)
   (:requirements :strips :typing :action-costs :conditional-effects)
