@@ -18,13 +18,13 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": """lazy_imports errors arrays results files machine processes threads signs progress_reports
-        progress compiling readable jit limits workers pictures""",
+    "planner.system": """lazy_imports errors arrays results files machine processes threads signs progress
+        compiling jit limits workers pictures""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
         saturation value_ranges value_encoder value_scope numeric_encoding numeric_compiler compilation writer
-        validation plan_execution built_actions built_bounds built_formulas built_problems""",
-    "planner.grounding": """fast_downward task leaving sas_reader cross_check plain_assignments shown_names translation
+        validation plan_execution built_actions built_problems""",
+    "planner.grounding": """fast_downward task leaving sas_reader plain_assignments shown_names translation
         semantics""",
     "planner.search.kernels": "packed_successors state_sets ranked_successors block_steps",
     "planner.search": """packing distances state_space search_space sorted_space transition_normal_form digits mutexes

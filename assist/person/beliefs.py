@@ -22,7 +22,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.readable import ReadableFirst
+from planner.system.compiling import ReadableFirst
 
 from ..people.belief import ImpossibleObservationError
 from ..people.choices import Choices

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.system.compiling import ReadableFirst
 from planner.system.jit import njit
-from planner.system.readable import ReadableFirst
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import update_trust, weigh_by_influence

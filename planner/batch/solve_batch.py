@@ -17,7 +17,7 @@ from typing import Any
 
 from ..pddl.instances import Instance
 from ..system.machine import available_memory, processors
-from ..system.progress_reports import Progress
+from ..system.progress import Progress
 from ..system.workers import WorkerDiedError, outcomes
 from .results_folder import Key, Results, key
 from .solve_instance import solve_instance

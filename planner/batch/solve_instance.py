@@ -33,7 +33,7 @@ from ..system.errors import MismatchError
 from ..system.files import atomic
 from ..system.limits import LimitError, Limits
 from ..system.machine import memory_limit, peak_memory_mb, processors, reset_peak_memory, used_mb
-from ..system.progress_reports import Progress
+from ..system.progress import Progress
 from ..system.threads import NO_MORE_THREADS
 from .solve_record import (
     COMPARING,

@@ -26,7 +26,7 @@ from ..search.state_space import StateSpace
 from ..system.arrays import Words, outline
 from ..system.limits import Budget, LimitError
 from ..system.machine import processors
-from ..system.progress_reports import Progress
+from ..system.progress import Progress
 from .sweep import require_sweepable
 from .table import Table
 

@@ -16,7 +16,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import built_actions, built_bounds, built_formulas
+from . import built_actions
 from .instances import Instance, PDDLError
 from .validation import clear_walkers
 
@@ -146,9 +146,9 @@ def _require_supported(problem: Problem) -> None:
 def plain(problem: Problem) -> Problem:
     """Return a problem with the same plans, in the constructs that PDDL has and Fast Downward reads."""
     found = problem.clone()
-    built_bounds.add_bounds(found, named(problem).problem)
+    built_actions.add_bounds(found, named(problem).problem)
     _close_durations(found)
-    built_formulas.simplify(found)
+    built_actions.simplify(found)
     metric = problem.quality_metrics[0] if len(problem.quality_metrics) == 1 else None
     if metric is not None and metric.is_minimize_action_costs():
         zero = problem.environment.expression_manager.Int(0)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..grounding.task import Fact
 from ..system.arrays import Ints
 from ..system.limits import Budget, CostLimitError
-from ..system.progress_reports import Progress
+from ..system.progress import Progress
 from ..system.threads import on_threads
 from .distances import EXACT, compact, retyped, smallest_type
 from .search_space import SearchSpace, check

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 from ..grounding.task import Task
 from ..system.limits import Budget, LimitError, MemoryLimitError
-from ..system.progress_reports import Progress
+from ..system.progress import Progress
 from .digits import LOOKING, MANY, TOO_MUCH_MEMORY, UnrankedError, moves_and_groups
 from .forward_search import explore
 from .kernels.ranked_successors import RankedOperators

@@ -11,7 +11,7 @@ import threading
 from typing import Any
 
 from ..system.limits import Budget
-from ..system.progress_reports import Progress
+from ..system.progress import Progress
 from ..system.threads import on_threads
 from .search_space import SearchSpace, check
 

@@ -1,9 +1,15 @@
-"""Announcements of compilation. Who listens need not import the compiler, which takes longer than most small work."""
+"""When code is compiled: announcements, and functions that are readable first. This needs no compiler.
+
+Who listens need not import the compiler, which takes longer than most small work. Compiling takes seconds, and loading
+what is compiled takes half a second. So the readable definition of a function is used until it has done the work of
+about a second. From then on, the compiled one is, as there may be much more to come. Both give equal results.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 _listening: list[Callable[[], None]] = []
 
@@ -22,3 +28,29 @@ def announce() -> None:
     """Tell all who listen that a function is going to be compiled."""
     for tell in tuple(_listening):
         tell()
+
+
+class ReadableFirst:
+    """A function that is readable first, and compiled where it pays.
+
+    Parameters
+    ----------
+    readable, compiled : callable
+        The two definitions; results do not depend on which one is used.
+    work : callable
+        Returns about how many nanoseconds the readable definition takes, from the arguments.
+    """
+
+    enough = 1_000_000_000
+    """Nanoseconds of work by the readable definition before the compiled one takes over."""
+
+    def __init__(self, readable: Callable[..., Any], compiled: Callable[..., Any], work: Callable[..., float]) -> None:
+        self.readable, self.compiled = readable, compiled
+        self._work, self._done = work, 0.0
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call one of the definitions."""
+        if self._done > self.enough:
+            return self.compiled(*arguments)
+        self._done += self._work(*arguments)
+        return self.readable(*arguments)

@@ -20,8 +20,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
-from .progress_reports import Progress as Progress
 from .signs import VisibleText, visible
+
+Progress = Callable[[str, int, int | None], None]
+"""Receives the description of a stage, the number of items done, and their total (None if it is unknown)."""
 
 Wanted = Progress | bool | None
 """Values of the argument `progress`, as this module describes them."""

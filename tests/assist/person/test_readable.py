@@ -14,7 +14,7 @@ from assist.person.belief_update import mistaken, updated, without_reached
 from assist.person.beliefs import update_readable
 from assist.person.dynamics import Minds, PeopleArrays, act_compiled, act_readable
 from assist.person.problem_arrays import ProblemArrays, read_only
-from planner.system.readable import ReadableFirst
+from planner.system.compiling import ReadableFirst
 
 
 def problem(rng: np.random.Generator, goals: int, *, answers: bool, lapse: float) -> ProblemArrays:

@@ -10,7 +10,7 @@ from conftest import write_instance
 from test_reading import DOMAIN, PROBLEM, RULE
 
 from planner import PDDLError, Task, load, sweep
-from planner.grounding import cross_check
+from planner.grounding import translation
 from planner.pddl.reader import Reading, read
 
 
@@ -26,7 +26,7 @@ def check(reading: Reading, task: Task, changed: dict[str, str]) -> None:
         return changed.get(text, text)
 
     variables = tuple(replace(each, facts=tuple(map(name, each.facts))) for each in task.variables)
-    cross_check.check(reading, replace(task, variables=variables, actions=tuple(map(name, task.actions))))
+    translation.check(reading, replace(task, variables=variables, actions=tuple(map(name, task.actions))))
 
 
 @pytest.mark.parametrize(
