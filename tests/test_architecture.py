@@ -18,7 +18,7 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": """lazy_imports errors arrays results files machine processes threads signs progress
+    "planner.system": """lazy_imports errors arrays results files resumable machine processes threads signs progress
         compiling jit limits workers pictures""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets

@@ -16,16 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import DamagedFileError, InputFileError, MissingExtraError
-from planner.system.files import (
-    append,
-    append_record,
-    atomic,
-    each_record,
-    read_records,
-    remove_unfinished,
-    write_records,
-)
+from planner.system.files import each_record, read_records, write_text
 from planner.system.progress import Wanted, adding, shows_progress
+from planner.system.resumable import ResumableFolder
 from planner.system.workers import outcomes
 
 from .cells import Outcome, carry_out
@@ -72,59 +65,56 @@ def run_study(
 
     Raises
     ------
+    ResultsExistError
+        The folder contains results and `resume` is not set.
     InputFileError
-        The folder contains results and `resume` is not set, or results of another study or of more repeats.
+        The folder contains results of another study or of more repeats.
     DamagedFileError
         `study.json` does not identify the study of the results.
     """
     assert callable(progress)
     out = Path(out)
     order = {cell: number for number, cell in enumerate(study.cells())}
-    kept = _begin(study, out, resume, order, warn or (lambda _: None))
+    results: ResumableFolder[Cell] = ResumableFolder(out / EPISODES, out / PROFILE, resume=resume)
+    _begin(study, out, results, order, warn or (lambda _: None))
     total = sum(map(study.episodes, order))
-    advance = adding(progress, "episodes", total, done=sum(map(study.episodes, kept)))
+    advance = adding(progress, "episodes", total, done=sum(map(study.episodes, results.lines)))
     failed: list[tuple[Cell, Exception]] = []
-    todo = [cell for cell in order if cell not in kept]
+    todo = [cell for cell in order if cell not in results.lines]
     with closing(outcomes(carry_out, todo, (study,), jobs=jobs, scheduler=scheduler)) as coming:
         for cell, outcome in coming:
             if isinstance(outcome, Outcome):
-                kept[cell] = outcome.lines
-                append(out / EPISODES, outcome.lines)
-                append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds})
+                results.add(cell, outcome.lines, {**asdict(cell), "seconds": outcome.seconds})
             else:
                 failed.append((cell, outcome))
             advance(study.episodes(cell))
-    _write(out / EPISODES, [kept[cell] for cell in order if cell in kept])
-    spent = {_cell(record): record for record in read_records(out / PROFILE)}
-    write_records(out / PROFILE, [spent[cell] for cell in order if cell in spent])
+    results.finish(order)
     return sorted(failed, key=lambda pair: order[pair[0]])
 
 
 def _begin(
-    study: Study, out: Path, resume: bool, order: Mapping[Cell, int], warn: Callable[[str], None]
-) -> dict[Cell, str]:
-    """Prepare the folder of results, which must be of the same study; return the lines of each complete cell."""
-    about, episodes, profile = out / ABOUT, out / EPISODES, out / PROFILE
+    study: Study,
+    out: Path,
+    results: ResumableFolder[Cell],
+    order: Mapping[Cell, int],
+    warn: Callable[[str], None],
+) -> None:
+    """Prepare the folder of results, which must be of the same study; complete cells are kept."""
     known = {"schema": SCHEMA, "fingerprint": study.fingerprint()}
     kept: dict[Cell, str] = {}
-    spent: list[dict[str, Any]] = []
-    if episodes.exists() and episodes.stat().st_size:  # a study that fails before its first episode leaves no results
-        if not resume:
-            raise InputFileError(f"{episodes} exists; resume it, or choose another folder")
+    spent: dict[Cell, dict[str, Any]] = {}
+    if results.begun:  # a study that fails before its first episode leaves no results
         before = _about(out)
         if any(before.get(name) != value for name, value in known.items()):
             raise InputFileError(
-                f"{about}: the results belong to another study or to changed files; expected another folder"
+                f"{out / ABOUT}: the results belong to another study or to changed files; expected another folder"
             )
-        kept = _whole_cells(study, episodes, order, warn)
-        found, damaged = _readable(profile, lambda record: isinstance(record["seconds"], dict))
-        spent = [record for record, _ in found if _cell(record) in kept]
+        kept = _whole_cells(study, out / EPISODES, order, warn)
+        found, damaged = _readable(out / PROFILE, lambda record: isinstance(record["seconds"], dict))
+        spent = {_cell(record): record for record, _ in found if _cell(record) in kept}
         _say(damaged, "the times of these cells are lost", warn)
-    remove_unfinished([out, out / "figures"])
-    _write(about, [json.dumps({**known, "study": study.record()}, indent=1) + "\n"])
-    _write(episodes, list(kept.values()))
-    write_records(profile, spent)
-    return kept
+    write_text(out / ABOUT, [json.dumps({**known, "study": study.record()}, indent=1) + "\n"])
+    results.begin(kept, spent, [out / "figures"])
 
 
 def _about(folder: Path) -> dict[str, Any]:
@@ -208,11 +198,6 @@ def _cell(record: Mapping[str, Any]) -> Cell:
     cell = Cell(**{name: record[name] for name in KEY})
     hash(cell)  # raises TypeError for a field that is a list
     return cell
-
-
-def _write(file: Path, texts: Sequence[str]) -> None:
-    with atomic(file) as path, path.open("w", encoding="utf-8") as stream:
-        stream.writelines(texts)
 
 
 def load_study(folder: str | Path) -> pd.DataFrame:

@@ -16,8 +16,9 @@ from typing import Any
 
 from ..grounding import fast_downward
 from ..pddl.instances import Instance
-from ..system.errors import DamagedFileError, ResultsExistError
-from ..system.files import append_record, read_records, remove_unfinished, write_records
+from ..system.errors import DamagedFileError
+from ..system.files import read_records
+from ..system.resumable import ResumableFolder
 from .solve_record import SolveOptions, SolveRecord, saved_files
 
 RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
@@ -37,11 +38,9 @@ class Results:
         program a `DamagedFileError`.
         """
         self._folder, self._options = folder, options
-        results, prints = folder / RESULTS, folder / FINGERPRINTS
-        if results.exists() and results.stat().st_size and not resume:
-            raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
-        before = {_key_of(record): record for record in _records(results) if record["status"] in DONE}
-        lines = {_key_of(line): line for line in read_records(prints) if _is_line(line)}
+        self._kept: ResumableFolder[Key] = ResumableFolder(folder / RESULTS, folder / FINGERPRINTS, resume=resume)
+        before = {_key_of(record): record for record in _records(folder / RESULTS) if record["status"] in DONE}
+        lines = {_key_of(line): line for line in read_records(folder / FINGERPRINTS) if _is_line(line)}
         current = {key(instance): fingerprint(instance, options) for instance in instances}
         self.records: dict[Key, SolveRecord] = {
             name: record
@@ -61,9 +60,11 @@ class Results:
                 if resume:  # outdated results of an earlier run
                     for file in saved_files(folder / place):
                         file.unlink(missing_ok=True)
-        self.remove_unfinished()
-        write_records(results, self.records.values())
-        write_records(prints, [self._lines[name] for name in self.records if name in self._lines])
+        self._kept.begin(
+            {name: _text(record) for name, record in self.records.items()},
+            {name: self._lines[name] for name in self.records if name in self._lines},
+            ((folder / line["place"]).parent for line in self._lines.values()),
+        )
 
     def place(self, instance: Instance) -> Path:
         """Return the path of an instance's table and plan, without their file endings."""
@@ -76,26 +77,22 @@ class Results:
         instance's files have not been changed since this run began. Otherwise it is unknown which contents were solved.
         """
         if not lasting:
-            append_record(self._folder / RESULTS, record)
+            self._kept.add_passing(_text(record))
             return
         line = self._lines[_key_of(record)]
         if fingerprint(Instance(record["instance"], record["domain"]), self._options) != line["fingerprint"]:
             line["fingerprint"] = None
         line |= {"files": self._sizes(line), "record": _digest(record)}
-        append_record(self._folder / FINGERPRINTS, line)  # first: a record without a fingerprint would not be kept
-        append_record(self._folder / RESULTS, record)
+        self._kept.add(_key_of(record), _text(record), line)
         self.records[_key_of(record)] = record
 
     def finish(self, instances: Sequence[Instance]) -> None:
         """Sort the records in the order of the instances; records of other instances are last."""
-        ordered = {key(instance): self.records[key(instance)] for instance in instances}
-        write_records(self._folder / RESULTS, {**ordered, **self.records}.values())
-        known = [self._lines[name] for name in {**ordered, **self.records} if name in self._lines]
-        write_records(self._folder / FINGERPRINTS, known)
+        self._kept.finish([*map(key, instances), *self.records])
 
     def remove_unfinished(self) -> None:
         """Remove temporary files that stopped processes have left."""
-        remove_unfinished([self._folder, *((self._folder / line["place"]).parent for line in self._lines.values())])
+        self._kept.remove_unfinished()
 
     def _holds(self, record: SolveRecord, line: dict[str, Any], current: str | None) -> bool:
         is_now = {"fingerprint": current, "files": self._sizes(line), "record": _digest(record)}
@@ -140,6 +137,10 @@ def _programs() -> str:
     for file in sorted(Path(__file__).parents[1].rglob("*.py")):
         found.update(hashlib.sha256(file.read_bytes()).digest())
     return found.hexdigest()
+
+
+def _text(record: SolveRecord) -> str:
+    return json.dumps(record) + "\n"
 
 
 def _digest(record: SolveRecord) -> str:

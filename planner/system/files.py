@@ -125,8 +125,13 @@ def finite(number: float) -> float | None:
 
 def write_records(file: Path, records: Iterable[Mapping[str, Any]]) -> None:
     """Write records as JSON Lines."""
+    write_text(file, (json.dumps(record) + "\n" for record in records))
+
+
+def write_text(file: Path, texts: Iterable[str]) -> None:
+    """Write texts, one after another, as one file."""
     with atomic(file) as path, path.open("w", encoding="utf-8") as stream:
-        stream.writelines(json.dumps(record) + "\n" for record in records)
+        stream.writelines(texts)
 
 
 def append_record(file: Path, record: Mapping[str, Any]) -> None:

@@ -21,7 +21,7 @@ from assist.study.protocol import read
 from assist.study.runner import load_study, profile, run_study
 from assist.study.study import Study
 from assist.team.state import PolicyError
-from planner.system.errors import DamagedFileError, InputFileError
+from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError
 
 
 @pytest.fixture
@@ -64,12 +64,12 @@ def test_repeats_can_be_added_and_another_study_is_refused(
     out, seen = tmp_path / "out", []
     assert run_study(read(study.file, repeats=1), out, progress=lambda *told: seen.append(told)) == []
     assert seen[-1] == ("episodes", len(load_study(out)), len(load_study(out)))
-    first = write_report(read(study.file, repeats=1), out)  # a single pool has no intervals
+    first = write_report(read(study.file, repeats=1), out).summary  # a single pool has no intervals
     assert first["headline"]["actions_vs_none"]["low"] is None
     assert "## Sensitivity" in (out / "report.md").read_text()
     assert run_study(study, out, jobs=2, resume=True) == []
     assert (out / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
-    with pytest.raises(InputFileError, match="exists; resume it, or choose another folder"):
+    with pytest.raises(ResultsExistError, match="exists; resume it, or choose another folder"):
         run_study(study, out)
     with pytest.raises(InputFileError, match="expected --repeats 3 or more"):
         run_study(read(study.file, repeats=2), out, resume=True)
