@@ -19,7 +19,7 @@ from live_load import PAPER
 from tables import Columns, cell, record_option, write_record
 
 from assist.people.decision import Floats
-from assist.people.mixture import advice_takers
+from assist.people.real_people import advice_takers
 from assist.reports.statistics import IntervalEstimate, mean
 from assist.simulation.pool import Pool
 from assist.simulation.run import Run, StepTaken

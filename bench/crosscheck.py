@@ -42,7 +42,6 @@ from assist.people.choices import Choices
 from assist.people.decision import Floats, perceived_value
 from assist.people.goals import Goals
 from assist.people.human import Population
-from assist.people.mixture import Mixture
 from assist.people.state_keys import mix
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
 from assist.simulation.hidden_goals import GoalKnowledge
@@ -128,7 +127,7 @@ class Case:
     task : str
         A shipped task, or "graph" for a random one.
     setting : Setting
-    population, prior : Population or Mixture
+    population, prior : Population
     team : tuple of int
         Indices of the team's people in the pool.
     distance : float array, shape (K + 1, K + 1), or None
@@ -146,8 +145,8 @@ class Case:
     number: int
     task: str
     setting: Setting
-    population: Population | Mixture
-    prior: Population | Mixture
+    population: Population
+    prior: Population
     team: tuple[int, ...]
     distance: Floats | None
     joins: tuple[int, ...]
@@ -189,7 +188,7 @@ class Case:
             )  # fmt: skip
 
         several = rng.random() < 0.15
-        whom = Mixture((population(), population()), (0.25, 0.75)) if several else population()
+        whom = Population.mixed((population(), population()), (0.25, 0.75)) if several else population()
         setting = Setting(
             max_steps=60, gamma=one(0.5, 0.8, 0.9, 0.95), c_suggest=one(0.0, 0.05, 0.2, 0.5), c_move=one(0.0, 0.2, 0.5),
             travel_time=one(0.0, 0.0, 0.0, 0.5, 1.0, 2.0), eta=one(0.0, 0.05, 0.2, 0.8),

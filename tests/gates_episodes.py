@@ -14,7 +14,7 @@ import numpy as np
 from gates_records import first_difference, hashed, weights
 
 from assist.people import Goals, Population
-from assist.people.mixture import advice_takers
+from assist.people.real_people import advice_takers
 from assist.person import ObservationModel
 from assist.simulation import Episodes, Pool, simulate
 from assist.simulation.schedule import Schedule

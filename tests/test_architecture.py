@@ -37,7 +37,7 @@ ROOMS = {
     "assist.declare": "declared tables",
     "assist.texts": "catalogue refusals",
     "assist.people": """arguments state_keys hidden_type choices misconception decision goals terms memory choice_model
-        weighted_choice human mixture spread belief influence_kernels type_kernels trust_rules user_code
+        weighted_choice user_code human real_people spread belief influence_kernels type_kernels trust_rules
         action_names signals""",
     "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp visiting_robot policy
         lazy_policy archive problem_arrays belief_filter belief_update dynamics joint_belief beliefs rounding

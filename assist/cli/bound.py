@@ -84,7 +84,7 @@ def bound(
             "upper_proven": found.proven, "sampled": found.sampled and asdict(found.sampled),
             "confidence": CONFIDENCE if found.sampled and found.sampled.enough else 1.0,
             "price": found.price.tolist(), "seconds": found.seconds, "setting": plain(made.pool.setting),
-            "population": made.population.as_dict(), "seed": team["seed"], "versions": versions(),
+            "population": plain(made.population), "seed": team["seed"], "versions": versions(),
         })  # fmt: skip
         return
     figures = [Column(name, justify="right") for name in ("value", "upper bound", "gap at most")]

@@ -127,7 +127,7 @@ def simulate(
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": team["humans"],
             "pool": size, "drawn": drawn, "episodes": episodes, "seed": team["seed"],
-            "setting": plain(made.pool.setting), "population": made.population.as_dict(),
+            "setting": plain(made.pool.setting), "population": plain(made.population),
             **({"goals": dict(goals.prior), "goal_knowledge": goal_knowledge} if goals else {}),
             "policies": [plain_summary(summary) for summary in summaries], "versions": versions(),
         })  # fmt: skip

@@ -18,6 +18,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
 from numbers import Real
+from pathlib import Path
 from types import UnionType
 from typing import (
     Annotated,
@@ -72,6 +73,19 @@ class Usual:
     """
 
     metavar: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Beside:
+    """Marks a text that may be a path, which in a file is one from the file's folder.
+
+    Attributes
+    ----------
+    found : callable
+        Takes the folder and the text, and returns the text from there.
+    """
+
+    found: Callable[[Path, str], str] = lambda folder, text: str(folder / text)
 
 
 def _number(value: Any) -> float:
@@ -165,7 +179,7 @@ class DeclarationError(ValueError):
                 return cls(where, inner.found, inner.right, message)
             return cls(place, None, str(inner), f"{spelt(place)}: {inner}" if place else str(inner))
         right = phrase(owner)
-        if fault["type"] in MISSING:
+        if fault["type"] in MISSING and isinstance(fault["loc"][-1], str):
             return cls(place, None, f"is missing; expected {right}", f"{spelt(place)}: is missing; expected {right}")
         found = _at(given, place, fault["input"])
         text = f"{found:g}" if isinstance(found, float) and "whole" not in right else repr(found)
@@ -374,8 +388,11 @@ def shown(value: Any) -> str:
     return json.dumps(value, default=str, ensure_ascii=False)
 
 
+NOTHING: tuple[Any, ...] = (None, (), {})
+
+
 def plain(value: Any) -> Any:
-    """Return a declared object as plain data, without fields that are None; its class makes an equal one from them.
+    """Return a declared object as plain data, without what is None or empty; its class makes an equal one from them.
 
     An object of one of several classes begins with what `tag` says of it, such as `{"rule": "outcome"}`.
 
@@ -390,11 +407,13 @@ def plain(value: Any) -> Any:
     """
     if is_declared(type(value)):
         every = ((one.name, getattr(value, one.name)) for one in dataclasses.fields(value))
-        return getattr(value, "tag", {}) | {name: plain(own) for name, own in every if own is not None}
+        return getattr(value, "tag", {}) | {name: plain(own) for name, own in every if own not in NOTHING}
     if isinstance(value, Mapping):
         return {str(name): plain(own) for name, own in value.items()}
     if isinstance(value, tuple | list):
         return [plain(one) for one in value]
     if value is None or isinstance(value, str | int | float):
         return value
+    if callable(value):  # a user's function has its name in records
+        return str(getattr(value, "__name__", value))
     raise ValueError(f"{value!r} is not saved; expected one of those shipped")

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from planner.system.errors import InputFileError
 
-from .declared import DeclarationError, shown, spelt
+from .declared import Beside, DeclarationError, annotation_of, bare, is_declared, marks, names_of, shown, spelt
 
 T = TypeVar("T")
 
@@ -104,7 +104,7 @@ def convert(content: Any, kind: type[T], file: Path, place: str = "") -> T:
     with told(file, place):
         if not isinstance(content, Mapping):
             raise fault(file, place or "the file", f"{shown(content)}; expected a table")
-        return kind(**content)
+        return kind(**beside(kind, content, file.parent))
 
 
 def replaced(base: T, content: Mapping[str, Any], file: Path, place: str) -> T:
@@ -116,7 +116,21 @@ def replaced(base: T, content: Mapping[str, Any], file: Path, place: str) -> T:
         A field does not fit.
     """
     with told(file, place):
-        return replace(base, **content)  # type: ignore[type-var]
+        return replace(base, **beside(type(base), content, file.parent))  # type: ignore[type-var]
+
+
+def beside(kind: Any, content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a table of a declared class in which paths begin in a folder."""
+    known = names_of(kind)
+    found = dict(content)
+    for name, value in content.items():
+        annotation = annotation_of(kind, name) if name in known else None
+        mark = next((one for one in marks(annotation) if isinstance(one, Beside)), None)
+        if mark is not None and isinstance(value, str):
+            found[name] = mark.found(folder, value)
+        elif isinstance(value, Mapping) and is_declared(bare(annotation)):
+            found[name] = beside(bare(annotation), value, folder)
+    return found
 
 
 @contextmanager

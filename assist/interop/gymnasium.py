@@ -22,7 +22,6 @@ from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
 from ..people.human import Population
-from ..people.mixture import Mixture
 from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.model_group import World
 from ..simulation.pool import Pool
@@ -195,7 +194,7 @@ class TeamEnv(gymnasium.Env):
 
     def __init__(
         self, instance: str | Path | Pool, humans: int = 2, *, beliefs: bool = True, people: int | None = None,
-        pool_seed: int | None = None, setting: Setting | None = None, population: Population | Mixture | None = None,
+        pool_seed: int | None = None, setting: Setting | None = None, population: Population | None = None,
         distance: ArrayLike | None = None, world: World = "people", render_mode: str | None = None,
     ) -> None:  # fmt: skip
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -358,7 +357,7 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
     def __init__(
         self, instance: str | Path | Pool, num_envs: int = 1, humans: int = 2, *, beliefs: bool = True,
         people: int | None = None, pool_seed: int | None = None, setting: Setting | None = None,
-        population: Population | Mixture | None = None, distance: ArrayLike | None = None, world: World = "people",
+        population: Population | None = None, distance: ArrayLike | None = None, world: World = "people",
     ) -> None:  # fmt: skip
         self.num_envs = num_envs
         self._source = PoolSource(

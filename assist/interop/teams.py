@@ -19,7 +19,6 @@ from planner import load, sweep
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import drawn_goals, mean_over_goals
 from ..people.human import Population
-from ..people.mixture import Mixture
 from ..person.beliefs import Acts, Seen
 from ..person.dynamics import PeopleArrays
 from ..simulation.common_random_numbers import from_the_prior
@@ -54,7 +53,7 @@ class PoolSource:
 
     def __init__(
         self, instance: str | Path | Pool, humans: int, *, people: int | None, seed: int | None,
-        setting: Setting | None, population: Population | Mixture | None,
+        setting: Setting | None, population: Population | None,
     ) -> None:  # fmt: skip
         if not isinstance(instance, str | Path | Pool):
             raise TypeError(

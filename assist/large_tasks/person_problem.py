@@ -17,7 +17,6 @@ from ..people.goals import Goals, each_of, first_of
 from ..people.human import Human, HumanModel, Population
 from ..people.memory import choices_of
 from ..people.misconception import Misconception
-from ..people.mixture import Mixture
 from ..people.trust_rules import TrustRule, trust_rule
 from ..person.memory_needed import depth_within, first_bounds_bytes
 from ..person.pomdp import AssistPOMDP, Suggestions
@@ -91,7 +90,7 @@ class PersonProblem:
         *,
         states: int | None = None,
         start: int | None = None,
-        population: Population | Mixture | None = None,
+        population: Population | None = None,
         eta: float = 0.2,
         lapse: float = 1e-3,
         utility_scale: float = 1.0,
@@ -172,7 +171,7 @@ class PersonProblem:
 
 
 def _model(
-    known: Table | Goals, people: Population | Mixture, sigma: float, seed: int | np.random.Generator, **person: float
+    known: Table | Goals, people: Population, sigma: float, seed: int | np.random.Generator, **person: float
 ) -> HumanModel:
     """Return the model of a person on an enumerated task, with a misconception that the robot knows."""
     if isinstance(known, Goals) and people.weights:
@@ -184,7 +183,7 @@ def _model(
     return HumanModel.own(choices, Human(1.0, 0.5, sigma, mistaken), **person)
 
 
-def _require_plain(states: int, sigma: float, execute: bool, population: Population | Mixture | None) -> None:
+def _require_plain(states: int, sigma: float, execute: bool, population: Population | None) -> None:
     """Raise a `ValueError` if a truncated task is combined with an option that needs an enumerated one."""
     own = population is not None and (population.weights or population.chooses is not None)
     for name, given in (

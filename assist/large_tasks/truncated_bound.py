@@ -71,7 +71,6 @@ from ..people.choice_model import ChoiceModel, boltzmann, value
 from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.human import Human, Population
-from ..people.mixture import Mixture
 from ..person.leaf_bounds import LeafBounds
 from ..person.memory_needed import first_bounds_bytes, require_room
 from ..person.pomdp import AssistPOMDP
@@ -213,7 +212,7 @@ def bounded(
     known: CostToGo,
     setting: Setting,
     human: Human | None,
-    prior: Population | Mixture,
+    prior: Population,
     *,
     entry: float,
     size: int,
@@ -233,7 +232,7 @@ def bounded(
     setting : Setting
     human : Human or None
         The person, if the robot knows their misconceptions.
-    prior : Population or Mixture
+    prior : Population
         The robot's prior of the person.
     entry : float
         Smallest cost of coming to the person, in cost units.
@@ -282,7 +281,7 @@ class _Person:
     known: CostToGo
     setting: Setting
     human: Human | None
-    prior: Population | Mixture
+    prior: Population
     until: float
     memory_limit_mb: float
     among: Goals | None = None

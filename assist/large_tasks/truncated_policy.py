@@ -34,7 +34,6 @@ from ..people.belief import Grid
 from ..people.decision import NOTHING, Floats
 from ..people.goals import Goals, each_of, first_of
 from ..people.human import Human, Population
-from ..people.mixture import Mixture
 from ..people.trust_rules import counts_of
 from ..person.policy import Policy
 from ..person.policy_iteration import SOLVING
@@ -73,13 +72,13 @@ class SharedTask:
     Parameters
     ----------
     known : CostToGo or Goals
-    prior : Population or Mixture
+    prior : Population
         The robot's prior of people.
     size : int, optional
         Number of states of each person's truncated task, for each goal; by default `default_size`.
     """
 
-    def __init__(self, known: CostToGo | Goals, prior: Population | Mixture, size: int | None = None) -> None:
+    def __init__(self, known: CostToGo | Goals, prior: Population, size: int | None = None) -> None:
         self.known, self.prior, self.size = known, prior, size or default_size(known)
         self.visited = StateCache(known)
 

@@ -43,7 +43,6 @@ from ..people.decision import Floats, choice
 from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, joined, optimal_for_each
 from ..people.human import Human, HumanModel, Population
 from ..people.misconception import Misconception
-from ..people.mixture import Mixture
 from ..people.state_keys import keys_of
 from ..people.trust_rules import EquationSeven, TrustRule, constant, counts_of
 from ..person.leaf_bounds import LeafBounds
@@ -83,7 +82,7 @@ class TruncatedTask:
         *,
         start: int | None = None,
         states: int = 20_000,
-        population: Population | Mixture | None = None,
+        population: Population | None = None,
         human: Human | None = None,
         among: Goals | None = None,
         time_limit: float | None = None,
@@ -101,7 +100,7 @@ class TruncatedTask:
             First state, by its number in `known`; by default the initial state.
         states : int
             Largest number of expanded states; the frontier is additional.
-        population : Population or Mixture, optional
+        population : Population, optional
             Population of the person.
         human : Human, optional
             The person, if their misconceptions are known. The probabilities then follow these.
@@ -145,7 +144,7 @@ class TruncatedTask:
         self,
         *,
         grid: Grid | None = None,
-        population: Population | Mixture | None = None,
+        population: Population | None = None,
         eta: float = 0.2,
         lapse: float = 1e-3,
         utility_scale: float = 1.0,

@@ -14,7 +14,7 @@ from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.results import Result
 
 from ..people.choice_model import ChoiceModel
-from ..people.mixture import Mixture
+from ..people.human import Population
 from ..people.terms import TERMS, Term
 from .choosing import with_model
 from .diagnostics import UNCHECKED, check
@@ -118,7 +118,7 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
         advance = adding(progress, "fitting the population", ETAS)
         return fit_population(observations, self.method, family=family, progress=advance)
 
-    def population(self, *, family: str | None = None) -> Mixture:
+    def population(self, *, family: str | None = None) -> Population:
         """Return a population like these people, from which others can be drawn.
 
         Parameters
@@ -129,7 +129,7 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
         found = self.distribution(family=family).population(self.sigma)
         if self.chooses is None:
             return found
-        return Mixture(tuple(replace(part, chooses=self.chooses) for part in found.parts), found.shares)
+        return Population.mixed(tuple(replace(part, chooses=self.chooses) for part in found.parts), found.shares)
 
     @property
     def sigma(self) -> tuple[float, float]:

@@ -7,7 +7,7 @@ cell. The estimate maximises the likelihood of all records:
 
 It is restricted to families, truncated at the ends of the grid: beta is uniform or log-uniform on a range, or
 log-normal; theta is uniform on a range, or normal. Or it is unrestricted ("histogram", Laird 1978). The result is a
-`Mixture`, from which people can be drawn.
+`Population`, from which people can be drawn.
 
 The recorded people are a sample that differs from the distribution by chance. `Margin.mean` and `spread` are those of
 the distribution; `Margin.recorded` are those of the sample.
@@ -26,11 +26,10 @@ from scipy.special import logit, ndtr
 
 from planner.system.results import Result
 
-from ..declare.declared import DeclarationError, spelt
+from ..declare.declared import DeclarationError, plain, spelt
 from ..people.arguments import number
 from ..people.decision import NOTHING, Floats
 from ..people.human import Population, Range
-from ..people.mixture import Mixture
 from ..people.trust_rules import Shipped, rule_of
 from .hierarchy import Hierarchy
 from .intervals import largest_fall
@@ -161,7 +160,7 @@ class PopulationFit(Result):
         rows += [] if self.eta is None else [{"parameter": "eta", "mean": self.eta, "spread": 0.0}]
         return rows + [{"parameter": name, "mean": a, "spread": b} for name, (a, b) in self.weights.items()]
 
-    def population(self, sigma: Range = (0.0, 0.0), theta: Range = (0.5, 0.95)) -> Mixture:
+    def population(self, sigma: Range = (0.0, 0.0), theta: Range = (0.5, 0.95)) -> Population:
         """Return the population from which people can be drawn.
 
         Parameters
@@ -188,7 +187,7 @@ class PopulationFit(Result):
             for name, (mean, spread) in self.weights.items()
         }
         parts = tuple(Population(beta, span, sigma, weights=ranges) for _, beta, span in pieces)
-        return Mixture(parts, tuple(share / total for share, _, _ in pieces))
+        return Population.mixed(parts, tuple(share / total for share, _, _ in pieces))
 
     def as_dict(self, sigma: Range = (0.0, 0.0)) -> dict[str, Any]:
         """Return the results as plain data, including the population."""
@@ -203,12 +202,12 @@ class PopulationFit(Result):
             **({"weights": {name: list(one) for name, one in self.weights.items()}} if self.weights else {}),
             **({} if self.trust is None else {"trust": dict(self.trust)}),
             "parts": [
-                {"share": share, **part.as_dict()} for share, part in zip(mixture.shares, mixture.parts, strict=True)
+                {"share": share, **plain(part)} for share, part in zip(mixture.shares, mixture.parts, strict=True)
             ],
         }
 
 
-def mixture(record: dict[str, Any]) -> Mixture:
+def mixture(record: dict[str, Any]) -> Population:
     """Return the population of a `PopulationFit.as_dict`.
 
     Parameters
@@ -228,7 +227,7 @@ def mixture(record: dict[str, Any]) -> Mixture:
             weights = {name: (float(low), float(high)) for name, (low, high) in part.get("weights", {}).items()}
             parts.append(Population((float(b), float(c)), (float(t), float(u)), (float(v), float(w)), weights=weights))
             shares.append(float(part["share"]))
-        return Mixture(tuple(parts), tuple(shares))
+        return Population.mixed(tuple(parts), tuple(shares))
     except (KeyError, TypeError, AttributeError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else f"{error}"
         raise ValueError(f"expected a population as `kitassist fit --population` writes it ({what})") from None

@@ -35,7 +35,7 @@ from ..explain.explanation import Explanation
 from ..people.decision import NOTHING
 from ..people.goals import Goals
 from ..people.human import Population
-from ..people.mixture import Mixture, advice_takers
+from ..people.real_people import advice_takers
 from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..team.robots import Robot
@@ -91,7 +91,7 @@ class Assistant:
     setting : Setting, optional
         Costs, discount, trust. Without a trust rule, theta is constant: data of real people do not support equation
         (7). `knowledge` and `max_steps` are not used, because only the task of real people is known.
-    population : Population or Mixture, optional
+    population : Population, optional
         Prior of the people; by default `advice_takers()`, in which theta varies as much as among real people.
         `fit(...).population()` is another.
     distance : array, shape (P + 1, P + 1), optional
@@ -113,7 +113,7 @@ class Assistant:
         *,
         policy: str | TeamPolicy = "attention",
         setting: Setting | None = None,
-        population: Population | Mixture | None = None,
+        population: Population | None = None,
         distance: ArrayLike | None = None,
         robots: int | tuple[Robot, ...] | None = None,
     ) -> None:
@@ -156,7 +156,7 @@ class Assistant:
         person: str,
         task: CostToGo | Goals | Policy | None = None,
         *,
-        population: Population | Mixture | None = None,
+        population: Population | None = None,
         belief: ArrayLike | None = None,
     ) -> None:
         """Add a person, at the beginning of a task, or let one return to the task that they left.
@@ -166,7 +166,7 @@ class Assistant:
         person : str
         task : CostToGo, Goals or Policy, optional
             By default the team's.
-        population : Population or Mixture, optional
+        population : Population, optional
             Prior of this person; by default that of the team.
         belief : array, shape (B, T), optional
             Belief in a new person from which to begin, for instance that of an earlier team (`PersonState.belief`); by
@@ -206,7 +206,7 @@ class Assistant:
         person: str,
         task: CostToGo | Goals | Policy | None = None,
         *,
-        population: Population | Mixture | None = None,
+        population: Population | None = None,
     ) -> None:
         """Let a person begin the next task, finished or not; the belief in them remains.
 
@@ -215,7 +215,7 @@ class Assistant:
         person : str
         task : CostToGo, Goals or Policy, optional
             By default the same task again.
-        population : Population or Mixture, optional
+        population : Population, optional
             Prior for the policy of this task; by default as before.
         """
         record = self._team.known(person)
@@ -240,9 +240,7 @@ class Assistant:
     def __repr__(self) -> str:
         return f"<Assistant of {', '.join(self.people) or 'nobody'}, policy {self.policy!r}, step {self._step}>"
 
-    def _problem(
-        self, task: CostToGo | Goals | Policy | AnyTask | None, population: Population | Mixture | None
-    ) -> LiveTask:
+    def _problem(self, task: CostToGo | Goals | Policy | AnyTask | None, population: Population | None) -> LiveTask:
         known = self._task if task is None else _costs(task)
         if known is None:
             raise ValueError("there is no task; expected one for the team, or for each person")
@@ -609,7 +607,7 @@ class Assistant:
                 "format": FORMAT,
                 "policy": self.policy if isinstance(self.policy, str) else None,
                 "setting": plain(self.setting),
-                "population": self.population.as_dict(),
+                "population": plain(self.population),
                 "distance": self.distance,
                 "step": self._step,
                 **robots_as_dict(self._team, self._places, self._advice),

@@ -28,7 +28,6 @@ from ..people.action_names import in_pddl
 from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.human import Population
-from ..people.mixture import Mixture
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, InapplicableError, InvalidError
@@ -86,7 +85,7 @@ class Course:
         *,
         policy: str | TeamPolicy = "attention",
         setting: Setting | None = None,
-        population: Population | Mixture | None = None,
+        population: Population | None = None,
         distance: ArrayLike | None = None,
     ) -> None:
         if not tasks:

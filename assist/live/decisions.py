@@ -14,7 +14,6 @@ from planner import CostToGo
 from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.human import Population
-from ..people.mixture import Mixture
 from ..person.beliefs import Ask
 from ..person.policy import Policy
 from ..team.action_check import check
@@ -57,13 +56,13 @@ class Decisions:
 
     def __init__(self, setting: Setting, policy: str | TeamPolicy, team: Roster, places: RobotPlaces) -> None:
         self._setting, self._rule, self._team, self._places = setting, policy, team, places
-        self._problems: dict[tuple[int, Population | Mixture], LiveTask] = {}
+        self._problems: dict[tuple[int, Population], LiveTask] = {}
         self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
         self._asks: LiveQuestions | None = None
         if isinstance(policy, str) and policy not in POLICIES:
             named(policy, (), setting.travel(1))  # raises an error that lists the names
 
-    def problem(self, task: CostToGo | Goals | Policy, population: Population | Mixture) -> LiveTask:
+    def problem(self, task: CostToGo | Goals | Policy, population: Population) -> LiveTask:
         """Return the problem of a task with a prior, which is kept: people with the same task share it."""
         key = (id(task), population)
         if key not in self._problems:

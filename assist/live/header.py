@@ -22,7 +22,6 @@ from ..people.choices import Choices
 from ..people.decision import perceived_cost
 from ..people.goals import Goals, first_of
 from ..people.human import Population
-from ..people.mixture import Mixture
 from .assistant import Assistant
 from .live_task import digest
 
@@ -36,7 +35,7 @@ def header_of(desk: Assistant, tasks: Mapping[str, CostToGo | Goals], distance: 
         "format": FORMAT,
         "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
         "setting": plain(desk.setting),
-        "population": desk.population.as_dict(),
+        "population": plain(desk.population),
         "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
         "tasks": {name: digest(task) for name, task in tasks.items()},
         "files": files_of(tasks),
@@ -52,7 +51,7 @@ def files_of(tasks: Mapping[str, CostToGo | Goals]) -> dict[str, str | None]:
     return {name: None if instance is None else str(instance.problem) for name, instance in known.items()}
 
 
-def _chances(task: CostToGo | Goals, population: Population | Mixture) -> str:
+def _chances(task: CostToGo | Goals, population: Population) -> str:
     """Return a hash of the choice probabilities of a function, which identifies it better than its name."""
     if isinstance(task, Goals) or not is_whole(task):
         raise ValueError(f"people who choose by a function: expected a task of at most {WHOLE:,} states, all known")

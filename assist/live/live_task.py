@@ -29,7 +29,6 @@ from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.goals import Goals, first_of
 from ..people.human import Population
 from ..people.memory import choices_of
-from ..people.mixture import Mixture
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..person.qmdp import qmdp
@@ -80,7 +79,7 @@ class LiveTask:
     task : CostToGo, Goals or Policy
         A task, goals of which people pursue one, or a policy for one person.
     setting : Setting
-    prior : Population or Mixture
+    prior : Population
         The robot's prior of people.
     policy : Policy, optional
         The policy for one person, if there is one already.
@@ -97,7 +96,7 @@ class LiveTask:
         self,
         task: CostToGo | Goals | Policy,
         setting: Setting,
-        prior: Population | Mixture,
+        prior: Population,
         policy: Policy | None = None,
     ) -> None:
         self.task, self.prior = task, prior
@@ -207,7 +206,7 @@ class LiveTask:
         return None if isinstance(task, Choices) else Artist(task.task)
 
 
-def require_usable(task: CostToGo | Goals | Policy, setting: Setting, prior: Population | Mixture) -> None:
+def require_usable(task: CostToGo | Goals | Policy, setting: Setting, prior: Population) -> None:
     """Check that people can work on a task, before anything is solved.
 
     Raises
@@ -231,7 +230,7 @@ def require_usable(task: CostToGo | Goals | Policy, setting: Setting, prior: Pop
                 raise ValueError(f"{what}: expected a task of at most {WHOLE:,} states{rows}")
 
 
-def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population | Mixture) -> Policy:
+def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) -> Policy:
     """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
     if is_whole(known):
         choices = known.choices() if isinstance(known, Goals) else choices_of(known, tuple(prior.weights))
@@ -267,21 +266,14 @@ def digest(task: CostToGo | Goals | Policy) -> str:
     return content.hexdigest()[:32]
 
 
-def population_of(plain: dict[str, Any]) -> Population | Mixture:
-    """Return the population that `Population.as_dict` or `Mixture.as_dict` described, directly or through JSON.
+def population_of(saved: dict[str, Any]) -> Population:
+    """Return the population that `declare.plain` described, directly or through JSON.
 
     Raises
     ------
     ValueError
         Its people choose by a function, whose name alone was saved.
     """
-    if "parts" in plain:
-        return Mixture(tuple(_ranges(part) for part in plain["parts"]), tuple(plain["shares"]))
-    return _ranges(plain)
-
-
-def _ranges(plain: dict[str, Any]) -> Population:
-    if "chooses" in plain:
-        raise ValueError(f"people choose by {plain['chooses']}, a function that is not saved; expected ranges, weights")
-    weights = {name: (low, high) for name, (low, high) in plain.get("weights", {}).items()}
-    return Population(tuple(plain["beta"]), tuple(plain["theta"]), tuple(plain["sigma"]), plain["noise"], weights)
+    if "chooses" in saved:
+        raise ValueError(f"people choose by {saved['chooses']}, a function that is not saved; expected ranges, weights")
+    return Population(**saved)

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
+from ..declare.declared import plain
 from ..people.goals import Goals
 from ..people.human import Population
-from ..people.mixture import Mixture
 from ..person.policy import Policy
 from ..team.settings import Setting
 from ..team.state import BASE
@@ -29,10 +29,10 @@ class Observer(Protocol):
 
     setting: Setting
 
-    def join(self, person: str, task: Task, *, population: Population | Mixture, belief: ArrayLike | None) -> None:
+    def join(self, person: str, task: Task, *, population: Population, belief: ArrayLike | None) -> None:
         """Add a person."""
 
-    def begin(self, person: str, task: Task, *, population: Population | Mixture) -> None:
+    def begin(self, person: str, task: Task, *, population: Population) -> None:
         """Let a person begin the next task."""
 
     def observe(
@@ -47,20 +47,20 @@ def people_as_dicts(team: Roster) -> list[dict[str, Any]]:
 
 
 def _person_as_dict(team: Roster, record: RosterEntry) -> dict[str, Any]:
-    plain = {
+    found = {
         "person": record.name,
         "present": bool(team.present[record.place]),
         "belief": None if record.carried is None else record.carried.tolist(),
         "episodes": [
-            {"task": digest(p.task), "population": p.prior.as_dict(), "steps": steps}
+            {"task": digest(p.task), "population": plain(p.prior), "steps": steps}
             | ({"told": [one._asdict() for one in told]} if told else {})
             for p, steps, told in record.episodes()
         ],
         "suggestion": team.suggestion(record),
     }
     if record.question is not None:
-        plain["question"] = record.question.as_dict()
-    return plain | ({"asked": sorted(record.asked)} if record.asked else {})
+        found["question"] = record.question.as_dict()
+    return found | ({"asked": sorted(record.asked)} if record.asked else {})
 
 
 def robots_as_dict(team: Roster, places: RobotPlaces, advice: tuple[Advice, ...] | None) -> dict[str, Any]:

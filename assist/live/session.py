@@ -31,7 +31,6 @@ from planner.system.errors import DamagedFileError
 
 from ..people.goals import Goals
 from ..people.human import Population
-from ..people.mixture import Mixture
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, InapplicableError, InvalidError, Refusal
@@ -92,7 +91,7 @@ class Session:
         *,
         policy: str | TeamPolicy = "attention",
         setting: Setting | None = None,
-        population: Population | Mixture | None = None,
+        population: Population | None = None,
         distance: ArrayLike | None = None,
         people: PeopleStore | None = None,
         clock: Callable[[], float] = time.monotonic,

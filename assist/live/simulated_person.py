@@ -14,7 +14,6 @@ from ..people.decision import NOTHING, Floats, choice, influence
 from ..people.goals import Goals
 from ..people.human import Human, Population
 from ..people.misconception import perceived_cost_to_go
-from ..people.mixture import Mixture
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule, moved
 from ..person.observation_model import ObservationModel
@@ -38,7 +37,7 @@ class SimulatedPerson:
 
     Parameters
     ----------
-    population : Population or Mixture
+    population : Population
         Population from which the person is drawn.
     trust : TrustRule, optional
         Rule by which theta changes; by default equation (7) with eta = 0.2.
@@ -46,11 +45,11 @@ class SimulatedPerson:
         Random seed of the person and of all their choices.
     """
 
-    def __init__(self, population: Population | Mixture, *, trust: TrustRule | None = None, seed: int = 0) -> None:
+    def __init__(self, population: Population, *, trust: TrustRule | None = None, seed: int = 0) -> None:
         self._seed, self._trust = seed, EquationSeven() if trust is None else trust
         self._count = np.zeros((), dtype=np.int64)
         self.rng = np.random.default_rng(seed)
-        if isinstance(population, Mixture):
+        if population.parts:
             population = population.parts[int(self.rng.choice(len(population.parts), p=population.shares))]
         ranges = (population.beta, population.theta, population.sigma)
         self.beta, self.theta, self.sigma = (float(self.rng.uniform(*ends)) for ends in ranges)

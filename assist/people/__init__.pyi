@@ -19,8 +19,7 @@ from .human import Population as Population
 from .memory import remembered as remembered
 from .misconception import Misconception as Misconception
 from .misconception import perceived_cost_to_go as perceived_cost_to_go
-from .mixture import Mixture as Mixture
-from .mixture import advice_takers as advice_takers
+from .real_people import advice_takers as advice_takers
 from .signals import ActionRecovery as ActionRecovery
 from .signals import FactChange as FactChange
 from .signals import Recovery as Recovery

@@ -19,7 +19,6 @@ from planner.system.arrays import frozen
 from .decision import Floats
 from .hidden_type import HiddenType
 from .human import Population
-from .mixture import Mixture
 from .spread import Cells, Spread
 
 
@@ -57,7 +56,7 @@ class Grid:
             raise ValueError("theta: expected a grid from 0 to 1, because trust can move that far")
 
     @classmethod
-    def regular(cls, population: Population | Mixture, betas: int = 6, thetas: int = 10) -> Grid:
+    def regular(cls, population: Population, betas: int = 6, thetas: int = 10) -> Grid:
         """Return a grid with the midpoints of equal cells of the population's range of beta, and [0, 1] for theta."""
         low, high = population.beta
         edges = np.linspace(low, high, betas + 1)
@@ -112,14 +111,14 @@ class Grid:
         low = low + np.asarray(count) * len(values)
         return low.astype(np.int64), np.clip(weight, 0.0, 1.0)
 
-    def prior(self, population: Population | Mixture) -> Floats:
+    def prior(self, population: Population) -> Floats:
         """Return the belief, shape (B, T), in a person drawn from a population.
 
         For a mixture, it is the mixture of the parts' beliefs. Beta is uniform over the grid's values in the
         population's range, or on the nearest one if there is none. The uniform density of theta is divided between
         grid points as single values are, so that its mean is exact. No outcome has been seen yet.
         """
-        if isinstance(population, Mixture):
+        if population.parts:
             parts = zip(population.shares, population.parts, strict=True)
             return np.sum([share * self.prior(part) for share, part in parts], axis=0) / sum(population.shares)
         low, high = population.beta

@@ -30,6 +30,12 @@ def parse(text: str, folder: Path | None = None) -> tuple[Path, str] | None:
     return ((folder or Path()) / path, function) if colon else None
 
 
+def function_beside(folder: Path, text: str) -> str:
+    """Return FILE.py:FUNCTION with a path from a folder; other texts unchanged."""
+    place = parse(text, folder)
+    return text if place is None else f"{place[0]}:{place[1]}"
+
+
 def load(file: Path, name: str) -> Callable[..., Any]:
     """Load a function from a Python file.
 

@@ -29,7 +29,6 @@ from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import KNOWN, HiddenType
 from ..people.human import HumanModel, Population
-from ..people.mixture import Mixture
 from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule, counts_of, moved
 from .leaf_bounds import LeafBounds
 
@@ -115,7 +114,7 @@ class AssistPOMDP:
         *,
         chooses: ChoiceModel = boltzmann,
         grid: Grid | None = None,
-        population: Population | Mixture | None = None,
+        population: Population | None = None,
         gamma: float = 0.99,
         c_suggest: float = 1.0,
         suggestions: Suggestions = "optimal",
@@ -133,7 +132,7 @@ class AssistPOMDP:
             Model of people's choices, with beta as the person's type; equation 5 by default.
         grid : Grid, optional
             Grid of hidden values; by default, a regular grid over the population's ranges.
-        population : Population or Mixture, optional
+        population : Population, optional
             Prior distribution of (beta, theta).
         gamma, c_suggest, c_execute : float
             As in the attributes of the class.

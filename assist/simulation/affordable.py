@@ -11,13 +11,12 @@ from ..people.choices import Choices
 from ..people.goals import Goals, each_of, first_of
 from ..people.human import Population
 from ..people.memory import choices_of
-from ..people.mixture import Mixture
 from ..person.memory_needed import ONE_FOR_ALL, policy_bytes, require_room
 from ..team.settings import Setting
 
 
 def affordable_choices(
-    table: Table | Goals | Choices, setting: Setting, population: Population | Mixture, prior: Population | Mixture,
+    table: Table | Goals | Choices, setting: Setting, population: Population, prior: Population,
     size: int, memory_limit_mb: float, *, required: bool,
 ) -> Choices | None:  # fmt: skip
     """Return the choices in an enumerated task, with the memory of people whose choices have terms.
@@ -28,7 +27,7 @@ def affordable_choices(
     ----------
     table : Table, Goals or Choices
     setting : Setting
-    population, prior : Population or Mixture
+    population, prior : Population
         From which people are drawn, and the robot's prior.
     size : int
         Number of people.

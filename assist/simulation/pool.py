@@ -22,7 +22,6 @@ from ..people.choices import Choices
 from ..people.goals import Goals, costs_to_go, each_of, first_of
 from ..people.human import Human, Population
 from ..people.misconception import Misconception
-from ..people.mixture import Mixture
 from ..person.lazy_policy import LazyPolicy
 from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
 from ..person.policy import Policy
@@ -134,8 +133,8 @@ class Pool(Result):
         *,
         seed: Seed,
         setting: Setting | None = None,
-        population: Population | Mixture | None = None,
-        prior: Population | Mixture | None = None,
+        population: Population | None = None,
+        prior: Population | None = None,
         solver: Callable[[AssistPOMDP], Policy] = qmdp,
         memory_limit_mb: float = MEMORY_LIMIT_MB,
         states: int = WHOLE,
@@ -157,10 +156,10 @@ class Pool(Result):
         seed : int or Generator
         setting : Setting, optional
             By default the paper's.
-        population : Population or Mixture, optional
+        population : Population, optional
             Population from which the people are drawn; by default the paper's. If it has weights of terms, each task
             state is split by the memory of people (`remembered`).
-        prior : Population or Mixture, optional
+        prior : Population, optional
             The robot's prior; by default `population`. A robot whose prior has no weights assumes that people choose by
             cost-to-go alone.
         solver : callable
@@ -281,7 +280,7 @@ class Pool(Result):
 
 
 def _enumerated(
-    choices: Choices, people: Sequence[Human], setting: Setting, prior: Population | Mixture,
+    choices: Choices, people: Sequence[Human], setting: Setting, prior: Population,
     solver: Callable[[AssistPOMDP], Policy], progress: Progress,
 ) -> list[Policy]:  # fmt: skip
     """Return a policy for each model of people on an enumerated task, solved on first use."""

@@ -21,7 +21,6 @@ from ..large_tasks.state_cache import StateCache
 from ..people.choices import Choices
 from ..people.human import Population
 from ..people.memory import choices_of
-from ..people.mixture import Mixture
 from ..person.leaf_bounds import LeafBounds
 from ..person.qmdp import qmdp
 from ..person.solution_cache import SolutionCache
@@ -142,7 +141,7 @@ def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterat
         }
 
 
-def _people(study: Study, cell: Cell) -> tuple[Population | Mixture, Population | Mixture]:
+def _people(study: Study, cell: Cell) -> tuple[Population, Population]:
     """Return the population from which a cell's people are drawn, and the robot's prior."""
     populations = dict(study.populations)
     population = populations[cell.population]

@@ -24,7 +24,6 @@ from ..declare.declared import (
     Counts,
     Expected,
     Number,
-    Range,
     Seed,
     Text,
     Texts,
@@ -35,9 +34,9 @@ from ..declare.declared import (
 from ..declare.tables import convert, fault, label, load, located, replaced
 from ..learning import population as populations
 from ..people.human import Population
-from ..people.mixture import Mixture, advice_takers
+from ..people.real_people import advice_takers
 from ..people.terms import TERMS
-from ..people.user_code import UserChoiceModel, UserCodeError, parse
+from ..people.user_code import parse
 from ..team.policy_names import POLICIES
 from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study
@@ -86,20 +85,6 @@ class ReferenceTable:
     interventions: tuple[InterventionsTable, ...] = ()
     declines: Truth = False
     contrasts: Texts | None = None
-
-
-@declared
-class PopulationTable:
-    """A table of `populations`: ranges of parameters, or a file."""
-
-    beta: Range | None = None
-    theta: Range | None = None
-    sigma: Range | None = None
-    noise: Text | None = None
-    weights: dict[str, Range] = field(default_factory=dict)
-    people: Text | None = None
-    file: Text | None = None
-    advice_takers: Truth = False
 
 
 @declared
@@ -250,42 +235,34 @@ class Reader:
         labels = [s if stems.count(s) == 1 else str(i.problem) for s, i in zip(stems, problems, strict=True)]
         return tuple(zip(labels, problems, strict=True))
 
-    def _population(self, name: str, content: dict[str, Any]) -> Population | Mixture:
-        """Read a population: ranges, or a file written by `kitassist fit --population`."""
+    def _population(self, name: str, content: dict[str, Any]) -> Population:
+        """Read a population: ranges, real people's influence, or a file written by `kitassist fit`."""
         place = f"populations.{name}"
-        table = convert(content, PopulationTable, self.file, place)
-        ranges = {key: getattr(table, key) for key in content if key not in ("file", "people", "advice_takers")}
+        for key, others in (("file", set[str]()), ("advice_takers", {"beta", "sigma"})):
+            if key in content and (more := set(content) - {key, *others}):
+                message = f"{key} also sets {' and '.join(sorted(more))}; expected one of them"
+                raise fault(self.file, place, message)
+        if "advice_takers" in content:
+            if content["advice_takers"] is not True:
+                raise fault(self.file, f"{place}.advice_takers", f"{shown(content['advice_takers'])}; expected true")
+            ranges = {key: value for key, value in content.items() if key != "advice_takers"}
+            own = convert(ranges, Population, self.file, place)
+            return advice_takers(own.beta, own.sigma)
+        if "file" not in content:
+            return self._known(place, convert(content, Population, self.file, place))
         try:
-            if table.advice_takers:
-                if others := set(content) - {"advice_takers", "beta", "sigma"}:
-                    raise fault(
-                        self.file,
-                        place,
-                        f"advice_takers also sets {' and '.join(sorted(others))}; expected one of them",
-                    )
-                return advice_takers(**ranges)
-            if table.file is None:
-                own = None if table.people is None else parse(table.people, self.file.parent)
-                if table.people is not None and own is None:
-                    raise fault(self.file, f"{place}.people", f"'{table.people}'; expected FILE.py:FUNCTION")
-                return self._known(
-                    place, Population(**ranges, chooses=None if own is None else UserChoiceModel.load(*own))
-                )
-            ranges |= {} if table.people is None else {"people": table.people}
-            if ranges:
-                raise fault(self.file, place, f"file also sets {' and '.join(ranges)}; expected one of them")
-            path = self.file.parent / table.file
+            path = self.file.parent / content["file"]
             return self._known(place, populations.mixture(json.loads(path.read_text(encoding="utf-8"))))
         except InputFileError:
             raise
-        except UserCodeError as error:
-            raise fault(self.file, f"{place}.people", str(error)) from None
+        except TypeError:
+            raise fault(self.file, f"{place}.file", f"{shown(content['file'])}; expected a text") from None
         except OSError as error:
             raise fault(self.file, f"{place}.file", f"{error.filename}: {error.strerror}") from None
         except ValueError as error:
-            raise fault(self.file, f"{place}{'.file' if table.file else ''}", str(error)) from None
+            raise fault(self.file, f"{place}.file", str(error)) from None
 
-    def _known(self, place: str, population: Population | Mixture) -> Population | Mixture:
+    def _known(self, place: str, population: Population) -> Population:
         """Return the population, after checking that all its weights belong to known terms."""
         for name in population.weights:
             if name not in TERMS:
@@ -319,7 +296,7 @@ class Reader:
         return replaced(base, content, self.file, place)
 
     def _reference(
-        self, people: dict[str, Population | Mixture], contrasts: tuple[Contrast, ...], first: Condition
+        self, people: dict[str, Population], contrasts: tuple[Contrast, ...], first: Condition
     ) -> Reference | None:
         table = self.table.reference
         if table is None:

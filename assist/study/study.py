@@ -23,7 +23,6 @@ from planner import Instance
 
 from ..declare.declared import plain
 from ..people.human import Population
-from ..people.mixture import Mixture
 from ..people.user_code import UserChoiceModel
 from ..team.settings import Setting
 
@@ -178,7 +177,7 @@ class Study:
     draws: int
     trials: int
     focus: str
-    populations: tuple[tuple[str, Population | Mixture], ...]
+    populations: tuple[tuple[str, Population], ...]
     instances: tuple[tuple[str, Instance], ...]
     own_policies: tuple[tuple[str, tuple[Path, str]], ...]
     conditions: tuple[Condition, ...]
@@ -244,7 +243,7 @@ class Study:
         return json.loads(json.dumps(self._plain(), default=str))
 
     def _plain(self) -> dict[str, Any]:
-        found = asdict(self) | {"populations": [(name, people.as_dict()) for name, people in self.populations]}
+        found = asdict(self) | {"populations": [(name, plain(people)) for name, people in self.populations]}
         for condition, own in zip(found["conditions"], self.conditions, strict=True):
             condition["settings"] = tuple((label, plain(setting)) for label, setting in own.settings)
         return found

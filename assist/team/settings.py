@@ -16,7 +16,6 @@ from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
 from ..people.human import Human, HumanModel, Population
-from ..people.mixture import Mixture
 from ..people.trust_rules import TrustRule, rule_given, trust_rule
 from ..person.leaf_bounds import LeafBounds
 from ..person.observation_model import ObservationModel
@@ -178,7 +177,7 @@ class Setting(OfRobots):
             places, c_move=fleet.each("c_move"), travel_time=fleet.each("travel_time"), distance=distance
         )  # fmt: skip
 
-    def chooses(self, human: Human | None, population: Population | Mixture) -> ChoiceModel:
+    def chooses(self, human: Human | None, population: Population) -> ChoiceModel:
         """Return the robot's model of a person's choices; `human` is None if the person is unknown to the robot."""
         return human.chooses if human is not None and human.weights and population.weights else population.typical
 
@@ -186,7 +185,7 @@ class Setting(OfRobots):
         self,
         choices: Choices,
         human: Human | None,
-        population: Population | Mixture,
+        population: Population,
         *,
         frontier: LeafBounds | None = None,
     ) -> AssistPOMDP:
@@ -199,7 +198,7 @@ class Setting(OfRobots):
         human : Human or None
             The person, if the robot knows their perceived costs; None if it knows the task only. The weights of a known
             person are known, too, if the population has weights.
-        population : Population or Mixture
+        population : Population
             The robot's prior.
         frontier : LeafBounds, optional
             Bounds at the frontier of a truncated task.

@@ -10,7 +10,6 @@ from pathlib import Path
 from planner import Instance
 
 from ..people.human import Population
-from ..people.mixture import Mixture
 from ..team.settings import Setting
 from ..texts.catalogue import Catalogue
 from .assignment import balanced_orders
@@ -133,7 +132,7 @@ class UserStudy:
     confirmatory : tuple of str
         Outcomes whose comparisons are tests of the study's hypotheses, as one family; all others are exploratory.
     setting : Setting
-    population : Population or Mixture
+    population : Population
         The robot's prior over people, from which simulated people are drawn too.
     texts : dict of str
         Consent, instructions and thanks, in Markdown.
@@ -170,7 +169,7 @@ class UserStudy:
     exclude_failed_checks: int | None
     confirmatory: tuple[str, ...]
     setting: Setting
-    population: Population | Mixture
+    population: Population
     texts: dict[str, str]
     questionnaires: tuple[Questionnaire, ...]
     catalogue: Catalogue

@@ -18,10 +18,10 @@ from planner import Instance, InstanceError, find_instances
 from planner.pddl import bundled
 from planner.system.errors import expected as meant
 
-from ..declare.declared import AnyTable, Count, Expected, Number, Range, Seed, Text, Texts, Truth, Whole, declared
+from ..declare.declared import AnyTable, Count, Expected, Number, Seed, Text, Texts, Truth, Whole, declared
 from ..declare.tables import convert, fault, load, located, replaced
 from ..people.human import Population
-from ..people.mixture import Mixture, advice_takers
+from ..people.real_people import advice_takers
 from ..people.user_code import parse
 from ..team.policy_names import POLICIES
 from ..team.settings import Setting
@@ -57,15 +57,6 @@ class GroupTable:
 
 
 @declared
-class PopulationTable:
-    """The table `population`."""
-
-    beta: Range | None = None
-    theta: Range | None = None
-    sigma: Range | None = None
-
-
-@declared
 class FileTable:
     """The whole file."""
 
@@ -95,7 +86,7 @@ class FileTable:
     confirmatory: Texts | None = None
     seed: Seed = 0
     setting: AnyTable = field(default_factory=dict)
-    population: PopulationTable = PopulationTable()
+    population: AnyTable = field(default_factory=dict)
     group: GroupTable | None = None
     questionnaires: tuple[QuestionnaireTable, ...] = ()
 
@@ -246,10 +237,7 @@ def _setting(file: Path, content: dict[str, Any], place: str = "setting") -> Set
     return setting
 
 
-def _population(file: Path, table: PopulationTable) -> Population | Mixture:
-    ranges = {name: getattr(table, name) for name in ("beta", "theta", "sigma")}
-    try:
-        given = {name: value for name, value in ranges.items() if value is not None}
-        return Population(**given) if "theta" in given else advice_takers(**given)
-    except ValueError as error:
-        raise fault(file, "population", str(error)) from None
+def _population(file: Path, content: dict[str, Any]) -> Population:
+    """Return the prior over participants, whose influence is that of real people unless it is given."""
+    found = convert(content, Population, file, "population")
+    return found if "theta" in content else advice_takers(found.beta, found.sigma)

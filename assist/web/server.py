@@ -29,7 +29,6 @@ from ..live.simulated_person import SimulatedPerson
 from ..live.store import JournalError
 from ..people.goals import Goals
 from ..people.human import Population
-from ..people.mixture import Mixture
 from ..person.observation_model import ObservationModel
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
@@ -197,7 +196,7 @@ class ServedTeam:
     policy : str or callable
         A team policy, as in `Assistant`.
     setting : Setting
-    population : Population or Mixture
+    population : Population
         The robot's prior over people, from which simulated people are drawn too.
     distance : array, optional
         Distances between the stations of people, in their order, and the base, as in `Assistant`.
@@ -224,7 +223,7 @@ class ServedTeam:
     people: Mapping[str, str]
     policy: str | TeamPolicy
     setting: Setting
-    population: Population | Mixture
+    population: Population
     distance: ArrayLike | None
     simulated: Sequence[str]
     pace: float

@@ -38,7 +38,6 @@ from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
 from assist.people.human import Human, Population
 from assist.people.misconception import Misconception
-from assist.people.mixture import Mixture
 from assist.people.weighted_choice import Weighted
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
@@ -128,7 +127,7 @@ def in_bytes(folder: Path, content: bytes) -> None:
 REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     # People and pools.
     "two choice models": (
-        lambda _: Mixture((Population(), Population(chooses=another_way)), (0.5, 0.5)),
+        lambda _: Population.mixed((Population(), Population(chooses=another_way)), (0.5, 0.5)),
         ValueError, "parts with different choice models; expected the same for all",
     ),
     "noise": (lambda _: Misconception(0.5, 1, "both"), ValueError, "noise 'both': expected 'state' or 'action'"),

@@ -20,7 +20,6 @@ from .common import INPUT_FILE, NUMBER, Command, Option, Range, is_given, range_
 if TYPE_CHECKING:
     from ...people.choice_model import ChoiceModel
     from ...people.human import Population
-    from ...people.mixture import Mixture
 
 
 def population_options(
@@ -61,7 +60,7 @@ people_option = click.option(
 
 def population_of(
     beta: Range, theta: Range | None, sigma: Range | None = None, *, file: Path | None = None, people: str | None = None
-) -> Population | Mixture:
+) -> Population:
     """Return the population that the options describe.
 
     Raises
@@ -71,7 +70,7 @@ def population_of(
         missing.
     """
     from ...people.human import Population
-    from ...people.mixture import advice_takers
+    from ...people.real_people import advice_takers
 
     try:
         if file is None:
@@ -89,7 +88,7 @@ def population_of(
         raise click.UsageError(f"--population {file}: {error}" if file else str(error)) from None
 
 
-def read_population(file: Path) -> Mixture:
+def read_population(file: Path) -> Population:
     """Read a population that `fit --population` wrote.
 
     Raises

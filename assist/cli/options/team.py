@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     from ...people.goals import Goals
     from ...people.human import Population
-    from ...people.mixture import Mixture
     from ...simulation.pool import Pool
     from ...team.state import TeamPolicy
     from ...team.travel import Travel
@@ -85,7 +84,7 @@ class TeamSetup(NamedTuple):
 
     instance: Instance
     known: CostToGo | Goals
-    population: Population | Mixture
+    population: Population
     pool: Pool
     travel: Travel
 

@@ -20,7 +20,6 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import Misconception
-from assist.people.mixture import Mixture
 from assist.people.trust_rules import Reliability
 from assist.person.archive import ArchiveError
 from assist.person.pomdp import AssistPOMDP
@@ -188,7 +187,7 @@ def test_a_part_begins_where_it_is_told_and_ends_with_the_time(monkeypatch: pyte
 
 def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
     part = TruncatedTask.of(table_of(INSTANCES["sealed"]), states=15)
-    some = Mixture((Population(beta=(0.1, 0.3), theta=(0.8, 0.9)), Population(theta=(0.2, 0.3))), (0.75, 0.25))
+    some = Population.mixed((Population(beta=(0.1, 0.3), theta=(0.8, 0.9)), Population(theta=(0.2, 0.3))), (0.75, 0.25))
     people = {"eta": 0.4, "lapse": 0.02, "utility_scale": 3.0}
     prices = {"gamma": 0.9, "c_suggest": 0.3, "suggestions": "all"}
     mine = Grid(np.array([0.1, 1.0, 2.0]), np.linspace(0, 1, 4))

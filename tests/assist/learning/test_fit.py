@@ -33,7 +33,6 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
 from assist.people.human import HumanModel, Population
-from assist.people.mixture import Mixture
 from assist.person.pomdp import AssistPOMDP
 from planner import Cache, LimitError, Table, Task, load
 from planner.costtogo import on_demand
@@ -235,14 +234,14 @@ def test_people_are_found_again(paper: Table, paper_choices: Choices) -> None:
 
 def test_a_mixture_is_the_sum_of_its_parts() -> None:
     low, high = Population((0.1, 0.5), (0.5, 0.55)), Population((2.0, 2.5), (0.8, 0.9))
-    both = Mixture((low, high), (0.25, 0.75))
+    both = Population.mixed((low, high), (0.25, 0.75))
     assert (both.beta, both.theta) == ((0.1, 2.5), (0.5, 0.9))
     grid = Grid.regular(both)
     np.testing.assert_allclose(grid.prior(both), 0.25 * grid.prior(low) + 0.75 * grid.prior(high))
     people = both.sample(TINY_CHOICES, 400, np.random.default_rng(0))
     assert np.mean([human.beta > 1 for human in people]) == pytest.approx(0.75, abs=0.07)
     with pytest.raises(ValueError, match="add up to"):
-        Mixture((low, high), (0.5, 0.6))
+        Population.mixed((low, high), (0.5, 0.6))
 
 
 def test_misconceptions_are_told_from_carelessness(paper: Table, paper_choices: Choices) -> None:

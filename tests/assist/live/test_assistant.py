@@ -16,7 +16,6 @@ from assist.people.choice_model import boltzmann
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.people.memory import remembered
-from assist.people.mixture import Mixture
 from assist.people.terms import TERMS
 from assist.people.weighted_choice import Weighted
 from assist.person.pomdp import AssistPOMDP
@@ -241,7 +240,7 @@ def happen(desk: Assistant, events: list[tuple[str, int, int]]) -> None:
 def test_a_restored_team_is_the_same_and_goes_on_the_same(
     tiny: Table, events: list[tuple[str, int, int]], more: list[tuple[str, int, int]]
 ) -> None:
-    mixed = Mixture((Population(), Population(theta=(0.6, 0.7))), (0.25, 0.75))
+    mixed = Population.mixed((Population(), Population(theta=(0.6, 0.7))), (0.25, 0.75))
     setting = Setting(c_suggest=0.05, c_move=0.1, travel_time=0.5 * (len(events) % 2))
     desk = Assistant(tiny, list("abc"), setting=setting, population=mixed)
     happen(desk, events)

@@ -14,7 +14,7 @@ from test_unreliable_observations import by_enumeration, problem
 from assist.large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
-from assist.people.mixture import advice_takers
+from assist.people.real_people import advice_takers
 from assist.person import QMDP, ObservationModel, qmdp
 from assist.team import Setting
 from assist.texts import InapplicableError

@@ -16,7 +16,6 @@ from assist.large_tasks.person_problem import PersonProblem
 from assist.people.arguments import number, span
 from assist.people.belief import Grid
 from assist.people.human import Human, Population
-from assist.people.mixture import Mixture
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
@@ -40,15 +39,15 @@ SAMPLED: list[tuple[str, Any]] = [
 ]  # fmt: skip
 
 PEOPLE: dict[str, tuple[Callable[[], Any], str]] = {
-    "shares": (lambda: Mixture((Population(), Population()), (0.5, NAN)), "the shares add up to nan"),
-    "share": (lambda: Mixture((Population(),), (True,)), "share True: expected a number"),
+    "shares": (lambda: Population.mixed((Population(), Population()), (0.5, NAN)), "shares[2] nan: expected a number"),
+    "share": (lambda: Population.mixed((Population(),), (True,)), "shares[1] True: expected a number"),
     "beta": (lambda: Human(True, 0.5, 0, np.zeros(1)), "beta True: expected a number"),
     "sigma": (lambda: Human(1, 0.5, 1e300, np.zeros(1)), "beta 1, theta 0.5, sigma 1e+300: expected beta and"),
     "theta": (lambda: Human(1, np.zeros(1), 0, np.zeros(1)), "theta array([0.]): expected a number"),  # type: ignore[arg-type]
     "h of no number": (lambda: Human(1, 0.5, 0, np.array([0, NAN])), "h, shape (2,): expected a number for each"),
     "h of one": (lambda: Human(1, 0.5, 0, np.array(3)), "h, shape (): expected a number for each state"),
     "h of three axes": (lambda: Human(1, 0.5, 0, np.zeros((1, 1, 1))), "h, shape (1, 1, 1): expected a number"),
-    "weight": (lambda: Population(weights={"goals": ("a", 1)}), "weight range of goals 'a': expected a number"),  # type: ignore[dict-item]
+    "weight": (lambda: Population(weights={"goals": ("a", 1)}), "weights.goals ('a', 1): expected two numbers"),  # type: ignore[dict-item]
     "grid": (lambda: Grid(np.array([NAN]), np.array([0, 1])), "beta: expected one or more ascending values"),
     "infinite grid": (lambda: Grid(np.array([0, INF]), np.array([0, 1])), "beta: expected finite values"),
     "joins": (lambda: Schedule.of(1, [2**63]), "joins [9223372036854775808]: expected whole numbers"),
@@ -72,7 +71,7 @@ def test_what_is_no_number(value: Any) -> None:
 @pytest.mark.parametrize("value", [5, None, (1,), (1, 2, 3), "01", np.zeros((1, 2)), np.zeros((3, 1))], ids=repr)
 @pytest.mark.parametrize("name", ["beta", "theta", "sigma"])
 def test_what_is_no_range(name: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=rf"(?s)^{name} range .*: expected"):
+    with pytest.raises(ValueError, match=rf"(?s)^{name} .*: expected two numbers"):
         Population(**{name: value})
 
 

@@ -16,7 +16,7 @@ from assist.people.decision import choice, influence, lapse, trust
 from assist.people.hidden_type import KNOWN, HiddenType
 from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import perceived_cost_to_go
-from assist.people.mixture import Mixture, advice_takers
+from assist.people.real_people import advice_takers
 from assist.people.spread import Spread
 from assist.people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
 from assist.person.belief_filter import child, posterior, split
@@ -194,7 +194,7 @@ def test_a_regular_grid_has_the_middles_of_equal_cells() -> None:
     assert grid.theta.tolist() == [0, 0.25, 0.5, 0.75, 1]
     assert Grid.regular(population).shape == (6, 10)
     assert Grid.regular(Population(beta=(2.0, 2.0))).beta.tolist() == [2]
-    two = Mixture((Population(beta=(0.0, 1.0)), Population(beta=(2.0, 3.0))), (0.5, 0.5))
+    two = Population.mixed((Population(beta=(0.0, 1.0)), Population(beta=(2.0, 3.0))), (0.5, 0.5))
     assert Grid.regular(two, betas=3).beta.tolist() == [0.5, 1.5, 2.5]
 
 
@@ -233,7 +233,7 @@ def test_a_prior_of_theta_by_hand(theta: tuple[float, float], expected: list[flo
 
 def test_a_prior_of_a_mixture_is_the_mixture_of_priors() -> None:
     novices, experts = Population(beta=(0.2, 0.2), theta=(0.0, 0.0)), Population(beta=(2.5, 2.5), theta=(1.0, 1.0))
-    prior = GRID.prior(Mixture((novices, experts), (0.25, 0.7500005)))  # rounded shares from a file
+    prior = GRID.prior(Population.mixed((novices, experts), (0.25, 0.7500005)))  # rounded shares from a file
     assert prior.sum() == pytest.approx(1, abs=1e-15)
     assert prior[0, 0] == pytest.approx(0.25, abs=1e-6)
     assert prior[2, 3] == pytest.approx(0.75, abs=1e-6)

@@ -11,13 +11,13 @@ from conftest import write_instance
 from hypothesis import given
 from hypothesis import strategies as st
 
+from assist.declare import plain
 from assist.people.arguments import MOST
 from assist.people.choice_model import boltzmann
 from assist.people.choices import WAIT, Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_cost, perceived_value, trust
 from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import perceived_cost_to_go
-from assist.people.mixture import Mixture
 from assist.people.weighted_choice import Weighted
 from assist.team.travel import Travel
 from planner import Table, load, sweep
@@ -227,17 +227,17 @@ def test_the_same_generator_draws_the_same_people(tiny_choices: Choices) -> None
 @pytest.mark.parametrize(
     ("ranges", "message"),
     [
-        ({"theta": (0.5, 1.2)}, r"theta range \(0.5, 1.2\): expected 0 <= low <= high <= 1$"),
-        ({"beta": (1.0, float("inf"))}, r"beta range \(1, inf\): expected 0 <= low <= high <= 1e[+]15$"),
-        ({"beta": (float("nan"), 1.0)}, r"beta range \(nan, 1\): expected"),
-        ({"sigma": (-0.1, 1.0)}, r"sigma range \(-0.1, 1\): expected 0 <= low <= high <= 1e[+]15$"),
-        ({"sigma": (0.2, 0.1)}, r"sigma range \(0.2, 0.1\): expected 0 <= low <= high <= 1e[+]15$"),
-        ({"noise": "both"}, "noise 'both': expected 'state' or 'action'$"),
+        ({"theta": (0.5, 1.2)}, r"theta \(0.5, 1.2\): expected two numbers, 0 <= low <= high <= 1$"),
+        ({"beta": (1.0, float("inf"))}, r"beta \(1.0, inf\): expected two numbers, 0 <= low <= high <= 1e[+]15$"),
+        ({"beta": (float("nan"), 1.0)}, r"beta \(nan, 1.0\): expected"),
+        ({"sigma": (-0.1, 1.0)}, r"sigma \(-0.1, 1.0\): expected two numbers, 0 <= low <= high <= 1e[+]15$"),
+        ({"sigma": (0.2, 0.1)}, r"sigma \(0.2, 0.1\): expected two numbers, 0 <= low <= high <= 1e[+]15$"),
+        ({"noise": "both"}, 'noise \'both\': expected "state" or "action"$'),
         (
             {"weights": {"goals": (1.0, 0.5)}},
-            r"weight range \(1, 0.5\) of goals: expected -1e[+]15 <= low <= high <= 1e[+]15$",
+            r"weights.goals \(1.0, 0.5\): expected two numbers, -1e[+]15 <= low <= high <= 1e[+]15$",
         ),
-        ({"weights": {"goals": (0.0, 2e15)}}, "weight range .* of goals: expected"),
+        ({"weights": {"goals": (0.0, 2e15)}}, "weights.goals .*: expected two numbers"),
         (
             {"weights": {"goals": (0.0, 1.0)}, "chooses": boltzmann},
             "weights of goals, and a choice model: expected one",
@@ -273,16 +273,16 @@ def test_weights_are_drawn_from_their_ranges_and_change_nothing_else(tiny_choice
 
 
 def test_a_population_as_plain_data() -> None:
-    plain = {"beta": (0.0, 3.0), "theta": (0.5, 0.95), "sigma": (0.1, 1.0), "noise": "state"}
+    ranges = {"beta": [0.0, 3.0], "theta": [0.5, 0.95], "sigma": [0.1, 1.0], "noise": "state"}
     whole = Population(beta=(0, 3))
-    assert whole.as_dict() == plain
+    assert plain(whole) == ranges
     assert all(type(end) is float for end in whole.beta)
-    assert Population(beta=(0, 3), weights={"back": (0, 1)}).as_dict() == {**plain, "weights": {"back": (0.0, 1.0)}}
+    assert plain(Population(beta=(0, 3), weights={"back": (0, 1)})) == {**ranges, "weights": {"back": [0.0, 1.0]}}
 
     def uniform(choices: Choices, _q: np.ndarray, beta: np.ndarray) -> np.ndarray:
         return np.broadcast_to(choices.applicable, (len(beta), *choices.applicable.shape)) * 1.0
 
-    assert Population(beta=(0, 3), chooses=uniform).as_dict() == {**plain, "chooses": "uniform"}
+    assert plain(Population(beta=(0, 3), chooses=uniform)) == {**ranges, "chooses": "uniform"}
 
 
 @pytest.mark.parametrize(
@@ -324,7 +324,7 @@ def test_a_mixture_draws_from_each_part_by_its_share(tiny_choices: Choices) -> N
         Population(beta=(1.0, 2.0), theta=(0.5, 0.9), sigma=(0.0, 0.2)),
         Population(beta=(0.3, 0.4), theta=(0.1, 0.2), sigma=(0.9, 1.0)),
     )
-    mixture = Mixture(parts, (0.7500005, 0.25, 0.0))  # within rounding of 1
+    mixture = Population.mixed(parts, (0.7500005, 0.25, 0.0))  # within rounding of 1
     assert (mixture.beta, mixture.theta, mixture.sigma) == ((0.1, 2.0), (0.1, 0.9), (0.0, 1.0))
     drawn = mixture.sample(tiny_choices, 400, np.random.default_rng(0))
     novices = sum(person.beta <= 0.2 for person in drawn)
@@ -336,7 +336,7 @@ def test_a_mixture_draws_from_each_part_by_its_share(tiny_choices: Choices) -> N
 @pytest.mark.parametrize(
     ("count", "shares", "message"),
     [
-        (0, (), "0 parts, 0 shares: expected one share for each part"),
+        (0, (), "0 parts: expected one or more"),
         (2, (1.0,), "2 parts, 1 shares: expected one share for each part"),
         (2, (1.5, -0.5), "the shares add up to 1; expected numbers of 0 or more"),
         (2, (0.5, 0.6), "the shares add up to 1.1; expected numbers of 0 or more that add up to 1$"),
@@ -345,7 +345,7 @@ def test_a_mixture_draws_from_each_part_by_its_share(tiny_choices: Choices) -> N
 )
 def test_mixtures_that_cannot_be(count: int, shares: tuple[float, ...], message: str) -> None:
     with pytest.raises(ValueError, match=f"^{message}"):
-        Mixture((Population(),) * count, shares)
+        Population.mixed((Population(),) * count, shares)
 
 
 SWITCH = """

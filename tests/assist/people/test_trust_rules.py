@@ -24,7 +24,7 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
 from assist.people.human import HumanModel, Population
-from assist.people.mixture import advice_takers
+from assist.people.real_people import advice_takers
 from assist.people.trust_rules import (
     LEAST,
     RULES,

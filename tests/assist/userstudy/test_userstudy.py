@@ -88,7 +88,11 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
     ("right", "wrong", "message"),
     [
         ("seed = 3", "tick = 0", "tick: 0; expected a number of seconds above 0"),
-        ("seed = 3", "population = {beta = [2, 1]}", r"population: beta range \(2, 1\): expected 0 <= low <= high"),
+        (
+            "seed = 3",
+            "population = {beta = [2, 1]}",
+            r"population.beta: \[2, 1\]; expected two numbers",
+        ),
         ("c_move = 0.01", "execute = true", "setting.execute: true; expected a robot that suggests"),
         ('policy = "attention"', 'policy = "own.py:mine"', r"conditions\[2\].policy: .*own.py: no such file"),
         ('name = "trust"', 'name = "1st"', r"questionnaires\[2\].name: '1st'; expected a letter"),
