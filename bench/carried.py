@@ -21,10 +21,10 @@ from tables import Columns, cell, record_option, write_record
 from assist.people.decision import Floats
 from assist.people.real_people import advice_takers
 from assist.reports.statistics import IntervalEstimate, mean
+from assist.simulation.model_group import ModelGroup
 from assist.simulation.pool import Pool
 from assist.simulation.run import Run, StepTaken
 from assist.simulation.schedule import Schedule
-from assist.simulation.task_parts import TaskParts
 from assist.team.settings import Setting
 from planner import CostToGo, cost_to_go, load
 
@@ -40,14 +40,14 @@ class Task(Run):
         Numbers of suggestions that were not followed.
     """
 
-    def __init__(self, pool: Pool, parts: TaskParts, seed: int, before: Task | None, *, carries: bool) -> None:
+    def __init__(self, pool: Pool, group: ModelGroup, seed: int, before: Task | None, *, carries: bool) -> None:
         people = np.arange(len(pool.people))
         super().__init__(
             pool, pool.policy("attention"), teams=people[:, None], numbers=people, seed=seed, name="attention",
             travel=pool.setting.travel(1), presence=Schedule.of(1), world="people", over=Event(),
-            parts=parts, goals="inferred",
+            groups={0: group}, questions=None, goals="inferred",
         )  # fmt: skip
-        self.declined = np.zeros(self.x.shape, dtype=np.int64)
+        self.declined = np.zeros(self.places.shape, dtype=np.int64)
         if before is not None:
             self.theta, self.seen = before.theta.copy(), before.seen.copy()
         if before is not None and before.belief is not None and carries:
@@ -55,9 +55,7 @@ class Task(Run):
 
     def watch(self, taken: StepTaken) -> None:
         """Count the suggestions that are not followed."""
-        (group,) = (
-            taken.view.groups.values()
-        )  # one for all, since the robot does not know what people are mistaken about
+        (group,) = self.groups.values()  # one for all, since the robot does not know what people are mistaken about
         rows = taken.flat[taken.robot.reshape(-1)[taken.flat] > 0]
         suggested = group.arrays.suggested[taken.before.reshape(-1)[rows], taken.robot.reshape(-1)[rows]]
         self.declined.reshape(-1)[rows] += taken.slot[rows] != suggested
@@ -74,9 +72,9 @@ class Task(Run):
 def measured(table: CostToGo, setting: Setting, people: int, tasks: int, seed: int, *, carries: bool) -> Floats:
     """Return the measures of each person in each task, shape (people, tasks, len(MEASURES))."""
     pool = Pool.sample(table, people, population=advice_takers(), setting=setting, seed=seed)
-    parts, before, found = TaskParts(pool, "people"), None, list[Floats]()
+    group, before, found = ModelGroup(pool, 0, "people"), None, list[Floats]()
     for number in range(tasks):
-        before = Task(pool, parts, tasks * seed + number, before, carries=carries)
+        before = Task(pool, group, tasks * seed + number, before, carries=carries)
         found.append(before.measures())
     return np.stack(found, axis=1)
 

@@ -39,9 +39,9 @@ ROOMS = {
     "assist.people": """arguments state_keys hidden_type choices misconception decision goals terms memory choice_model
         weighted_choice user_code human real_people spread belief influence_kernels type_kernels trust_rules
         action_names signals""",
-    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp visiting_robot policy
-        lazy_policy archive problem_arrays belief_filter belief_update dynamics joint_belief beliefs rounding
-        action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
+    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp visiting_robot
+        problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics joint_belief beliefs
+        rounding action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
         memory_needed further_beliefs solver""",
     "assist.learning": """log_steps log_json log_files log comparison intervals advice_log advice_rules advice_model
         advice_fit replay observations joint_states evidence likelihood choosing profiles maximum_likelihood
@@ -50,10 +50,10 @@ ROOMS = {
     "assist.team": """policy_names by_policy robots travel state action_check settings
         assignment attention attention_never questions time_expansion
         subproblem_frontier attention_subproblem priority whittle rollout policies""",
-    "assist.large_tasks": """truncated_task state_cache leaf_estimates backups compliance_relaxation
-        truncated_bound truncated_policy person_problem""",
+    "assist.large_tasks": """truncated_task state_cache growing_problem leaf_estimates backups
+        compliance_relaxation truncated_bound truncated_policy person_problem""",
     "assist.simulation": """affordable union pool schedule common_random_numbers hidden_goals trace
-        episode episodes trust_of_people model_group task_parts task_view run traced_run requested
+        episode episodes trust_of_people model_group task_view run traced_run requested
         simulate belief_trace illustration""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files notebook",
     "assist.explain": "continuations contrast explanation",

@@ -120,7 +120,7 @@ class Teams:
             policy.require_enumerated("pool")
         self.pool, self.on_grid = pool, world == "model"
         self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
-        self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}
+        self.groups = {number: ModelGroup(pool, number, world) for number in range(len(pool.policies))}
         self._row = np.sum([group.row for group in self.groups.values()], axis=0)
         choices = [pool.choices(number) for number in range(len(pool.people))]
         self._initial = np.array([one.initial for one in choices])

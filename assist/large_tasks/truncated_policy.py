@@ -4,15 +4,12 @@ A policy cannot keep values for the states of a task with millions of states, or
 demand. A `TruncatedPolicy` is solved on the states that are most likely to be visited (a `TruncatedTask`). In any state
 of the task it does one exact Bellman backup, with the person's misconceptions there. The values of the successors are
 those of the truncated task, or estimates by the exact cost-to-go outside it (`large_tasks.leaf_estimates`). So it
-suggests optimal actions where the person would err, in the whole task, and it keeps no data of other states.
-
-The next step of people in some states is a problem of its own (`LocalProblem`), whose frontier follows after one step.
-Its arrays have a row for each of these states and their successors. Team policies receive the people's states in this
-problem.
+suggests optimal actions where the person would err, in the whole task, and it keeps no values of states in which
+nobody has been (`large_tasks.growing_problem`).
 
 If people pursue one of several goals, values are computed for one goal after another, each on a truncated task of its
 own: QMDP counts the goal as known from the next step on. So the memory for the computation is that of one goal, and a
-policy keeps the values of each. The local problem is that of all goals.
+policy keeps the values of each. The Q-values are those of all goals together.
 """
 
 from __future__ import annotations
@@ -21,7 +18,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -31,20 +28,21 @@ from planner import CostToGo
 from planner.system.progress import reporting
 
 from ..people.belief import Grid
-from ..people.decision import NOTHING, Floats
+from ..people.decision import Floats
 from ..people.goals import Goals, each_of, first_of
 from ..people.human import Human, Population
 from ..people.trust_rules import counts_of
 from ..person.policy import Policy
 from ..person.policy_iteration import SOLVING
 from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import QMDP, look_ahead
+from ..person.problem_arrays import ProblemArrays
+from ..person.qmdp import look_ahead
 from ..person.visiting_robot import VisitingRobot
 from ..team.attention_subproblem import AttentionSubproblem
-from ..team.priority import SolvedSubproblem
 from ..team.settings import Setting
+from .growing_problem import GrowingProblem
 from .leaf_estimates import LeafEstimates
-from .state_cache import NONE, StateCache
+from .state_cache import StateCache
 from .truncated_bound import TruncatedProblem, bounded
 from .truncated_task import TruncatedTask
 
@@ -53,6 +51,11 @@ REGION = {"sweep": 20_000, "orbits": 3_000, "on-demand": 200}
 
 A table answers at once; a query by symmetry takes longer, and a search may take seconds.
 """
+
+ROWS = 20_000
+"""Number of rows, of some kilobytes each, that all policies for the people of a task keep together."""
+
+Ints = NDArray[np.int64]
 
 
 def lookup_kind(known: CostToGo) -> str:
@@ -76,10 +79,15 @@ class SharedTask:
         The robot's prior of people.
     size : int, optional
         Number of states of each person's truncated task, for each goal; by default `default_size`.
+    policies : int
+        Number of policies that keep rows in memory at the same time.
     """
 
-    def __init__(self, known: CostToGo | Goals, prior: Population, size: int | None = None) -> None:
+    def __init__(
+        self, known: CostToGo | Goals, prior: Population, size: int | None = None, policies: int = 1
+    ) -> None:  # fmt: skip
         self.known, self.prior, self.size = known, prior, size or default_size(known)
+        self.rows = ROWS // policies
         self.visited = StateCache(known)
 
 
@@ -154,9 +162,52 @@ class TruncatedPolicy(Policy):
         )
 
     @cached_property
+    def growing(self) -> GrowingProblem:
+        """The problem on the rows in which people have been."""
+        ground, optimal = self.ground, self.setting.considered_suggestions == "optimal"
+        around = partial(ground.visited.around, advice_is_optimal=optimal)
+        return GrowingProblem(around, self.problem, self.task.initial, most=ground.rows, ahead=not self.searches)
+
+    @property
     def pomdp(self) -> AssistPOMDP:
-        """The local problem of the initial state, which is its state 0."""
-        return self.local(np.array([self.task.initial]), deep=False).pomdp
+        """The problem on all rows so far; the initial state has row 0."""
+        return self.growing.now.pomdp
+
+    @property
+    def arrays(self) -> ProblemArrays:
+        """The problem on all rows so far, in the form that compiled code reads."""
+        return self.growing.now.arrays
+
+    @property
+    def stamps(self) -> Ints:
+        """A number for each row that is another one when the row has another place, shape (n,)."""
+        return self.growing.now.stamps
+
+    @property
+    def at_first(self) -> AssistPOMDP:
+        """The problem of the first step."""
+        return self.growing.first
+
+    @property
+    def complete(self) -> bool:
+        """Whether all places have rows; false."""
+        return False
+
+    def rows(self, places: Ints, holder: object = None) -> Ints:
+        """Return the row of each state, shape (N,); arguments as in `Policy.rows`."""
+        return self.growing.rows(places, holder)
+
+    def hold(self, holder: object, rows: Ints) -> None:
+        """Let a holder hold these rows, shape (N,), in the place of those that it held before."""
+        self.growing.hold(holder, rows)
+
+    def places(self, rows: Ints) -> Ints:
+        """Return the state of each row, shape (N,)."""
+        return self.growing.places(rows)
+
+    def hear(self, x: Ints, robot: Ints) -> None:
+        """Compute what robot actions do to trust in some rows, both of shape (N,), where it is not known yet."""
+        self.growing.hear(x, robot)
 
     @cached_property
     def regions(self) -> tuple[TruncatedTask, ...]:
@@ -203,22 +254,6 @@ class TruncatedPolicy(Policy):
         """The grid of beta and theta of the robot's belief."""
         return Grid.regular(self.ground.prior).with_counts(counts_of(self.setting.believed_rule()))
 
-    def local(self, states: NDArray[np.int64], *, deep: bool = True, then: NDArray[np.int64] = NONE) -> LocalProblem:
-        """Return the problem of the next step of people in some states, with its policy.
-
-        Parameters
-        ----------
-        states : int array, shape (N,)
-            States of the task. Each has a row of its own, in this order; `LocalProblem.rows` needs ascending states.
-        deep : bool
-            As in `Policy.local`.
-        then : int array, shape (M,)
-            Successors to which suggestions lead, unless `deep`.
-        """
-        optimal = self.setting.considered_suggestions == "optimal"
-        region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
-        return LocalProblem(self, self.problem(region), region, len(states), deep)
-
     def prepare(self) -> tuple[LeafEstimates, ...]:
         """Return each goal's value estimates for a robot that is always present, computed by the first call."""
         if () not in self.solved:
@@ -231,10 +266,15 @@ class TruncatedPolicy(Policy):
                 )
         return self.solved[()]
 
-    def with_robot(self, robot: VisitingRobot) -> tuple[LeafEstimates, ...]:
+    def with_robot(self, robot: VisitingRobot) -> VisitedRows:
+        """Return the values of a robot that comes and goes; their estimates are computed by the first call."""
+        self._visited(robot)
+        return VisitedRows(self, robot)
+
+    def _visited(self, robot: VisitingRobot) -> tuple[LeafEstimates, ...]:
         """Return each goal's value estimates for a robot that comes and goes, for each position; solved once."""
         if (key := _key(robot)) not in self.solved:
-            each = self.prepare() if self.like is None else self.like.with_robot(robot)
+            each = self.prepare() if self.like is None else self.like._visited(robot)
             found = []
             for region, like in zip(self.regions, each, strict=True):
                 visits = _visits(self.problem(region), robot)
@@ -243,83 +283,48 @@ class TruncatedPolicy(Policy):
             self.solved[key] = tuple(found)
         return self.solved[key]
 
-    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+    def q_values(self, x: Ints, belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
-        return self.local(x).q_values(np.arange(len(x)), belief)
+        return self.growing.q_values("", self._backup, 0, x, belief)
+
+    def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
+        """Return Q-values in the first rows of a problem of one step, and their numbers, as `Backup` does."""
+        value = _values(self.prepare(), region, pomdp)[:, 0]
+        return _look_ahead(pomdp, value, np.arange(count)[:, None])
 
 
 @dataclass(frozen=True, eq=False)
-class LocalProblem(Policy):
-    """The problem of the next step of people in some states, with its policy.
+class VisitedRows:
+    """The Q-values of a robot that comes to a person and goes away, in the rows of their problem."""
 
-    Attributes
-    ----------
-    source : TruncatedPolicy
-        The policy of the whole task.
-    pomdp : AssistPOMDP
-        Its first `count` states are the states of people. The other rows exist only as successors.
-    region : TruncatedTask
-        The states and choices of the problem.
-    count : int
-    deep : bool
-        Whether the effect on trust is known for every suggestion in these states.
-    solved : dict
-        Cached problems with a robot that comes and goes, by its costs and its number of steps.
-    """
+    policy: TruncatedPolicy
+    robot: VisitingRobot
 
-    source: TruncatedPolicy
-    pomdp: AssistPOMDP
-    region: TruncatedTask
-    count: int
-    deep: bool
-    solved: dict[tuple[float, ...], SolvedSubproblem] = field(default_factory=dict, repr=False)
+    def q_values(self, step: int, position: int, x: Ints, belief: Floats) -> Floats:
+        """Return the Q-values of the robot's moves, shape (N, R + 1), at any step; arguments as in `Visited`."""
+        del step
+        name = " ".join(map(repr, _key(self.robot)))
+        return self.policy.growing.q_values(name, self._backup, position, x, belief)
 
-    @property
-    def states(self) -> NDArray[np.int64]:
-        """The task state of each row of the problem, shape (n,)."""
-        return self.region.states
+    def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
+        visits = _visits(pomdp, self.robot)
+        layout = visits.layout
+        value = _values(self.policy._visited(self.robot), region, pomdp)[layout.x, layout.position]
+        here = layout.number(0, np.arange(layout.positions), np.arange(count)[:, None])
+        return _look_ahead(visits.at_price(_key(self.robot)[-1]), value, here)
 
-    @cached_property
-    def _policy(self) -> QMDP:
-        return self._look_ahead(self.pomdp, self._values(self.source.prepare())[:, 0], np.arange(self.count))
 
-    def _values(self, each: tuple[LeafEstimates, ...]) -> Floats:
-        """Return estimates of the value of all states, shape (n, P, H, T), from those of each goal."""
-        h = self.region.choices.goals.h
-        return np.concatenate([one.at(self.states, own) for one, own in zip(each, h, strict=True)], axis=2)
+def _values(each: tuple[LeafEstimates, ...], region: TruncatedTask, pomdp: AssistPOMDP) -> Floats:
+    """Return estimates of the value of all states of a region, shape (n, P, H, T), from those of each goal."""
+    goals = region.choices.goals
+    found = np.concatenate([one.at(region.states, own) for one, own in zip(each, goals.h, strict=True)], axis=2)
+    return np.where(goals.goal[pomdp.hidden.goal_of].T[:, None, :, None], 0.0, found)
 
-    def with_robot(self, robot: VisitingRobot) -> SolvedSubproblem:
-        """Return the solved problem of a robot that comes and goes, computed by the first call for this robot."""
-        if (key := _key(robot)) not in self.solved:
-            visits = _visits(self.pomdp, robot)
-            layout = visits.layout
-            value = self._values(self.source.with_robot(robot))[layout.x, layout.position]
-            here = np.flatnonzero(layout.x < self.count)
-            policy = self._look_ahead(visits.at_price(key[-1]), value, here)
-            self.solved[key] = SolvedSubproblem.of(visits, policy)
-        return self.solved[key]
 
-    def _look_ahead(self, pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64]) -> QMDP:
-        value[pomdp.model.choices.goals.goal[pomdp.hidden.goal_of].T] = 0.0
-        return look_ahead(pomdp, value, states)
-
-    def rows(self, states: NDArray[np.int64], *, deep: bool = True) -> NDArray[np.int64] | None:
-        """Return the row of each state, shape (N,); None if the problem does not cover all of them."""
-        own = self.states[: self.count]
-        row = np.minimum(np.searchsorted(own, states), self.count - 1)
-        return row if (self.deep or not deep) and (own[row] == states).all() else None
-
-    def after_suggestions(self, x: NDArray[np.int64], robot: NDArray[np.int64]) -> LocalProblem:
-        """Return the problem with the effects on trust of robot actions in some rows, both of shape (N,)."""
-        if self.deep:
-            return self
-        slot = self.pomdp.suggested[x, robot]
-        then = self.states[self.pomdp.model.choices.targets[x, slot][slot != NOTHING]]
-        return self.source.local(self.states[: self.count], deep=False, then=then)
-
-    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Return the Q-values of all robot actions, shape (N, R), for people in rows `x`."""
-        return self._policy.q_values(x, belief)
+def _look_ahead(pomdp: AssistPOMDP, value: Floats, states: Ints) -> tuple[Floats, Ints]:
+    """Return the Q-values in some states by one Bellman backup, shape (..., R, H, T), and the numbers of actions."""
+    found = look_ahead(pomdp, np.ascontiguousarray(value), np.sort(states, axis=None))
+    return found.q_mdp[states], pomdp.robot_actions[states]
 
 
 def _key(robot: VisitingRobot) -> tuple[float, ...]:

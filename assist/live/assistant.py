@@ -222,19 +222,17 @@ class Assistant:
         problem = record.problem
         if task is not None or population is not None:
             problem = self._problem(task or record.problem.task, population or record.problem.prior)
-        part, row = problem.at(problem.initial)
-        before = self._team.part(record)[0]
-        here, there = before.policy.pomdp.grid, part.policy.pomdp.grid
-        goals, next_goals = len(before.choices.goals), len(part.choices.goals)
+        row, (before, after) = problem.row(problem.initial), (one.policy.pomdp for one in (record.problem, problem))
+        here, there, goals, next_goals = before.grid, after.grid, len(before.hidden.goals), len(after.hidden.goals)
         if not (np.array_equal(here.beta, there.beta) and np.array_equal(here.theta, there.theta)):
             raise ValueError(f"{person}: the next task distinguishes other values of beta and theta; expected the same")
         if goals != next_goals:
             raise ValueError(f"{person}: the next task has {next_goals} goals; expected {goals}")
         record.past.add(record.problem, record.steps, record.told)
         record.problem, record.steps, record.told = problem, [], []
-        begin_task(self._team, record, part)
+        begin_task(self._team, record)
         record.close_questions()
-        self._team.put(record, part, row)
+        self._team.put(record, row)
         self._advice = None
 
     def __repr__(self) -> str:
@@ -288,32 +286,30 @@ class Assistant:
             The successor could not be evaluated. Nothing has changed after any of these errors.
         """
         record = self._team.known(person)
-        k, problem = record.place, record.problem
-        part, row = self._team.part(record)
+        k, problem, row = record.place, record.problem, self._team.row(record)
         if self._team.stopped(record):
             raise InapplicableError("reached", person=person)
         robot = int(self._team.robot[k]) if heard else 0
-        suggestion, still = part.policy.pomdp.suggestion(row, robot), 0
+        suggestion, still = problem.policy.pomdp.suggestion(row, robot), 0
         seen = seen_of(problem, self.setting, action, likelihoods, missed)
         if seen is None and not is_uncertain(record, self.setting.observation):
-            slot = problem.slot(part, row, action or "")
-            to = problem.after(part, row, slot)
-            step = Step(problem.place(part, row), robot, slot, part.choices.name(row, slot), suggestion)
+            slot = problem.slot(row, action or "")
+            to = problem.after(row, slot)
+            step = Step(problem.place(row), robot, slot, problem.choices.name(row, slot), suggestion)
             erred = believe(self._team, record, step, self.setting)
         else:
             if seen is not None and likelihoods is not None:
                 action = max(seen["likelihoods"], key=seen["likelihoods"].get)
             elif action is not None:
                 action = problem.named(action)
-            step = Step(problem.place(part, row), robot, NOTHING, action, suggestion, seen)
+            step = Step(problem.place(row), robot, NOTHING, action, suggestion, seen)
             erred = believe(self._team, record, step, self.setting)
-            likeliest = int(self._team.x[k])
+            to = self._team.row(record)
             if missed is not None and missed < 1 / 2:
-                still = int(same_suggestions(part.policy.pomdp, np.array([row]), np.array([likeliest]))[0, robot])
-            to = problem.at(likeliest)
+                still = int(same_suggestions(problem.policy.pomdp, np.array([row]), np.array([to]))[0, robot])
         record.steps.append(step)
         record.close_questions()
-        self._team.put(record, *to, erred=erred, robot=still)
+        self._team.put(record, to, erred=erred, robot=still)
         self._advice = None
 
     def seen_of(
@@ -328,7 +324,7 @@ class Assistant:
         It is the expected increase of the QMDP value of the person's own problem. A question that costs less is worth
         asking; `answer` takes the answer. It is 0 if the last action is certain.
         """
-        return worth_of_asking(self._team, self._team.known(person), self.setting)[0]
+        return worth_of_asking(self._team.known(person), self.setting)[0]
 
     @property
     def questions(self) -> tuple[Question, ...]:
@@ -385,8 +381,7 @@ class Assistant:
         taken = record.told.pop()
         erred = believe_again(self._team, record, self.setting)
         record.close_questions()
-        to = self._team.part(record) if record.joint is None else record.problem.at(record.joint.likeliest)
-        self._team.put(record, *to, erred=erred)
+        self._team.put(record, self._team.beliefs.joint(record.place).likeliest, erred=erred)
         self._advice = None
         return taken.yes
 
@@ -412,7 +407,7 @@ class Assistant:
         record.told[:] = [told._replace(steps=min(told.steps, len(record.steps))) for told in record.told]
         erred = believe_again(self._team, record, self.setting)
         record.close_questions()
-        self._team.put(record, *record.problem.at(last.place), erred=erred, robot=last.robot)
+        self._team.put(record, record.problem.row(last.place), erred=erred, robot=last.robot)
         self._advice = None
         return last.action
 
@@ -550,15 +545,15 @@ class Assistant:
     def person(self, person: str) -> PersonState:
         """Return the state of a person, present or not, and the belief about the person."""
         record = self._team.by_name.get(person) or self._team.known(person)
-        k, (part, row) = record.place, self._team.part(record)
-        choices = part.choices
+        k, row, problem = record.place, self._team.row(record), record.problem
+        choices, pomdp = problem.choices, problem.policy.pomdp
         names = () if self._team.stopped(record) else tuple(
             choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))
         )  # fmt: skip
         return PersonState(
-            person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names,
-            self._team.suggestion(record), self.cost_to_go(person), len(record.steps), part.policy.pomdp.grid,
-            part.policy.pomdp.hidden, self._team.belief[k].copy(), goals_of(self._team, k),
+            person, bool(self._team.present[k]), bool(self._team.ended[k]), problem.state(row), names,
+            self._team.suggestion(record), self.cost_to_go(person), len(record.steps), pomdp.grid,
+            pomdp.hidden, self._team.belief[k].copy(), goals_of(self._team, k),
             {} if record.joint is None else record.joint.states(choices), record.question,
             (record.told[-1].goal, record.told[-1].yes) if record.told else None,
         )  # fmt: skip

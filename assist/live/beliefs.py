@@ -25,7 +25,6 @@ from ..team.settings import Setting
 from ..team.state import worth_of_actions
 from ..texts.refusals import InapplicableError
 from .advice import Reason
-from .live_task import TaskPart
 from .roster import Roster, RosterEntry, Step, Told
 from .uncertain_actions import after_answers, update_by
 
@@ -35,9 +34,9 @@ def is_uncertain(record: RosterEntry, model: ObservationModel | None) -> bool:
     return record.joint is not None or model is not None
 
 
-def begin_task(team: Roster, record: RosterEntry, part: TaskPart) -> None:
+def begin_task(team: Roster, record: RosterEntry) -> None:
     """Keep the belief in a person who begins a task, but for the goal, which each task has of its own."""
-    belief, hidden = team.belief[record.place], part.policy.pomdp.hidden
+    belief, hidden = team.belief[record.place], record.problem.policy.pomdp.hidden
     belief[:] = hidden.with_goals(hidden.of_people(belief))
     record.before, record.joint, record.earlier = belief.copy(), None, None
 
@@ -50,8 +49,7 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
     InapplicableError
         The action is not applicable in any state in which the person probably is. Nothing has changed.
     """
-    part, row = record.problem.at(step.place)
-    k, beliefs = record.place, team.beliefs
+    k, beliefs, policy, row = record.place, team.beliefs, record.problem.policy, record.problem.row(step.place)
     if step.seen is not None or is_uncertain(record, setting.observation):
         if record.joint is None:
             beliefs.x[k] = row
@@ -60,8 +58,9 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
         record.earlier = earlier
         return bool(beliefs.erred[k])
     acts = Acts(np.array([row]), np.array([step.robot]), np.array([step.slot]), np.array([False]))
+    policy.hear(acts.x, acts.robot)
     with suppress(ImpossibleObservationError):  # in a model without lapses; the action says nothing about the person
-        beliefs.update(np.array([k]), acts, PersonModel.of(part.policy.pomdp, part.arrays))
+        beliefs.update(np.array([k]), acts, PersonModel.of(policy.pomdp, policy.arrays))
     return bool(beliefs.erred[k])
 
 
@@ -73,7 +72,7 @@ def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Se
     InapplicableError
         An answer is impossible under the belief. Nothing has changed.
     """
-    hidden = team.part(record)[0].policy.pomdp.hidden
+    hidden = record.problem.policy.pomdp.hidden
     goals = list(hidden.goals)
     with unchanged_if_refused(team, record):
         for told in answers:
@@ -103,8 +102,7 @@ def hear(team: Roster, record: RosterEntry, answers: list[Told], setting: Settin
     k, robot = record.place, int(team.robot[record.place])
     tell(team, record, answers, setting)
     record.told += answers
-    to = team.part(record) if record.joint is None else record.problem.at(record.joint.likeliest)
-    team.put(record, *to, erred=bool(team.erred[k]), robot=robot)
+    team.put(record, team.beliefs.joint(k).likeliest, erred=bool(team.erred[k]), robot=robot)
 
 
 def believe_again(team: Roster, record: RosterEntry, setting: Setting) -> bool:
@@ -126,7 +124,7 @@ def correct(team: Roster, record: RosterEntry, action: str, setting: Setting) ->
         The action is not applicable in any state in which the person probably was, or contradicts an answer about the
         goal. Nothing has changed.
     """
-    k, seen, (part, row) = record.place, record.steps[-1], team.part(record)
+    k, seen, row = record.place, record.steps[-1], team.row(record)
     record.steps[-1] = seen._replace(action=action, seen={"likelihoods": {action: 1.0}}, slot=NOTHING)
     try:
         with unchanged_if_refused(team, record):
@@ -134,20 +132,20 @@ def correct(team: Roster, record: RosterEntry, action: str, setting: Setting) ->
     except InapplicableError:
         record.steps[-1] = seen
         raise
-    likeliest = int(team.x[k])
-    still = same_suggestions(part.policy.pomdp, np.array([row]), np.array([likeliest]))[0, team.robot[k]]
-    team.put(record, *record.problem.at(likeliest), erred=erred, robot=int(still))
+    likeliest, pomdp = team.row(record), record.problem.policy.pomdp
+    still = same_suggestions(pomdp, np.array([row]), np.array([likeliest]))[0, team.robot[k]]
+    team.put(record, likeliest, erred=erred, robot=int(still))
 
 
-def worth_of_asking(team: Roster, record: RosterEntry, setting: Setting) -> tuple[float, dict[str, float]]:
+def worth_of_asking(record: RosterEntry, setting: Setting) -> tuple[float, dict[str, float]]:
     """Return what it is worth to know a person's last action, and the probabilities of what it may have been.
 
     The worth is the expected increase of the QMDP value of the person's own problem, in cost units.
     """
     if record.joint is None or not record.steps:
         return 0.0, {}
-    part, _ = team.part(record)
-    hidden, found = part.policy.pomdp.hidden, dict[str, JointBelief]()
+    policy = record.problem.policy
+    hidden, found = policy.pomdp.hidden, dict[str, JointBelief]()
     goals = list(hidden.goals)
     for name, after in after_answers(record, setting.observation).items():
         with suppress(ImpossibleObservationError):
@@ -159,7 +157,7 @@ def worth_of_asking(team: Roster, record: RosterEntry, setting: Setting) -> tupl
         return 0.0, {}
     joint = [record.joint, *found.values()]
     likeliest = np.array([one.likeliest for one in joint])
-    value = expected_answers(worth_of_actions, part.policy, likeliest, joint).max(axis=1)
+    value = expected_answers(worth_of_actions, policy, likeliest, joint).max(axis=1)
     share = np.array([after.evidence for after in found.values()])
     share /= share.sum()
     return max(0.0, float(share @ value[1:] - value[0])), dict(zip(found, share.tolist(), strict=True))
@@ -172,7 +170,7 @@ def _told_at(record: RosterEntry, steps: int) -> list[Told]:
 
 def goals_of(team: Roster, k: int) -> dict[str, float]:
     """Return the probability of each goal of the person at a place; nothing if it is known."""
-    hidden = team.parts[team.model[k]].policy.pomdp.hidden
+    hidden = team.problems[k].policy.pomdp.hidden
     if len(hidden.goals) == 1:
         return {}
     return dict(zip(hidden.goals, hidden.marginal(team.belief[k], "goal").tolist(), strict=True))
@@ -180,9 +178,9 @@ def goals_of(team: Roster, k: int) -> dict[str, float]:
 
 def likeliest_cost_to_go(team: Roster, record: RosterEntry) -> float:
     """Return the cost-to-go of a person's present state, in cost units, for the most probable goal."""
-    part, row = team.part(record)
-    share = part.policy.pomdp.hidden.marginal(team.belief[record.place], "goal")
-    return float(part.choices.goals.h[share.argmax(), row])
+    pomdp = record.problem.policy.pomdp
+    share = pomdp.hidden.marginal(team.belief[record.place], "goal")
+    return float(pomdp.model.choices.goals.h[share.argmax(), team.row(record)])
 
 
 def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.0) -> Reason:
@@ -190,7 +188,7 @@ def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.
 
     `extra` is what a suggestion by this robot costs more than in the person's problem, if robots differ.
     """
-    policy, belief = team.parts[team.model[k]].policy, team.belief[k]
+    policy, belief = team.problems[k].policy, team.belief[k]
     q = team.answers_about(worth_of_actions, int(team.model[k]), np.array([k]))[0]
     saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0]) - extra
     beta, theta = policy.pomdp.grid.spreads(belief, policy.pomdp.hidden)
@@ -206,7 +204,7 @@ def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.
 
 def _follow(team: Roster, k: int, robot: int) -> Spread:
     """Return the mean and interval of the probability that a person follows a suggestion, under the belief."""
-    pomdp, x = team.parts[team.model[k]].policy.pomdp, team.x[k : k + 1]
+    pomdp, x = team.problems[k].policy.pomdp, team.x[k : k + 1]
     action = pomdp.suggested[x, robot]
     if action[0] == NOTHING:
         return Spread(0.0, 0.0, 0.0)

@@ -27,7 +27,7 @@ from ..person.ties import first_best
 from ..team.state import by_model, worth_of_actions
 from ..texts.refusals import InapplicableError
 from .advice import Question
-from .live_task import LiveTask, TaskPart
+from .live_task import LiveTask
 from .roster import Roster
 
 T = TypeVar("T", bound=np.generic)
@@ -41,11 +41,11 @@ class DecisionPoint:
     ----------
     names : tuple of str
     problems : tuple of LiveTask
-    parts : list of TaskPart
+    policies : list of Policy
     beliefs : Beliefs
-        What the robot knows of the people; `x` has the row of each person's state in its part.
+        What the robot knows of the people; `x` has the row of each person, which the decision holds.
     model : int array, shape (P,)
-        Number of the part of each person's task.
+        Number of each person's policy.
     robot : int array, shape (P,)
         Robot action towards each person that is open; 0 for none.
     present, ended : bool arrays, shape (P,)
@@ -63,7 +63,7 @@ class DecisionPoint:
 
     names: tuple[str, ...]
     problems: tuple[LiveTask, ...]
-    parts: list[TaskPart]
+    policies: list[Policy]
     beliefs: Beliefs
     model: NDArray[np.int64]
     robot: NDArray[np.int64]
@@ -90,12 +90,16 @@ class DecisionPoint:
         def copy(array: NDArray[T]) -> NDArray[T]:
             return array[:count].copy()
 
-        return cls(
-            tuple(team.by_name), tuple(team.problems), list(team.parts), team.beliefs.of(np.arange(count)),
+        policies = [task.policy for task in team.tasks]
+        point = cls(
+            tuple(team.by_name), tuple(team.problems), policies, team.beliefs.of(np.arange(count)),
             copy(team.model), copy(team.robot), copy(team.present), copy(team.ended),
             {k: _why(one) for k, one in sorted(questions.items())},
             here, moving[:count], rule, extra,
         )  # fmt: skip
+        for number, rows in by_model(point.model, np.arange(count), len(policies)):
+            policies[number].hold(point, point.beliefs.x[rows])
+        return point
 
     def explanation(
         self, place: int | None, attended: int | None, *, arrived: bool, against: str | None = None
@@ -154,9 +158,9 @@ class DecisionPoint:
         step = self._why_step(place, robot)
         asked = None
         if against is not None:
-            problem, part, row = self._at(place)
-            slot = problem.slot(part, row, against)
-            name = part.choices.name(row, slot)
+            problem, _, row = self._at(place)
+            slot = problem.slot(row, against)
+            name = problem.choices.name(row, slot)
             asked = self._contrast(place, robot, step.step, name, float(self._chances(place)[slot]))
         return self._in_words(place, Explanation(step, person, None, asked))
 
@@ -223,21 +227,21 @@ class DecisionPoint:
         if against is not None:
             raise InapplicableError("nothing_suggested", person=self.names[place], action=against[:80])
 
-    def _at(self, place: int) -> tuple[LiveTask, TaskPart, int]:
-        return self.problems[place], self.parts[self.model[place]], int(self.beliefs.x[place])
+    def _at(self, place: int) -> tuple[LiveTask, Policy, int]:
+        return self.problems[place], self.policies[self.model[place]], int(self.beliefs.x[place])
 
     def _known(self, place: int, robot: int) -> tuple[Choices | CostToGo, int]:
         """Return all choices of a person's task, and their state there, with the goal that a suggestion is for."""
-        problem, part, row = self._at(place)
-        return problem.policy.task_of(self._goal(place, robot)[0]), problem.place(part, row)
+        _, policy, row = self._at(place)
+        return policy.task_of(self._goal(place, robot)[0]), int(policy.places(np.array([row]))[0])
 
     def _goal(self, place: int, robot: int) -> tuple[int, float]:
         """Return the number of the goal that a suggestion is for, and its probability.
 
         It is the most probable of the goals for which the suggestion is optimal, or of all if there is none.
         """
-        _, part, row = self._at(place)
-        pomdp, goals = part.policy.pomdp, part.choices.goals
+        _, policy, row = self._at(place)
+        pomdp, goals = policy.pomdp, policy.pomdp.model.choices.goals
         share = pomdp.hidden.marginal(self.beliefs.belief[place], "goal")
         optimal = goals.optimal[row, pomdp.suggested[row, robot]] & ~goals.goal[:, row]
         goal = int(np.where(optimal if optimal.any() else True, share, -1.0).argmax())
@@ -249,16 +253,16 @@ class DecisionPoint:
 
     def _chances(self, place: int) -> Floats:
         """Return how likely a person is to make each choice without a suggestion, shape (A,), under the belief."""
-        _, part, row = self._at(place)
-        pomdp, choices = part.policy.pomdp, part.choices
+        _, policy, row = self._at(place)
+        pomdp, choices = policy.pomdp, policy.pomdp.model.choices
         applicable = choices.applicable[row]
         p = np.einsum("ah,h->a", pomdp.chosen[row], self.beliefs.belief[place].sum(axis=1))
         return np.where(applicable, (1 - pomdp.model.lapse) * p + pomdp.model.lapse / applicable.sum(), 0.0)
 
     def _why_step(self, place: int, robot: int) -> WhyStep:
-        _, part, row = self._at(place)
-        goal, share = self._goal(place, robot)
-        choices, own = part.choices.of_goal(goal), int(part.policy.pomdp.suggested[row, robot])
+        _, policy, row = self._at(place)
+        (goal, share), pomdp = self._goal(place, robot), policy.pomdp
+        choices, own = pomdp.model.choices.of_goal(goal), int(pomdp.suggested[row, robot])
         chances = self._chances(place)
         in_all = np.where(choices.applicable[row], choices.costs[row] + choices.h[choices.targets[row]], -np.inf)
         others = choices.applicable[row] & (np.arange(len(chances)) != own)
@@ -268,7 +272,8 @@ class DecisionPoint:
             slot = int(np.where(worse if worse.any() else others, chances, -1.0).argmax())
             names = choices.name(row, own), choices.name(row, slot)
             likely = self._contrast(place, robot, *names, float(chances[slot]))
-        return WhyStep(choices.name(row, own), float(chances[own]), likely, part.choices.goals.shown(goal), share)
+        shown = pomdp.model.choices.goals.shown(goal)
+        return WhyStep(choices.name(row, own), float(chances[own]), likely, shown, share)
 
     def _why_person(self, place: int, robot: int, arrived: bool) -> WhyPerson:
         mine, others = self._prospect(place, robot), list[Prospect]()
@@ -279,16 +284,15 @@ class DecisionPoint:
 
     def _prospect(self, place: int, robot: int) -> Prospect:
         """Return the prospect of one robot action, or of the best suggestion for 0."""
-        part = self._at(place)[1]
-        q = self._values(part.policy, np.array([place]))[0]
+        q = self._values(self._at(place)[1], np.array([place]))[0]
         robot = robot or (1 + int(first_best(q[1:])) if len(q) > 1 else 0)
         return self._of_action(place, q, robot)
 
     def _of_action(self, place: int, q: Floats, robot: int) -> Prospect:
-        _, part, row = self._at(place)
-        cost = float(part.policy.pomdp.robot_costs[row, robot])
+        _, policy, row = self._at(place)
+        cost = float(policy.pomdp.robot_costs[row, robot])
         return Prospect(
-            self.names[place], part.policy.pomdp.suggestion(row, robot), float(q[robot] - q[0]) + cost,
+            self.names[place], policy.pomdp.suggestion(row, robot), float(q[robot] - q[0]) + cost,
             cost + self.extra, float(self.moving[place]),
         )  # fmt: skip
 
@@ -308,8 +312,8 @@ class DecisionPoint:
         """The best suggestion to each person who is free to get one, if there is one."""
         rows = np.flatnonzero(self._free)
         found = {}
-        for number, mine in by_model(self.model, rows, len(self.parts)):
-            values = self._values(self.parts[number].policy, mine)
+        for number, mine in by_model(self.model, rows, len(self.policies)):
+            values = self._values(self.policies[number], mine)
             for place, q in zip(mine.tolist(), values, strict=True):
                 if len(q) > 1 and np.isfinite(q[1:].max()):
                     found[place] = self._of_action(place, q, 1 + int(first_best(q[1:])))

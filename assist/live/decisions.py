@@ -68,7 +68,7 @@ class Decisions:
         if key not in self._problems:
             self._problems[key] = made = LiveTask(task, self._setting, population)
             if self._setting.observation is not None:
-                self._setting.observation.evidence(made.at(made.initial)[0].choices, 0)  # raises an error if unsuitable
+                self._setting.observation.evidence(made.choices, 0)  # raises an error if unsuitable
             self.renew()
             self._asks = None
         return self._problems[key]
@@ -139,16 +139,16 @@ class Decisions:
     def _sent(self, number: int, k: int, robot: int, point: DecisionPoint) -> Advice:
         """Return the advice of a robot that is sent from where it is to a person."""
         record, there = self._team.records[k], not self._places.takes_time(number, k)
-        part, row = self._team.part(record)
+        row, pomdp = self._team.row(record), record.problem.policy.pomdp
         reason = reason_of(self._team, k, robot, float(point.moving[k]), self._extra(number))
-        advice = Advice(record.name, part.policy.pomdp.suggestion(row, robot), reason, arrived=there)
+        advice = Advice(record.name, pomdp.suggestion(row, robot), reason, arrived=there)
         return advice.explained_by(partial(point.suggested, k, robot, arrived=there))
 
     def _as_policies_see_it(self, active: NDArray[np.bool_], step: int) -> TeamState:
         t = self._team
         return _LiveTeam(
             step, t.x[None], active[None], t.erred[None], np.array([self._places.at]), t.model[None], t.belief[None],
-            [part.policy for part in t.parts], self._places.travel, t,
+            [task.policy for task in t.tasks], self._places.travel, t,
             free=~np.array([self._places.under_way]), fleet=self._setting.fleet,
         )  # fmt: skip
 

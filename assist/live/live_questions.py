@@ -58,24 +58,23 @@ class LiveQuestions:
         key = team.changes(record.place), attention, len(record.asked)
         known = self._known.get(record.place)
         if known is None or known[0] != key:
-            asked = [self._about_goal(team, record, attention), self._about_action(team, record)]
+            asked = [self._about_goal(team, record, attention), self._about_action(record)]
             self._known[record.place] = known = key, _worth_most(asked)
         return known[1]
 
     def _about_goal(self, team: Roster, record: RosterEntry, attention: float) -> Question | None:
-        part, _ = team.part(record)
-        if len(part.choices.goals) == 1 or "goal" in record.asked:
+        goals = record.problem.choices.goals
+        if len(goals) == 1 or "goal" in record.asked:
             return None
-        goal, worth = self._goals.best_of(part.policy, team.beliefs.joint(record.place), attention)
-        return Question(record.name, part.choices.goals.names[goal], (), worth) if worth > NEAR else None
+        goal, worth = self._goals.best_of(record.problem.policy, team.beliefs.joint(record.place), attention)
+        return Question(record.name, goals.names[goal], (), worth) if worth > NEAR else None
 
-    def _about_action(self, team: Roster, record: RosterEntry, *, least: float = 0.01) -> Question | None:
+    def _about_action(self, record: RosterEntry, *, least: float = 0.01) -> Question | None:
         if record.joint is None or len(record.joint.x) == 1 or "action" in record.asked:
             return None
-        part, _ = team.part(record)
-        if worth_of_knowing(part.policy, record.joint) <= self._cost:
+        if worth_of_knowing(record.problem.policy, record.joint) <= self._cost:
             return None  # an answer is worth no more than to know all
-        worth, chances = worth_of_asking(team, record, self._setting)
+        worth, chances = worth_of_asking(record, self._setting)
         if worth <= self._cost + NEAR:
             return None
         likely = sorted((name for name, share in chances.items() if share >= least), key=lambda name: -chances[name])

@@ -1,19 +1,16 @@
 """A task of people in a live session, with the robot's policy for one person.
 
-A small task is enumerated, and its policy is solved once. For a larger one, or one that is solved on demand
-(`assist.large_tasks.person_problem` decides), a local problem is built for each state in which a person is
-(`assist.large_tasks.truncated_policy`). It is released when they have left. The belief in a person is the same either
-way.
+A small task is enumerated, and its policy is solved once. In a larger one, or one that is solved on demand
+(`assist.large_tasks.person_problem` decides), a place gets its row when a person comes there. The belief in a person is
+the same either way.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
-from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,49 +27,15 @@ from ..people.goals import Goals, first_of
 from ..people.human import Population
 from ..people.memory import choices_of
 from ..person.policy import Policy
-from ..person.problem_arrays import ProblemArrays
 from ..person.qmdp import qmdp
 from ..team.settings import Setting
 from ..texts.refusals import InapplicableError, InvalidError
 
 
-@dataclass(frozen=True, eq=False)
-class TaskPart:
-    """Some or all states of a task, with the policy for one person there.
-
-    Attributes
-    ----------
-    policy : Policy
-    arrays : ProblemArrays
-        The problem, in the form that compiled code reads.
-    states : int array, shape (n,), or None
-        Task state of each row; None if rows and states are the same.
-    """
-
-    policy: Policy
-    arrays: ProblemArrays
-    states: NDArray[np.int64] | None = None
-
-    @property
-    def choices(self) -> Choices:
-        """The choices in each state."""
-        return self.policy.pomdp.model.choices
-
-    def state(self, row: int) -> int:
-        """Return the task state of a row."""
-        return self.choices.task_state(row) if self.states is None else int(self.states[row])
-
-    def options(self, row: int) -> NDArray[np.int32]:
-        """Return the applicable ground actions in the order of their slots; none where a person can only wait."""
-        actions = self.choices.actions[row][self.choices.applicable[row]]
-        return actions[actions >= 0].astype(np.int32)
-
-
 class LiveTask:
     """One task with one prior, for any number of people.
 
-    A place identifies where a person is. For an enumerated task it is a row, which may include the memory of previous
-    actions. For other tasks it is a task state.
+    A place identifies where a person is (`person.rows`); it stays the same, while rows without people may be evicted.
 
     Parameters
     ----------
@@ -104,34 +67,36 @@ class LiveTask:
             require_usable(task, setting, prior)
         self.policy = policy or (task if isinstance(task, Policy) else _policy_for(task, setting, prior))
         self.initial = self.policy.task.initial
-        # Local problems exist only while a person is in their state.
-        self._around: WeakValueDictionary[int, TaskPart] = WeakValueDictionary()
-        self._whole: TaskPart | None = None
-        part, row = self.at(self.initial)
-        if part.states is None:
-            self._whole, row = part, self.initial
-        require_goal(part.choices.h[row])
-        self.matcher = Matcher(part.choices.names)
+        require_goal(self.choices.h[self.row(self.initial)])
+        self.matcher = Matcher(self.choices.names)
 
-    def at(self, place: int) -> tuple[TaskPart, int]:
-        """Return the part of the task that contains a place, and the row of the place there."""
-        if self._whole is not None:
-            return self._whole, place
-        part = self._around.get(place)
-        if part is None:
-            local = self.policy.local(np.array([place]))
-            self._around[place] = part = TaskPart(local, ProblemArrays.of(local.pomdp), local.states)
-        return part, 0
+    @property
+    def choices(self) -> Choices:
+        """The choices in each row."""
+        return self.policy.pomdp.model.choices
 
-    def place(self, part: TaskPart, row: int) -> int:
-        """Return the place that a row of a part stands for, the inverse of `at`."""
-        return row if part.states is None else part.state(row)
+    def row(self, place: int) -> int:
+        """Return the row of a place."""
+        return int(self.policy.rows(np.array([place]))[0])
 
-    def after(self, part: TaskPart, row: int, slot: int) -> tuple[TaskPart, int]:
-        """Return where a choice leads: the part of the task that contains the successor, and its row there."""
-        return self.at(self.place(part, int(part.choices.targets[row, slot])))
+    def place(self, row: int) -> int:
+        """Return the place of a row."""
+        return int(self.policy.places(np.array([row]))[0])
 
-    def slot(self, part: TaskPart, row: int, action: str) -> int:
+    def state(self, row: int) -> int:
+        """Return the task state of a row."""
+        return self.choices.task_state(self.place(row))
+
+    def after(self, row: int, slot: int) -> int:
+        """Return the row to which a choice leads."""
+        return self.row(self.place(int(self.choices.targets[row, slot])))
+
+    def options(self, row: int) -> NDArray[np.int32]:
+        """Return the applicable ground actions in the order of their slots; none where a person can only wait."""
+        actions = self.choices.actions[row][self.choices.applicable[row]]
+        return actions[actions >= 0].astype(np.int32)
+
+    def slot(self, row: int, action: str) -> int:
         """Return the slot of an action.
 
         Raises
@@ -146,7 +111,7 @@ class LiveTask:
         except UnmatchedError as error:
             raise InvalidError("other", why=str(error)) from None
         try:
-            return self.matcher.slot(words, part.options(row))
+            return self.matcher.slot(words, self.options(row))
         except UnmatchedError as error:
             if self.matcher.unknown(words) is None:
                 raise InapplicableError("not_applicable", why=str(error)) from None
@@ -173,14 +138,14 @@ class LiveTask:
 
     def named(self, action: str) -> str:
         """Return an action of the task in PDDL notation; errors as in `ground`."""
-        return self.at(self.initial)[0].choices.action_name(self.ground(action))
+        return self.choices.action_name(self.ground(action))
 
-    def robot(self, part: TaskPart, row: int, suggestion: str | None) -> int:
+    def robot(self, row: int, suggestion: str | None) -> int:
         """Return the robot action that suggests an action; 0 for None."""
         if suggestion is None:
             return 0
-        slot = self.slot(part, row, suggestion)
-        found = np.flatnonzero(part.policy.pomdp.suggested[row] == slot)
+        slot = self.slot(row, suggestion)
+        found = np.flatnonzero(self.policy.pomdp.suggested[row] == slot)
         if not len(found):
             raise InapplicableError("other", why=f"{suggestion}: the robot cannot suggest this action here")
         return int(found[0])

@@ -16,7 +16,7 @@ from ..person.joint_belief import JointBelief, is_certain
 from ..team.state import by_model
 from ..texts.refusals import AbsentError
 from .advice import Question
-from .live_task import LiveTask, TaskPart
+from .live_task import LiveTask
 
 V = TypeVar("V")
 
@@ -102,13 +102,14 @@ class FinishedTasks:
             begin = end
 
 
-@dataclass
+@dataclass(eq=False)
 class RosterEntry:
     """A person's current task, the steps in it, and the belief about the person at its beginning.
 
     `carried` is the belief with which the person joined, or None if it was the prior. `earlier` is the joint belief
     before the last action. `told` holds the answers about the goal of this task, and `asked` the kinds of questions
     since the last action. What every decision copies is kept by the team, by place: a copy of few objects is fast.
+    A record holds the row of the person.
     """
 
     name: str
@@ -183,8 +184,8 @@ class Roster:
 
     Attributes
     ----------
-    parts : list of TaskPart
-        Parts of the tasks in which people are. A part without people may be replaced by another one.
+    tasks : list of LiveTask
+        The tasks on which people have worked.
     records : list of RosterEntry
         Records by place.
     problems : list of LiveTask
@@ -195,7 +196,7 @@ class Roster:
     questions : dict of int to Question
         Open questions by place.
     model : int array, shape (P,)
-        Index of the part of each person's task in `parts`.
+        Index of each person's task in `tasks`.
     robot : int array, shape (P,)
         Robot action towards each person since their last action; 0 for none.
     present, ended : bool arrays, shape (P,)
@@ -203,9 +204,7 @@ class Roster:
     """
 
     def __init__(self, places: int) -> None:
-        self.parts: list[TaskPart] = []
-        self._people: list[int] = []  # number of people in each part
-        self._number: dict[TaskPart, int] = {}
+        self.tasks: list[LiveTask] = []
         self._actions: Numbers = {}
         self.records: list[RosterEntry] = []
         self.problems: list[LiveTask] = []
@@ -259,8 +258,8 @@ class Roster:
 
     def add(self, name: str, problem: LiveTask, belief: ArrayLike | None = None) -> None:
         """Add a new person at the first free place, with a belief or the prior. `grow` makes places."""
-        part, row = problem.at(problem.initial)
-        prior, hidden = part.policy.pomdp.prior, part.policy.pomdp.hidden
+        row, pomdp = problem.row(problem.initial), problem.policy.pomdp
+        prior, hidden = pomdp.prior, pomdp.hidden
         carried = None if belief is None else _distribution(name, belief, hidden.of_people(prior).shape)
         if not self.records:
             self.beliefs.belief = np.zeros((len(self), *prior.shape))
@@ -275,20 +274,19 @@ class Roster:
         self.by_name[name] = record
         self.present[record.place] = True
         self.belief[record.place] = before
-        self.put(record, part, row)
+        self.put(record, row)
 
-    def part(self, record: RosterEntry) -> tuple[TaskPart, int]:
-        """Return the part of the task in which a person is, and their row there."""
-        return self.parts[self.model[record.place]], int(self.x[record.place])
+    def row(self, record: RosterEntry) -> int:
+        """Return the row of a person in their present task, the most probable one."""
+        return int(self.x[record.place])
 
     def suggestion(self, record: RosterEntry) -> str | None:
         """Return the open suggestion to a person, in PDDL notation."""
-        part, row = self.part(record)
-        return part.policy.pomdp.suggestion(row, int(self.robot[record.place]))
+        return record.problem.policy.pomdp.suggestion(self.row(record), int(self.robot[record.place]))
 
     def suggest(self, record: RosterEntry, suggestion: str | None) -> None:
         """Open a suggestion to a person, or none."""
-        self.robot[record.place] = record.problem.robot(*self.part(record), suggestion)
+        self.robot[record.place] = record.problem.robot(self.row(record), suggestion)
 
     def ask(self, question: Question | None) -> None:
         """Open a question, if there is one and its person is known."""
@@ -310,36 +308,24 @@ class Roster:
             setattr(self.beliefs, name, longer(getattr(self.beliefs, name)))
         self._change, self._answers = longer(self._change), {}
 
-    def put(self, record: RosterEntry, part: TaskPart, row: int, *, erred: bool = False, robot: int = 0) -> None:
-        """Set the state of a person: a part of a task and the row there, and what led to it."""
-        k = record.place
-        if self._change[k]:
-            self._people[self.model[k]] -= 1
-        self.model[k], self.x[k], self.erred[k], self.robot[k] = self._numbered(part), row, erred, robot
-        self._people[self.model[k]] += 1
+    def put(self, record: RosterEntry, row: int, *, erred: bool = False, robot: int = 0) -> None:
+        """Set the row of a person in their present task, and what led to it."""
+        k, problem = record.place, record.problem
+        if problem not in self.tasks:
+            self.tasks.append(problem)
+        self.model[k], self.x[k] = self.tasks.index(problem), row
+        self.erred[k], self.robot[k] = erred, robot
+        problem.policy.hold(record, self.x[k : k + 1].copy())
         self.ended[k] = self.finished(record) > 1 / 2
         self._change[k] += 1
 
     def finished(self, record: RosterEntry) -> float:
         """Return the probability that a person has reached their goal, of which several may be possible."""
-        return self.beliefs.finished(record.place, self.part(record)[0].arrays)
+        return self.beliefs.finished(record.place, record.problem.policy.arrays)
 
     def stopped(self, record: RosterEntry) -> bool:
         """Return whether a person has certainly reached their goal."""
         return is_certain(self.finished(record))
-
-    def _numbered(self, part: TaskPart) -> int:
-        """Return the index of a part in `parts`. A new part replaces one without people, if there is one."""
-        if part not in self._number:
-            free = self._people.index(0) if 0 in self._people else len(self.parts)
-            if free < len(self.parts):
-                del self._number[self.parts[free]]
-                self.parts[free] = part
-            else:
-                self.parts.append(part)
-                self._people.append(0)
-            self._number[part] = free
-        return self._number[part]
 
     def of_each(self, ask: Ask, active: NDArray[np.bool_]) -> Floats:
         """Return the answers about all people, shape (P, W); those of active people are up to date.
@@ -350,7 +336,7 @@ class Roster:
             self._answers.clear()
         kept = self._answers.setdefault(ask, _Answers(np.full((len(self), 1), -np.inf), np.full(len(self), -1)))
         rows = np.flatnonzero((kept.change != self._change) & active)
-        for number, mine in by_model(self.model, rows, len(self.parts)):
+        for number, mine in by_model(self.model, rows, len(self.tasks)):
             values = self.answers_about(ask, number, mine)
             wider = values.shape[1] - kept.values.shape[1]
             if wider > 0:
@@ -361,8 +347,8 @@ class Roster:
         return kept.values
 
     def answers_about(self, ask: Ask, number: int, places: NDArray[np.int64]) -> Floats:
-        """Return the answers about people of one part, given by their places, shape (N, W)."""
-        return self.beliefs.expected(ask, self.parts[number].policy, places)
+        """Return the answers about people of one task, given by their places, shape (N, W)."""
+        return self.beliefs.expected(ask, self.tasks[number].policy, places)
 
     def changes(self, place: int) -> int:
         """Return how often what is known of the person at a place has changed."""

@@ -12,12 +12,11 @@ from planner import CostToGo
 from ..people.goals import Goals
 from ..people.human import Population
 from ..person.policy import Policy
-from ..person.problem_arrays import ProblemArrays
 from ..team.robots import SUGGESTION
 from ..team.settings import Setting
 from ..team.state import TeamState
 from .decision_point import DecisionPoint
-from .live_task import LiveTask, TaskPart
+from .live_task import LiveTask
 
 
 class TraceReasons:
@@ -57,11 +56,11 @@ class TraceReasons:
         """
         # The models of people who are not active may have no problem in this step, and none is looked at.
         model, own = np.unique(np.where(team.active[row], team.model[row], team.model[row, place]), return_inverse=True)
-        parts = [self._part(team, one) for one in model.tolist()]
+        policies = [team.policies[one] for one in model.tolist()]
         here, travel = int(team.location[row, number]), team.travel
         count = len(names)
         point = DecisionPoint(
-            tuple(names), tuple(self._problem(int(model[one])) for one in own), parts,
+            tuple(names), tuple(self._problem(int(model[one])) for one in own), policies,
             team.beliefs.of(row * count + np.arange(count)), own, np.zeros(count, dtype=np.int64), team.active[row],
             ~team.active[row], {}, here, travel.c_move[number] * travel.distance[here], rule,
             float(team.fleet.extra[number, SUGGESTION]),
@@ -75,8 +74,3 @@ class TraceReasons:
             policy = self._policies[model]
             self._problems[model] = LiveTask(self._task or policy, Setting(), Population(), policy)
         return self._problems[model]
-
-    @staticmethod
-    def _part(team: TeamState, model: int) -> TaskPart:
-        policy = team.policies[model]
-        return TaskPart(policy, ProblemArrays.of(policy.pomdp), policy.states)

@@ -100,11 +100,11 @@ def update_by(record: RosterEntry, step: Step, model: ObservationModel | None) -
         The action is not applicable in any state in which the person probably is. Nothing has changed.
     """
     problem, beliefs, place = record.problem, record.team.beliefs, np.array([record.place])
-    part, row = problem.at(step.place)
-    choices, said = part.choices, NOTHING if step.suggestion is None else problem.ground(step.suggestion)
+    policy, row = problem.policy, problem.row(step.place)
+    choices, said = problem.choices, NOTHING if step.suggestion is None else problem.ground(step.suggestion)
     glimpse = glimpse_of(problem, choices, step, model)
     try:
-        beliefs.update_by(place, np.array([said]), [glimpse], PersonModel.of(part.policy.pomdp, part.arrays))
+        beliefs.update_by(place, np.array([said]), [glimpse], PersonModel.of(policy.pomdp, policy.arrays))
     except ImpossibleObservationError:
         names = [choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))]
         raise InapplicableError(
@@ -129,8 +129,8 @@ def after_answers(record: RosterEntry, model: ObservationModel | None) -> dict[s
     last, problem, earlier = record.steps[-1], record.problem, record.earlier
     if "missed" in (last.seen or {}) or earlier is None:
         return {}
-    part, _ = problem.at(problem.initial)
-    evidence, miss = _evidence(problem, part.choices, last, model), 0.0 if model is None else model.miss
+    choices = problem.choices
+    evidence, miss = _evidence(problem, choices, last, model), 0.0 if model is None else model.miss
     said = NOTHING if last.suggestion is None else problem.ground(last.suggestion)
-    each = earlier.after_each(evidence, said, part.choices, part.arrays, miss=miss)
-    return {part.choices.action_name(action): belief for action, belief in each.items()}
+    each = earlier.after_each(evidence, said, choices, problem.policy.arrays, miss=miss)
+    return {choices.action_name(action): belief for action, belief in each.items()}

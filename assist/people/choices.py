@@ -170,6 +170,23 @@ class Choices:
             unknown_goal=None,
         )  # fmt: skip
 
+    def around(self, rows: NDArray[np.int64]) -> Choices:
+        """Return the choices in some rows, shape (N,), which come first; their successors follow without choices."""
+        after = np.unique(self.targets[rows])
+        every, count = np.concatenate([rows, after]), len(rows)
+        leaf = np.arange(len(every)) >= count
+        targets = np.where(leaf, np.arange(len(every)), 0)[:, None].repeat(self.targets.shape[1], axis=1)
+        targets[:count] = count + np.searchsorted(after, self.targets[rows])
+        goals = self.unknown_goal
+        return replace(
+            self, h=self.h[every], goal=self.goal[every], applicable=self.applicable[every] & ~leaf[:, None],
+            actions=self.actions[every], targets=targets, costs=self.costs[every], optimal=self.optimal[every],
+            state=None if self.state is None else self.state[every], key=self.keys[every],
+            features=None if self.features is None else self.features[every],
+            unknown_goal=None if goals is None else goals.of_rows(every),
+            offered=None if self.offered is None else self.offered[every],
+        )  # fmt: skip
+
     @property
     def of_each_goal(self) -> tuple[Choices, ...]:
         """The choices with each of the goals known."""

@@ -1,13 +1,14 @@
 """Policies for one person's problem, whatever the size of the task.
 
-Most policies are for problems whose states are enumerated, and their rows are the states of the task. A policy for a
-task that is too large for that (`large_tasks.truncated_policy`) keeps values of some states only. Users of a policy do
-not need to distinguish them: they ask for the policy of the next step in some states (`Policy.local`), and for the rows
-of these states there.
+The problem of a policy has a row for each place where people may be (`person.rows`). If all states of the task are
+enumerated, all rows are there from the start. In a task that is too large for that
+(`large_tasks.truncated_policy`), a place gets its row when somebody comes there. Users of a policy do not distinguish
+them: they ask for the rows of the places where people are (`Policy.rows`), and for the place of a row.
 """
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from planner import CostToGo
 from ..people.choices import Choices
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
+from .problem_arrays import ProblemArrays, read_only
 from .ties import first_best
 from .visiting_robot import VisitingRobot
 
@@ -27,14 +29,13 @@ Ints = NDArray[np.int64]
 class Policy:
     """A policy for one person's problem. Its methods take N people at a time.
 
-    A subclass has the attribute `pomdp` and the method `q_values`. Everything else holds for enumerated tasks.
+    A subclass has the attribute `pomdp` and the method `q_values`. Everything else holds for enumerated tasks, whose
+    rows are their places.
 
     Attributes
     ----------
     pomdp : AssistPOMDP
         The problem.
-    states : int array, shape (n,), or None
-        Task state of each row of the problem; None if rows and states are the same.
     """
 
     if TYPE_CHECKING:
@@ -42,11 +43,6 @@ class Policy:
         @property
         def pomdp(self) -> AssistPOMDP:
             """The problem."""
-
-    @property
-    def states(self) -> Ints | None:
-        """The task state of each row of the problem, shape (n,); None if rows and states are the same."""
-        return None
 
     def q_values(self, x: Ints, belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding.
@@ -102,29 +98,52 @@ class Policy:
     def require_enumerated(self, what: str) -> None:
         """Check that the values of all states are kept. If not, the `ValueError` says that `what` needs them."""
 
-    def local(self, states: Ints, *, deep: bool = True) -> Policy:
-        """Return a policy for the next step of people in some states.
+    def rows(self, places: Ints, holder: object = None) -> Ints:
+        """Return the row of each place where people are, shape (N,), and compute what is not known of it yet.
 
         Parameters
         ----------
-        states : int array, shape (N,)
-            States of the task. `rows` returns their rows in the problem of the local policy.
-        deep : bool
-            Whether the effect of every suggestion on trust is needed. If not, `after_suggestions` adds the effects of
-            those that are made.
+        places : int array, shape (N,)
+            Places as in `person.rows`: states of the task or, with terms, pairs of a state and a memory.
+        holder : object, optional
+            What keeps these numbers until it asks for others, or no longer exists. Rows without a holder may be evicted
+            when other rows are asked for.
         """
-        del states, deep
-        return self
+        del holder
+        return places
 
-    def rows(self, states: Ints, *, deep: bool = True) -> Ints | None:
-        """Return the row of each state, shape (N,); None if the policy does not cover all of them as in `local`."""
-        del deep
-        return states
+    def hold(self, holder: object, rows: Ints) -> None:
+        """Let a holder hold these rows, shape (N,), in the place of those that it held before."""
 
-    def after_suggestions(self, x: Ints, robot: Ints) -> Policy:
-        """Return the policy with the effects on trust of robot actions in some rows, both of shape (N,)."""
-        del x, robot
-        return self
+    def places(self, rows: Ints) -> Ints:
+        """Return the place of each row, shape (N,)."""
+        return rows
+
+    def hear(self, x: Ints, robot: Ints) -> None:
+        """Compute what robot actions do to trust in some rows, both of shape (N,), where it is not known yet."""
+
+    @property
+    def at_first(self) -> AssistPOMDP:
+        """The problem before anybody has come to another place than the initial one; the whole problem if complete."""
+        return self.pomdp
+
+    @property
+    def complete(self) -> bool:
+        """Whether all places have rows, of which everything is known."""
+        return True
+
+    @cached_property
+    def stamps(self) -> Ints:
+        """A number for each row that is another one when the row has another place, shape (n,)."""
+        return read_only(np.zeros(len(self.pomdp.robot_actions), dtype=np.int64))
+
+    @cached_property
+    def arrays(self) -> ProblemArrays:
+        """The problem in the form that compiled code reads."""
+        return ProblemArrays.of(self.pomdp)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in ("arrays", "stamps")}
 
     def with_robot(self, robot: VisitingRobot) -> Any:
         """Return the person's solved problem with a robot that comes and goes (`VisitingRobot.solved`)."""

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,20 +65,31 @@ class QMDP(Policy):
         x : int array, shape (N,)
         belief : float array, shape (N, H, T)
         """
-        q = np.full((len(x), self.q_mdp.shape[1]), -np.inf)
-        _expected(
-            q, read_only(x, np.int64), read_only(self.pomdp.hidden.acting(belief), float).reshape(len(x), -1),
-            read_only(self._flat), read_only(self.pomdp.robot_actions),
-        )  # fmt: skip
-        return q
-
-    @cached_property
-    def _flat(self) -> Floats:
-        return self.q_mdp.reshape(*self.q_mdp.shape[:2], self.q_mdp[0, 0].size)
+        return expected(self.q_mdp, self.pomdp.robot_actions, x, self.pomdp.hidden.acting(belief))
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""
         return np.einsum("nht,nht->n", self.value_mdp[x], belief)
+
+
+def expected(table: Floats, robot_actions: NDArray[np.int64], x: NDArray[np.int64], belief: Floats) -> Floats:
+    """Return the expected Q-value of each robot action, shape (N, R); minus infinity in padding.
+
+    Parameters
+    ----------
+    table : float array, shape (n, R, H, T)
+        Q-values with observed type and theta.
+    robot_actions : int array, shape (n,)
+        Number of robot actions in each state.
+    x : int array, shape (N,)
+    belief : float array, shape (N, H, T)
+    """
+    q, flat = np.full((len(x), table.shape[1]), -np.inf), table.reshape(*table.shape[:2], -1)
+    _expected(
+        q, read_only(x, np.int64), read_only(belief, float).reshape(len(x), -1), read_only(flat),
+        read_only(robot_actions),
+    )  # fmt: skip
+    return q
 
 
 @shows_progress

@@ -1,9 +1,13 @@
-"""The people of one model, as compiled code and the trust rules of their setting see them."""
+"""The people of one model, as compiled code and the trust rules of their setting see them.
+
+What a person would choose in a row is computed when somebody is there. In a whole task that is done at the start, for
+all people and rows.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+import threading
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +16,10 @@ from ..people.choice_model import chances, value
 from ..people.choices import Choices
 from ..people.decision import Floats, perceived_cost
 from ..people.human import Human
+from ..people.trust_rules import TrustRule
 from ..person.beliefs import PersonModel
 from ..person.dynamics import Minds, PeopleArrays, act
+from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays, read_only
 from .pool import Pool
@@ -25,98 +31,128 @@ World = Literal["people", "model"]
 Ints = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
 class ModelGroup:
-    """The people of one model, as compiled code reads them.
+    """All people of one model. It is thread-safe.
+
+    Parameters
+    ----------
+    pool : Pool
+    number : int
+        Number of the model.
+    world : World
 
     Attributes
     ----------
-    model : PersonModel
-        Their problem, as the robot knows it.
-    minds : Minds
-        Choices of each of them with each goal; in the robot's model, of each type.
-    people : int array
-        Their numbers in the pool, in the order of `minds`.
+    policy : Policy
     row : int array, shape (people,)
-        First row of each person of the pool in `minds`, that of the first goal; 0 for people of other models.
-    states : int array, shape (n,), or None
-        Task state of each row of the problem; None if rows and states are the same.
-    trust : TrustOfPeople or None
-        How people's own theta changes, if not by equation 7 or as in the robot's model.
+        First row of each person of the pool in `minds`, that of the first goal; 0 for people of other models. In the
+        robot's model, the minds are the types.
     """
 
-    model: PersonModel
-    minds: Minds
-    people: Ints
-    row: Ints
-    states: Ints | None = None
-    trust: TrustOfPeople | None = None
+    def __init__(self, pool: Pool, number: int, world: World) -> None:
+        self.policy: Policy = pool.policies[number]
+        self.row = np.zeros(len(pool.people), dtype=np.int64)
+        own, pomdp = np.flatnonzero(pool.model == number), self.policy.pomdp
+        self._people, self._goals = [pool.people[i] for i in own.tolist()], len(pomdp.hidden.goals)
+        self._minds, self._lock = Minds.of_model(pomdp), threading.Lock()  # the problem defines the trust update
+        self._of_people = world == "people"
+        self._rule: TrustRule | None = None
+        if self._of_people:
+            eta = pomdp.model.eta / pomdp.model.utility_scale
+            if pool.setting.trust not in (None, "paper"):
+                self._rule, eta = pool.setting.trust_rule(), 0.0
+            self.row[own] = np.arange(len(own)) * self._goals
+            goal = read_only(np.tile(np.arange(self._goals), len(own)))
+            self._minds = self._minds._replace(goal=goal, eta=eta, lapse=0.0, on_grid=False)
+        minds = len(self._minds.goal)
+        self._stamps, self._value = np.full((minds, 0), -1), np.empty((minds, 0))
+        self._p, self._perceived = np.empty((minds, 0, 0)), np.empty((minds, 0, 0))
+        self._model = PersonModel.of(pomdp, self.arrays)
+        if self.policy.complete:
+            rows = np.arange(len(pomdp.robot_actions))
+            self._reserve(len(rows), self.arrays)
+            self._work_out(np.arange(minds), rows, pomdp)
 
     @property
     def arrays(self) -> ProblemArrays:
-        """Their problem, as compiled code reads it."""
-        return self.model.arrays
+        """The problem, on all rows so far."""
+        return self.policy.arrays
 
     @property
-    def ends(self) -> NDArray[np.bool_]:
-        """Whether episodes end in each state for each goal, shape (G, n).
-
-        They also end at the frontier of a problem whose choices were given as those of the whole task.
-        """
-        return self.arrays.final if self.states is None else self.arrays.goal
-
-    @classmethod
-    def of_model(cls, pool: Pool, number: int, world: World) -> ModelGroup:
-        """Return the group of all people of a model on an enumerated task."""
-        return cls.of(pool, pool.policies[number].pomdp, np.flatnonzero(pool.model == number), world)
-
-    @classmethod
-    def of(cls, pool: Pool, pomdp: AssistPOMDP, own: Ints, world: World, states: Ints | None = None) -> ModelGroup:
-        """Return the group of some people of a model.
-
-        Parameters
-        ----------
-        pool : Pool
-        pomdp : AssistPOMDP
-            Problem of the model, on the whole task or a part of it.
-        own : int array
-            Numbers of the people.
-        world : World
-        states : int array, shape (n,), optional
-            As in the attributes of the class.
-        """
-        model, choices, row, trust = pomdp.model, pomdp.model.choices, np.zeros(len(pool.people), dtype=np.int64), None
-        minds, known = Minds.of_model(pomdp), PersonModel.of(pomdp)  # the problem defines the trust update
-        if world == "people":
-            goals = choices.of_each_goal
-            found = [_mind(pool.people[i], own_choices) for i in own.tolist() for own_choices in goals]
-            p, v, q = (np.array(part) for part in zip(*found, strict=True))
-            row[own] = np.arange(len(own)) * len(goals)
-            eta = model.eta / model.utility_scale
-            if pool.setting.trust not in (None, "paper"):
-                trust, eta = TrustOfPeople(pool.setting.trust_rule(), q, known.optimal), 0.0
-            goal = read_only(np.tile(np.arange(len(goals)), len(own)))
-            minds = minds._replace(goal=goal, p=p, value=v, eta=eta, lapse=0.0, on_grid=False)
-        return cls(known, minds, own, row, states, trust)
+    def model(self) -> PersonModel:
+        """The problem as the robot knows it, on all rows so far."""
+        if self._model.arrays is not self.arrays:
+            self._model = PersonModel.of(self.policy.pomdp, self.arrays)
+        return self._model
 
     def mind(self, people: Ints, goal: Ints) -> Ints:
-        """Return the row of `minds` of some people, given by their numbers in the pool, with their goals."""
+        """Return the row of `Minds` of some people, given by their numbers in the pool, with their goals."""
         return self.row[people] + goal
 
     def ended(self, rows: Ints, people: PeopleArrays) -> NDArray[np.bool_]:
         """Return whether the episode has ended for the people of some rows."""
-        return np.asarray(self.ends[self.minds.goal[people.who[rows]], people.x[rows]])
-
-    def states_of(self, rows: Ints) -> Ints:
-        """Return the task state of some rows of the problem."""
-        return rows if self.states is None else self.states[rows]
+        return np.asarray(self.arrays.final[self._minds.goal[people.who[rows]], people.x[rows]])
 
     def act(self, rows: Ints, people: PeopleArrays) -> None:
         """Let the people of some rows, all of this model, act once."""
-        if self.trust is None:
-            act(rows, people, self.minds, self.arrays)
+        model, minds, perceived = self.model, self._minds, self._perceived
+        if not self.policy.complete:
+            model, minds, perceived = self._ready(people.who[rows], people.x[rows], people.robot[rows])
+        if self._rule is None:
+            act(rows, people, minds, model.arrays)
         else:
-            self.trust.act(rows, people, self.minds, self.arrays)
+            TrustOfPeople(self._rule, perceived, model.optimal).act(rows, people, minds, model.arrays)
+
+    def _ready(self, who: Ints, x: Ints, robot: Ints) -> tuple[PersonModel, Minds, Floats]:
+        """Compute what people would choose where they are and where suggestions lead, and what these do to trust."""
+        said = np.flatnonzero(robot)
+        self.policy.hear(x[said], robot[said])
+        with self._lock:
+            stamps, model = self.policy.stamps, self.model
+            pomdp, arrays = model.pomdp, model.arrays
+            then = arrays.targets[x[said], np.maximum(arrays.suggested[x[said], robot[said]], 0)]
+            who, x = np.concatenate([who, who[said]]), np.concatenate([x, then])
+            self._reserve(len(stamps), arrays)
+            new = self._stamps[who, x] != stamps[x]
+            if new.any():
+                self._work_out(np.unique(who[new]), np.unique(x[new]), pomdp)
+            return model, self._minds, self._perceived
+
+    def _reserve(self, rows: int, arrays: ProblemArrays) -> None:
+        """Make room for the choices in a number of rows of a problem."""
+        minds, slots = self._stamps.shape[0], arrays.chosen.shape[1]
+        if rows > self._stamps.shape[1] or slots > self._p.shape[2]:
+            room = rows if self.policy.complete else max(2 * rows, self._stamps.shape[1])
+            self._stamps = _larger(self._stamps, (minds, room), -1)
+            self._p = _larger(self._p, (minds, room, slots), 0.0)
+            if self._of_people:
+                self._value = _larger(self._value, (minds, room), 0.0)
+                self._perceived = _larger(self._perceived, (minds, room, slots), np.inf)
+            self._minds = self._minds._replace(p=self._p, value=self._value)
+
+    def _work_out(self, minds: Ints, rows: Ints, pomdp: AssistPOMDP) -> None:
+        """Compute what some people would choose in some rows."""
+        at = np.ix_(minds, rows)
+        self._stamps[at] = self.policy.stamps[rows]
+        slots = slice(pomdp.chosen.shape[1])
+        if not self._of_people:
+            self._p[:, rows, slots] = np.moveaxis(pomdp.chosen[rows], 2, 0)
+            return
+        choices = pomdp.model.choices
+        each = (choices if self.policy.complete else choices.around(rows)).of_each_goal
+        for mind in minds.tolist():
+            person, goal = divmod(mind, self._goals)
+            p, v, q = _mind(self._people[person], each[goal])
+            self._p[mind, rows, slots], self._value[mind, rows], self._perceived[mind, rows, slots] = (
+                part[: len(rows)] for part in (p, v, q)
+            )
+
+
+def _larger(array: NDArray[Any], shape: tuple[int, ...], blank: float) -> NDArray[Any]:
+    """Return a copy of an array in a larger one, with a number elsewhere."""
+    found = np.full(shape, blank, dtype=array.dtype)
+    found[tuple(map(slice, array.shape))] = array
+    return found
 
 
 def _mind(human: Human, choices: Choices) -> tuple[Floats, Floats, Floats]:

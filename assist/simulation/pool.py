@@ -86,7 +86,7 @@ class Pool(Result):
         """Whether both have the same people and problems, solved or not."""
         if not isinstance(other, Pool):
             return False
-        problems, others = ([each.pomdp for each in one.policies] for one in (self, other))
+        problems, others = ([each.at_first for each in one.policies] for one in (self, other))
         known, given = ((one.setting, one.people, one.model) for one in (self, other))
         return same(known, given) and same(problems, others)
 
@@ -223,8 +223,9 @@ class Pool(Result):
             require_goal(float(costs_to_go(table, np.array([first_of(table).initial])).min()))
             require_room_for_people(size, 0, memory_limit_mb)
             people = population.sample(None, size, rng)
-            room = states_within(memory_limit_mb, len(each_of(table)), size if setting.knowledge == "own" else 1)
-            ground = SharedTask(table, prior, region or min(default_size(table), room))
+            models = size if setting.knowledge == "own" else 1
+            room = states_within(memory_limit_mb, len(each_of(table)), models)
+            ground = SharedTask(table, prior, region or min(default_size(table), room), models)
             policies = TruncatedPolicy.of_people(ground, people, setting)
         number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number, again)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import partial
 from threading import Event
 from typing import NamedTuple
@@ -15,28 +15,28 @@ from ..person.beliefs import Acts, Beliefs, Hidden, Seen
 from ..person.dynamics import PeopleArrays
 from ..team.action_check import check
 from ..team.assignment import placed
+from ..team.questions import Questions
 from ..team.state import BASE, NOBODY, PolicyError, TeamAction, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
 from .episodes import Episodes
 from .hidden_goals import GoalKnowledge, HiddenGoals
-from .model_group import World
+from .model_group import ModelGroup, World
 from .pool import Pool
 from .schedule import Schedule
-from .task_parts import TaskParts
-from .task_view import StepView, TaskView
+from .task_view import TaskView
 
 
 class StepTaken(NamedTuple):
-    """A step: the people who acted, as flat indices, what each did, and their states, theta and rewards.
+    """A step: the people who acted, as flat indices, what each did, and their rows, theta and rewards.
 
-    `before` and `theta` are those before the step. The other arrays are those of `Run`.
+    `before` and `theta` are those before the step, and `x` the rows after it. The other arrays are those of `Run`.
     """
 
     step: int
     flat: NDArray[np.int64]
-    view: StepView
     before: NDArray[np.int64]
+    x: NDArray[np.int64]
     robot: NDArray[np.int64]
     slot: NDArray[np.int64]
     theta: Floats
@@ -62,7 +62,8 @@ class Run:
         presence: Schedule,
         world: World,
         over: Event,
-        parts: TaskParts,
+        groups: Mapping[int, ModelGroup],
+        questions: Questions | None,
         goals: GoalKnowledge,
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
@@ -88,17 +89,18 @@ class Run:
         if pool.goals > 1:
             self.goals = HiddenGoals.of(pool, self.model, goal, self.random_numbers, goals)
         pursued = np.zeros(shape, dtype=np.int64) if self.goals is None else self.goals.goal
-        self.task_view = TaskView(parts, self.model, self.people, self.mind, pursued)
-        self.x = self.task_view.initial.copy()
+        self.groups, self.policies = groups, pool.policies
+        self.task_view = TaskView(pool, groups, world, self.model, self.people, self.mind, pursued)
+        self.places = self.task_view.initial.copy()
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]
         self.fleet, robots = pool.setting.fleet, len(pool.setting.robots)
         self.location = np.full((len(numbers), robots), BASE, dtype=np.int64)
         self.busy_until = np.zeros((len(numbers), robots), dtype=np.int64)
-        self.row = self.x.copy()  # in the problem of a step
+        self.x = self.places.copy()  # the row of each place
         uses_belief = getattr(policy, "uses_belief", True)
         self.beliefs = self._first_beliefs(uses_belief or self.keeps_beliefs)
-        self.questions = parts.questions if uses_belief else None
+        self.questions = questions if uses_belief else None
         self.asked = np.zeros(len(numbers), dtype=np.int64)
         self.actions = np.zeros(shape, dtype=np.int64)
         self.costs = np.zeros(shape)
@@ -120,10 +122,10 @@ class Run:
             belief = belief.reshape(-1, *belief.shape[2:])
         erred = np.zeros(self.x.size, dtype=bool)
         if sight is None:
-            return Seen(self.row.reshape(-1), belief, erred)
+            return Seen(self.x.reshape(-1), belief, erred)
         for policy in pool.policies:
             policy.require_enumerated("observation")
-        return Hidden(self.row.reshape(-1).copy(), belief, erred, sight)
+        return Hidden(self.x.reshape(-1).copy(), belief, erred, sight)
 
     def run(self) -> Episodes:
         """Simulate steps until all people have finished or the limit is reached; return the records.
@@ -148,27 +150,24 @@ class Run:
 
     def _step(self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]) -> None:
         flat = np.flatnonzero(active)
-        view = self.task_view.view(self.x, flat, deep=len(self.beliefs.belief) > 0)
-        self.row[:] = view.x
-        view = replace(view, x=self.row)
-        said, charged = self._robot(step, running, active, view)
-        groups = by_model(view.model.reshape(-1), flat, len(view.policies))
+        self.x[:] = self.task_view.rows(self.places, flat)
+        said, charged = self._robot(step, running, active)
+        groups = by_model(self.model.reshape(-1), flat, len(self.policies))
         robot = self.beliefs.heard(
-            said.reshape(-1), view.x.reshape(-1), [(view.policies[number].pomdp, rows) for number, rows in groups]
+            said.reshape(-1), self.x.reshape(-1), [(self.policies[number].pomdp, rows) for number, rows in groups]
         ).reshape(said.shape)
-        view = self.task_view.after_suggestions(view, robot)
-        before, theta_before = view.x.copy(), self.theta.copy()
+        before, theta_before = self.x.copy(), self.theta.copy()
         uniform = np.empty((*self.x.shape, 2))
         for kind in (1, 2) if self.on_grid else (1,):
             uniform[running, :, kind - 1] = self.random_numbers.draw(kind, running)
-        people = PeopleArrays.of_teams(view.x, robot, view.who, self.theta, self.seen, uniform)
+        people = PeopleArrays.of_teams(self.x, robot, self.task_view.who, self.theta, self.seen, uniform)
         for number, rows in groups:
-            group = view.groups[number]
+            group = self.groups[number]
             group.act(rows, people)
             self.finished.reshape(-1)[rows] = group.ended(rows, people)
-            self.x.reshape(-1)[rows] = group.states_of(people.x[rows])
+            self.places.reshape(-1)[rows] = group.policy.places(people.x[rows])
         acts = Acts(before.reshape(-1), people.robot, people.slot, ~self.finished.reshape(-1))
-        models = [(view.groups[number].model, rows) for number, rows in groups]
+        models = [(self.groups[number].model, rows) for number, rows in groups]
         self.beliefs.observe(acts, said.reshape(-1), models, partial(self._drawn, running))
         slot, cost = people.slot, people.cost.reshape(self.x.shape)
         reward = -charged - cost
@@ -176,7 +175,7 @@ class Run:
         self.actions += slot.reshape(self.x.shape) >= 0
         self.costs += cost
         self.steps[running] += 1
-        self.watch(StepTaken(step, flat, view, before, robot, slot, theta_before, reward))
+        self.watch(StepTaken(step, flat, before, self.x, robot, slot, theta_before, reward))
 
     def _drawn(self, running: NDArray[np.int64], kind: int) -> Floats:
         """Return uniform numbers of a kind for all people, 0 in teams that do not run any more."""
@@ -194,7 +193,7 @@ class Run:
         """See a question that was asked, and its answer."""
 
     def _robot(
-        self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: StepView
+        self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]
     ) -> tuple[NDArray[np.int64], Floats]:
         """Return the robots' action towards each person and its cost, both of shape (N, K), as chosen by the policy."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
@@ -214,9 +213,9 @@ class Run:
             known = self.goals.acted_on(known)
         team = TeamState(
             step=step, x=known.x.reshape(-1, K), active=active[every], erred=known.erred.reshape(-1, K),
-            location=self.location[every], model=view.model[every],
+            location=self.location[every], model=self.model[every],
             belief=known.belief.reshape(-1, K, *known.belief.shape[1:]) if len(known.belief) else None,
-            policies=view.policies, travel=self.travel, free=arrived[every], fleet=self.fleet, beliefs=known,
+            policies=self.policies, travel=self.travel, free=arrived[every], fleet=self.fleet, beliefs=known,
         )  # fmt: skip
         action = self.policy(team)
         try:
@@ -232,9 +231,9 @@ class Run:
         np.add.at(self.moves, teams, origin != to)
         self.location[free] = placed(self.location[free], action.person)
         robot[teams, to], visible = does, self.beliefs.x.reshape(self.x.shape)
-        for model, rows in by_model(view.model[teams, to], np.flatnonzero(does > 0), len(view.policies)):
+        for model, rows in by_model(self.model[teams, to], np.flatnonzero(does > 0), len(self.policies)):
             at = (teams[rows], to[rows])
-            arrays = view.groups[model].arrays
+            arrays = self.groups[model].arrays
             charged[at] += arrays.robot_costs[visible[at], does[rows]]
             executes = arrays.suggested[visible[at], does[rows]] == NOTHING
             if self.fleet.costs_differ:

@@ -27,17 +27,17 @@ from ..people.arguments import Seed, entropy, whole, wholes
 from ..person.memory_needed import MEMORY_LIMIT_MB
 from ..team.attention import AttentionSwitching
 from ..team.policies import prepare
+from ..team.questions import Questions
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .common_random_numbers import BLOCK
 from .episodes import Episodes
 from .hidden_goals import GoalKnowledge
-from .model_group import World
+from .model_group import ModelGroup, World
 from .pool import Pool, require_pool
 from .requested import number_of, people_drawn, require_possible, require_room_for_episodes, team_of
 from .run import Run
 from .schedule import Schedule
-from .task_parts import TaskParts
 from .trace import Reasons, Trace
 from .traced_run import TracedRun
 
@@ -137,13 +137,18 @@ def simulate(
     if pool.goals > 1:  # a state on a large task has values for each goal, and so have its successors
         together = max(1, PEOPLE_AT_A_TIME // (places * pool.goals * 8))
     explained = trace is not None and reasons is not None
-    jobs, seed_number, parts = whole("jobs", jobs, 1), entropy(seed), TaskParts(pool, world)
+    jobs, seed_number = whole("jobs", jobs, 1), entropy(seed)
 
     assert callable(progress)
+    parted = [numbers[start : start + together] for start in range(0, count, together)]
+    drawn = people_drawn(pool, seed_number, parted, places) if teams is None else teams
+    models = np.unique(pool.model[drawn]).tolist()
+    groups = {model: ModelGroup(pool, model, world) for model in models}
+    questions: Questions | None = None
+    if pool.setting.c_ask is not None and pool.goals > 1:
+        questions = Questions(pool.policies, pool.setting.c_ask, pool.setting.ask_error)
     if explained or hasattr(policy, "prepare"):
-        parted = [numbers[start : start + together] for start in range(0, count, together)]
-        drawn = people_drawn(pool, seed_number, parted, places) if teams is None else teams
-        needed = [pool.policies[model] for model in np.unique(pool.model[drawn]).tolist()]
+        needed = [pool.policies[model] for model in models]
         if explained:  # reasons compare the values of what the robot can do
             prepare(AttentionSwitching(), needed, progress=partial(progress, SOLVING), jobs=jobs)
         prepare(policy, needed, progress=partial(progress, SOLVING), jobs=jobs)
@@ -152,8 +157,8 @@ def simulate(
     def run(chunk: slice) -> tuple[Episodes, list[Trace]]:
         options: dict[str, Any] = {
             "teams": None if teams is None else teams[chunk], "numbers": numbers[chunk], "seed": seed_number,
-            "name": called, "travel": travel, "presence": presence, "world": world, "over": over, "parts": parts,
-            "goals": goals,
+            "name": called, "travel": travel, "presence": presence, "world": world, "over": over,
+            "groups": groups, "questions": questions, "goals": goals,
         }  # fmt: skip
         if trace is None:
             return Run(pool, policy, **options).run(), []

@@ -44,10 +44,10 @@ class TracedRun(Run):
 
     def watch(self, taken: StepTaken) -> None:
         """Append a record for each person who acted to the trace of their episode."""
-        view, executes = taken.view, self.pool.setting.fleet.executes
+        executes = self.pool.setting.fleet.executes
         for i in taken.flat:
-            e, k = divmod(int(i), self.x.shape[1])
-            pomdp = view.policies[view.model[e, k]].pomdp
+            e, k = divmod(int(i), taken.x.shape[1])
+            pomdp = self.policies[self.model[e, k]].pomdp
             choices, x, r = pomdp.model.choices, int(taken.before[e, k]), int(taken.robot[e, k])
             goal = int(self.task_view.goal[e, k])
             suggested = int(pomdp.suggested[x, r])
@@ -68,7 +68,7 @@ class TracedRun(Run):
                 **({"robot_place": there[0]} if len(there) == 1 else {"robot_places": there}),
                 "cost": float(choices.costs[place, taken.slot[i]]) if taken.slot[i] >= 0 else 0.0,
                 "cost_to_go": finite(choices.goals.h[goal, x]),
-                "cost_to_go_after": finite(choices.goals.h[goal, view.x[e, k]]),
+                "cost_to_go_after": finite(choices.goals.h[goal, taken.x[e, k]]),
                 "theta": float(taken.theta[e, k]),
                 "reward": float(taken.reward[e, k]),
                 **({} if self.goals is None else {"goal": choices.goals.names[goal]}),

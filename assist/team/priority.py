@@ -79,6 +79,31 @@ class SolvedSubproblem:
         steps, positions = range(len(visits.layout.layers)), range(visits.layout.positions)
         return cls(visits, policy, np.array([[visits.states(t, position) for position in positions] for t in steps]))
 
+    def q_values(self, step: int, position: int, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Return the Q-values of the robot's moves, shape (N, R + 1); minus infinity in padding.
+
+        Parameters
+        ----------
+        step : int
+            The step, or the last one with a price of its own.
+        position : int
+            Position of the robot, as in `TimeExpansion`.
+        x : int array, shape (N,)
+            Task state of each person.
+        belief : float array, shape (N, H, T)
+
+        Raises
+        ------
+        ValueError
+            A state is not reachable at that step.
+        """
+        states = self.states[step, position, x]
+        if (states < 0).any():
+            raise ValueError(
+                f"somebody is at step {step} where nobody can be so soon: with prices of steps all begin at step 0"
+            )
+        return self.policy.q_values(states, belief)
+
 
 @dataclass(frozen=True, eq=False)
 class Priority:
@@ -211,11 +236,6 @@ class Priority:
 
     def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the values of an arrival in 1, 2, ... steps, followed by the Q-values with the robot present."""
-        solved: SolvedSubproblem = policy.with_robot(self)
-        states = solved.states[step][:, x]
-        if (states < 0).any():
-            raise ValueError(
-                f"somebody is at step {step} where nobody can be so soon: with prices of steps all begin at step 0"
-            )
-        arriving = [solved.policy.q_values(states[HERE + steps], belief)[:, :1] for steps in range(1, 1 + self.longest)]
-        return np.concatenate([*arriving, solved.policy.q_values(states[HERE], belief)], axis=1)
+        solved = policy.with_robot(self)
+        arriving = [solved.q_values(step, HERE + far, x, belief)[:, :1] for far in range(1, 1 + self.longest)]
+        return np.concatenate([*arriving, solved.q_values(step, HERE, x, belief)], axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from assist.certify.options import BoundOptions
 from assist.certify.prices import kinds_of
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
-from assist.large_tasks import truncated_bound
+from assist.large_tasks import truncated_bound, truncated_policy
 from assist.large_tasks.truncated_task import never_erring
 from assist.people.human import Population
 from assist.person.solver import solve
@@ -38,10 +39,10 @@ def episodes(known: CostToGo, policy: Any, *, states: int, world: Any = "people"
     return simulate(pool, policy, humans=2, episodes=8, seed=2, world=world, **options)
 
 
-def assert_same(one: Episodes, other: Episodes) -> None:
+def assert_same(one: Episodes, other: Episodes, number: int = 8) -> None:
     for name in ("people", "actions", "costs", "helped", "moves", "steps", "discounted_return"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
-    assert one.actions.sum() > 8 * 2  # people did something
+    assert one.actions.sum() > number * 2  # people did something
 
 
 def weakest(team: TeamState) -> TeamAction:
@@ -93,17 +94,50 @@ def test_the_next_step_is_the_same_by_either_policy(tiny: Table) -> None:
     whole, part = Pool.sample(tiny, 2, seed=1).policies[0], Pool.sample(tiny, 2, seed=1, states=0).policies[0]
     states = np.array([tiny.initial, *np.flatnonzero(tiny.h == 2)[:3]])
     states.sort()
-    assert whole.local(states) is whole
-    local = part.local(states)
-    for policy in (whole, local):
+    for policy in (whole, part):
         rows = policy.rows(states)
-        assert rows is not None
         belief = np.repeat(policy.pomdp.prior[None], len(states), axis=0)
         np.testing.assert_allclose(policy.q_values(rows, belief), whole.q_values(states, belief), atol=0.01)
-        task_states = rows if policy.states is None else policy.states[rows]
-        np.testing.assert_array_equal(task_states, states)
-    assert local.rows(np.array([int(np.flatnonzero(tiny.h == 5)[0])])) is None
-    assert local.states is not None
+        np.testing.assert_array_equal(policy.places(rows), states)
+    assert rows.tolist() == part.rows(states).tolist() != states.tolist()
+
+
+@pytest.mark.parametrize("policy", ["none", "reactive", "attention", "priority"])
+def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny: Table, monkeypatch: Any) -> None:
+    monkeypatch.setattr(truncated_policy, "ROWS", 30)
+    setting = Setting(c_suggest=0.1, knowledge="exact", trust="outcome")
+    whole, part = (
+        Pool.sample(tiny, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
+    )
+    (only,) = part.policies
+    assert isinstance(only, truncated_policy.TruncatedPolicy)
+    options: dict[str, Any] = {"humans": 2, "episodes": 1, "world": "people"}
+    for seed in range(4):
+        assert_same(*(simulate(pool, policy, seed=seed, **options) for pool in (whole, part)), 1)
+        assert len(only.growing.now.pomdp.robot_actions) < len(tiny)
+
+
+def test_whoever_holds_rows_keeps_them(tiny: Table, monkeypatch: Any) -> None:
+    """The places and the values of rows that are held stay, whatever else is asked for."""
+    monkeypatch.setattr(truncated_policy, "ROWS", 20)
+    whole, part = (Pool.sample(tiny, 1, seed=1, states=states, region=EVERYTHING).policies[0] for states in (99, 0))
+    holders, states = [Thread(), Thread()], [np.array([3, 9]), np.array([12])]
+    rows = [part.rows(own, holder) for own, holder in zip(states, holders, strict=True)]
+    belief = part.pomdp.prior[None]
+    for state in range(len(tiny)):
+        (row,) = part.rows(np.array([state]))
+        expected = whole.q_values(np.array([state]), belief)[0]
+        found = part.q_values(np.array([row]), belief)[0]
+        np.testing.assert_allclose(found[np.isfinite(found)], expected[np.isfinite(expected)], atol=1e-3)
+        for own, held in zip(states, rows, strict=True):
+            assert part.places(held).tolist() == own.tolist()
+            np.testing.assert_array_equal(part.pomdp.model.choices.h[held], tiny.h[own])
+    stamps = [part.stamps[held].tolist() for held in rows]
+    del holders[1]
+    for state in range(len(tiny)):
+        part.rows(np.array([state]))
+    assert part.stamps[rows[0]].tolist() == stamps[0]
+    assert part.stamps[rows[1]].tolist() != stamps[1]
 
 
 def test_people_of_enumerated_tasks_and_of_others_are_in_one_team(tiny: Table) -> None:

@@ -72,7 +72,7 @@ def test_the_belief_after_answers_is_that_of_enumerated_histories(name: str) -> 
     goals, error, rng = TASKS[name], 0.1, np.random.default_rng(3)
     setting = replace(ASKS, c_ask=0.0, ask_error=error, lapse=LAPSE)
     team = Assistant(goals, ["ann"], setting=setting, population=SMALL)
-    pomdp = team._team.part(team._team.known("ann"))[0].policy.pomdp
+    pomdp = team._team.known("ann").problem.policy.pomdp
     steps, told, share = Steps(), 0, np.ones(len(goals.tables))
     for _ in range(4):
         question = team.recommend().question

@@ -1,0 +1,269 @@
+"""One person's problem on the rows in which people have been, in a task of any size.
+
+A `GrowingProblem` computes what is known of a place when it is asked for its row: the choices there, their
+probabilities and the robot's actions. Two things take more, and are computed when they are first used:
+
+- What a suggestion does to trust depends on the value of its successor, so that one more state has to be looked up.
+- The Q-values of the robot's actions are one exact Bellman backup of estimated values of the successors.
+
+All of it follows from a problem of one step, the truncated task that ends after it (`StateCache.around`). Once Q-values
+have been asked for, a new row gets its own from the same problem.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.choices import WAIT
+from ..people.decision import NOTHING, Floats
+from ..person.pomdp import AssistPOMDP
+from ..person.problem_arrays import ProblemArrays, read_only
+from ..person.qmdp import expected
+from ..person.rows import OWN, Rows
+from .state_cache import NONE
+from .truncated_task import TruncatedTask
+
+Ints = NDArray[np.int64]
+
+OF_PLACES = {"h": np.inf, "goal": False, "key": 0}
+"""What is known of a place that was only looked up, as the successor of a choice."""
+
+OF_CHOICES = {
+    "known": False, "applicable": False, "actions": WAIT, "targets": OWN, "costs": 0.0, "best": False,
+    "optimal": False, "q": np.inf, "robot_actions": 1, "suggested": NOTHING, "afterstate": OWN, "robot_costs": 0.0,
+    "chosen": 0.0, "unsuggested": 0.0, "heard": False, "low": 0, "weight": 0.0, "followed_low": 0,
+    "followed_weight": 0.0,
+}  # fmt: skip
+"""What is known where somebody has been; without it a row has no choices. The effects of a robot action on trust, `low`
+and so on, are known if it is `heard`.
+"""
+
+TRUST = ("low", "weight", "followed_low", "followed_weight")
+
+Backup = Callable[[AssistPOMDP, TruncatedTask, int], tuple[Floats, Ints]]
+"""Returns Q-values in the first rows of a problem of one step, shape (count, P, R, H, T), and the number of robot
+actions, shape (count, P), at each of P positions of the robot.
+"""
+
+
+class Snapshot(NamedTuple):
+    """The problem on all rows so far. What becomes known of robot actions later appears in its arrays."""
+
+    pomdp: AssistPOMDP
+    arrays: ProblemArrays
+    stamps: Ints
+
+
+class _Step(NamedTuple):
+    """A problem of one step from some rows, and whether it has the effects of all suggestions on trust."""
+
+    rows: Ints
+    region: TruncatedTask
+    pomdp: AssistPOMDP
+    ahead: bool
+
+
+class GrowingProblem:
+    """One person's problem on the rows in which people have been. All methods are thread-safe.
+
+    Parameters
+    ----------
+    around : callable
+        Returns the truncated task of one step from some states, as `StateCache.around` does.
+    problem : callable
+        Returns the person's problem on a truncated task.
+    initial : int
+        The place where an episode begins; it has row 0.
+    most : int
+        Number of rows above which those that nobody holds are evicted.
+    ahead : bool
+        Whether the effects of all suggestions on trust are computed with each row; if not, when they are first used.
+    """
+
+    def __init__(
+        self, around: Callable[..., TruncatedTask], problem: Callable[[TruncatedTask], AssistPOMDP], initial: int, *,
+        most: int, ahead: bool,
+    ) -> None:  # fmt: skip
+        self._around, self._problem, self._most, self._ahead = around, problem, most, ahead
+        self._rows = Rows(OF_PLACES | OF_CHOICES)
+        self._tables = set[str]()
+        self._lock = threading.RLock()
+        self._step = self._learn(np.array([initial]))
+        self.first = self._step.pomdp
+        self._snapshot, self._version = self._taken(), self._rows.version
+
+    def rows(self, places: Ints, holder: object = None) -> Ints:
+        """Return the row of each place, shape (N,), and compute what is not known of it.
+
+        Parameters
+        ----------
+        places : int array, shape (N,)
+            States of the task.
+        holder : object, optional
+            It holds these rows from now on, in the place of those that it held before.
+        """
+        with self._lock:
+            wanted, place = np.unique(places, return_inverse=True)
+            rows = self._rows.find(wanted)
+            missing = rows < 0
+            missing[~missing] = ~self._rows["known"][rows[~missing]]
+            if missing.any():
+                if self._rows.used + missing.sum() > self._most:
+                    self._evict(np.union1d(self._rows.held(holder), rows[rows >= 0]))
+                self._learn(wanted[missing])
+                rows = self._rows.find(wanted)
+            if holder is not None:
+                self._rows.hold(holder, rows)
+            return np.asarray(rows[place.reshape(-1)])
+
+    def hold(self, holder: object, rows: Ints) -> None:
+        """Let a holder hold these rows in the place of those that it held before."""
+        with self._lock:
+            self._rows.hold(holder, rows)
+
+    def places(self, rows: Ints) -> Ints:
+        """Return the place of each row, shape (N,)."""
+        with self._lock:
+            return np.asarray(self._rows.place_of[rows])
+
+    @property
+    def now(self) -> Snapshot:
+        """The problem on all rows so far."""
+        with self._lock:
+            if self._version != self._rows.version:
+                self._snapshot, self._version = self._taken(), self._rows.version
+            return self._snapshot
+
+    def hear(self, x: Ints, robot: Ints) -> None:
+        """Compute the effects of robot actions on trust in some rows, both of shape (N,), and what their targets need.
+
+        The rows are held.
+        """
+        with self._lock:
+            silent = np.flatnonzero(~self._rows["heard"][x, robot])
+            if len(silent):
+                x, slot = x[silent], self._rows["suggested"][x[silent], robot[silent]]
+                then = self._rows.place_of[self._rows["targets"][x, slot]]
+                self._learn(np.unique(self._rows.place_of[x]), then=then)
+
+    def q_values(self, name: str, backup: Backup, position: int, x: Ints, belief: Floats) -> Floats:
+        """Return the Q-values of robot actions, shape (N, R), for people in some rows; minus infinity in padding.
+
+        Parameters
+        ----------
+        name : str
+            Name of what the backup computes.
+        backup : callable
+        position : int
+            Position of the robot.
+        x : int array, shape (N,)
+        belief : float array, shape (N, H, T)
+        """
+        with self._lock:
+            q, count = f"q {name}", f"count {name}"
+            if name not in self._tables:
+                self._tables.add(name)
+                self._rows.declare({q: -np.inf, count: 0})
+            silent = np.unique(x if count not in self._rows else x[self._rows[count][x, 0] == 0])
+            if len(silent):
+                step = self._step
+                if not (step.ahead and np.isin(silent, step.rows).all()):
+                    step = self._learn(self._rows.place_of[silent])
+                for one, values in zip((q, count), backup(step.pomdp, step.region, len(step.rows)), strict=True):
+                    self._rows.put(one, step.rows, values)
+            table, counts, hidden = self._rows[q], self._rows[count], self.first.hidden
+        positions = table.shape[1]
+        flat = table.reshape(len(table) * positions, *table.shape[2:])
+        return expected(flat, counts.reshape(-1), x * positions + position, hidden.acting(belief))
+
+    def _evict(self, held: Ints) -> None:
+        """Evict all rows but those that are held; of the successors of these, only what was looked up stays."""
+        held = np.union1d(held, [0])
+        successors = np.unique(self._rows["targets"][held])
+        self._rows.evict(np.union1d(held, successors))
+        tables = [f"{what} {name}" for name in self._tables for what in ("q", "count")]
+        self._rows.clear([*OF_CHOICES, *tables], np.setdiff1d(successors, held))
+
+    def _learn(self, places: Ints, then: Ints = NONE) -> _Step:
+        """Compute what is known of different places, and return their problem of one step.
+
+        `then` are successors to which suggestions lead.
+        """
+        ahead = self._ahead or bool(self._tables)
+        region = self._around(places, then=then, ahead=ahead)
+        pomdp, rows, inside = self._problem(region), self._rows, np.ones(len(region.states), dtype=bool)
+        inside[region.frontier] = False
+        at = np.sort(np.unique(region.states, return_index=True)[1])  # each place once; those asked for come first
+        at = at[rows.find(region.states[at]) < 0]
+        own, goals = rows.add(region.states[at]), region.choices.goals
+        rows.put("h", own, goals.h[:, at].T)
+        rows.put("goal", own, goals.goal[:, at].T)
+        rows.put("key", own, region.choices.keys[at])
+        row = rows.find(region.states)
+        self._put_choices(region, pomdp, row, inside, len(places))
+        self._put_trust(pomdp, row, inside)
+        self._step = _Step(row[: len(places)], region, pomdp, ahead)
+        return self._step
+
+    def _put_choices(self, region: TruncatedTask, pomdp: AssistPOMDP, row: Ints, inside: Any, count: int) -> None:
+        """Store the choices and probabilities of rows of a region in which they are not known yet."""
+        choices, rows = region.choices, self._rows
+        fresh = inside & (choices.applicable.any(axis=1) | (np.arange(len(row)) < count))
+        if "known" in rows:
+            fresh &= ~rows["known"][row]
+        at = np.flatnonzero(fresh)
+        at = at[np.unique(row[at], return_index=True)[1]]  # a place may be both one of those and a successor
+        own = row[at]
+        columns = {
+            "applicable": choices.applicable, "actions": choices.actions, "targets": row[choices.targets],
+            "costs": choices.costs, "best": choices.optimal, "optimal": choices.goals.optimal, "q": pomdp.model.q,
+            "robot_actions": pomdp.robot_actions, "suggested": pomdp.suggested, "afterstate": row[pomdp.afterstate],
+            "robot_costs": pomdp.robot_costs, "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested,
+            "heard": pomdp.suggested == NOTHING, "low": pomdp.low, "weight": pomdp.weight,
+            "followed_low": pomdp.followed_low, "followed_weight": pomdp.followed_weight,
+        }  # fmt: skip
+        for name, values in columns.items():
+            if values is not None:
+                rows.put(name, own, values[at])
+        rows.put("known", own, np.ones(len(own), dtype=bool))
+
+    def _put_trust(self, pomdp: AssistPOMDP, row: Ints, inside: Any) -> None:
+        """Store the effects on trust of those suggestions whose successors are no leaves."""
+        targets = np.take_along_axis(pomdp.model.choices.targets, np.maximum(pomdp.suggested, 0), axis=1)
+        at, robot = np.nonzero((pomdp.suggested != NOTHING) & inside[targets] & inside[:, None])
+        new = ~self._rows["heard"][row[at], robot]
+        at, robot = at[new], robot[new]
+        for name in TRUST:
+            values = getattr(pomdp, name)
+            if values is not None:
+                self._rows[name][row[at], robot] = values[at, robot]
+        self._rows["heard"][row[at], robot] = True
+
+    def _taken(self) -> Snapshot:
+        rows, pomdp = self._rows, self.first
+        choices, uses_answer = pomdp.model.choices, pomdp.followed_low is not None
+        h, goal = (np.ascontiguousarray(rows[name].T) for name in ("h", "goal"))
+        goals = choices.unknown_goal
+        if goals is not None:
+            goals = replace(goals, h=h, goal=goal, optimal=rows["optimal"])
+        choices = replace(
+            choices, h=h.min(axis=0), goal=np.asarray(goal.all(axis=0)), applicable=rows["applicable"],
+            actions=rows["actions"], targets=rows["targets"], costs=rows["costs"], optimal=rows["best"],
+            key=rows["key"], unknown_goal=goals,
+        )  # fmt: skip
+        own: dict[str, Any] = {
+            name: rows[name]
+            for name in (
+                "robot_actions", "suggested", "afterstate", "robot_costs", "chosen", "unsuggested",
+                *(TRUST if uses_answer else TRUST[:2]),
+            )
+        }  # fmt: skip
+        model = replace(pomdp.model, choices=choices, q=read_only(rows["q"]))
+        found = replace(pomdp, model=model, frontier=None, **own)
+        return Snapshot(found, ProblemArrays.of(found), read_only(rows.born.copy()))
