@@ -17,8 +17,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from typing import Any, NamedTuple, Protocol, TypeVar, cast
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from typing import Any, NamedTuple, TypeVar, cast
 
 from .signs import VisibleText, visible
 
@@ -202,120 +202,94 @@ def _working() -> Iterator[None]:
         _work.remove(token)
 
 
-class _Display(Protocol):
-    """Shows a stage; its text is that at the time of drawing."""
+@contextmanager
+def _display(after: float = 0.0) -> Iterator[Callable[[Stage], None]]:
+    """Yield a function that shows stages, but none within `after` seconds."""
+    display = _Display(after)
+    with _working():
+        try:
+            yield display.show
+        finally:
+            display.close()
 
-    def show(self, stage: Stage) -> None: ...
 
-    def close(self) -> None: ...
+class _Display:
+    """Shows the latest stage at regular intervals, from a thread: a bar, a line in a notebook, or plain lines."""
+
+    def __init__(self, after: float) -> None:
+        self._after = after
+        self._stage: Stage | None = None
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def show(self, stage: Stage) -> None:
+        """Show a stage; its text is that at the time of drawing."""
+        self._stage = stage
+        if self._thread is None:  # only now: where nothing is reported, this process can be forked
+            self._thread = threading.Thread(target=self._draw, daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """Show nothing any more."""
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _draw(self) -> None:
+        if self._after and self._ended.wait(self._after):
+            return
+        notebook = _notebook()
+        shown: AbstractContextManager[Callable[[Stage], None]]
+        if sys.stderr.isatty():
+            shown, between = _bar(), 0.1
+        elif notebook is not None:
+            shown, between = _notebook_line(notebook), 0.5
+        else:
+            shown, between = nullcontext(_print), BETWEEN_LINES
+        with suppress(OSError, ValueError), shown as draw:  # stderr has been closed
+            ended = draw is _print and self._ended.wait(between)
+            while not ended:
+                if self._stage is not None:
+                    draw(self._stage)
+                ended = self._ended.wait(between)
+            if draw is not _print and self._stage is not None:
+                draw(self._stage)
+
+
+def _print(stage: Stage) -> None:
+    print(stage, file=sys.stderr, flush=True)
 
 
 @contextmanager
-def _display(after: float = 0.0) -> Iterator[Callable[[Stage], None]]:
-    """Yield a function that shows stages; the display is created with the first one, but not within `after` seconds."""
-    shown: list[_Display] = []
-    latest: list[Stage] = []
-    lock, due = threading.Lock(), not after
+def _bar() -> Iterator[Callable[[Stage], None]]:
+    """Yield a function that draws a progress bar with a line of text on a terminal."""
+    from rich.console import Console  # only where something is shown
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
 
-    def draw() -> None:
-        nonlocal due
-        with lock:
-            due = True
-            if latest:
-                if not shown:
-                    shown.append(_made())
-                shown[0].show(latest[0])
+    text = TextColumn("{task.fields[stage]}", markup=False)
+    console = Console(file=getattr(sys.stderr, "rich_proxied_file", sys.stderr))
+    bars = Progress(SpinnerColumn(), BarColumn(), text, console=console, transient=True, auto_refresh=False)
+    task = bars.add_task("", total=None, stage="")
+    with_controls_written_out = [name for name in ("stdout", "stderr") if isinstance(getattr(sys, name), VisibleText)]
 
-    def show(stage: Stage) -> None:
-        latest[:] = [stage]
-        if due:
-            draw()
+    def draw(stage: Stage) -> None:
+        if bars.tasks[0].total != stage.total:
+            bars.reset(task, total=stage.total)
+        bars.update(task, completed=stage.done, stage=stage, refresh=True)
 
-    timer = threading.Timer(after, draw)
-    timer.daemon = True
-    with _working():
-        if after:
-            timer.start()
-        try:
-            yield show
-        finally:
-            timer.cancel()
-            with lock:
-                latest.clear()
-                for display in shown:
-                    display.close()
-
-
-def _made() -> _Display:
-    notebook = _notebook()
-    if sys.stderr.isatty():
-        return _Bar()
-    return _Lines() if notebook is None else _NotebookLine(notebook)
-
-
-class _Bar:
-    """A progress bar with a line of text, on a terminal."""
-
-    def __init__(self) -> None:
-        from rich.console import Console  # only where something is shown
-        from rich.progress import BarColumn, SpinnerColumn, TextColumn
-        from rich.progress import Progress as Bars
-
-        text = TextColumn("{task.fields[stage]}", markup=False)
-        console = Console(file=getattr(sys.stderr, "rich_proxied_file", sys.stderr))
-        self._bars = Bars(SpinnerColumn(), BarColumn(), text, console=console, transient=True)
-        self._task = self._bars.add_task("", total=None, stage="")
-        with_controls_written_out = [
-            name for name in ("stdout", "stderr") if isinstance(getattr(sys, name), VisibleText)
-        ]
-        self._bars.start()  # replaces both streams, until it stops
+    with bars:  # replaces both streams
         for name in with_controls_written_out:
             setattr(sys, name, VisibleText(getattr(sys, name)))
-
-    def show(self, stage: Stage) -> None:
-        if self._bars.tasks[0].total != stage.total:
-            self._bars.reset(self._task, total=stage.total)
-        self._bars.update(self._task, completed=stage.done, stage=stage)
-
-    def close(self) -> None:
-        self._bars.stop()
+        yield draw
 
 
-class _Lines:
-    """Prints a line at regular intervals."""
+@contextmanager
+def _notebook_line(display: Callable[..., Any]) -> Iterator[Callable[[object], None]]:
+    """Yield a function that replaces one line in a notebook, which is empty at the end."""
+    shown = display({"text/plain": ""}, raw=True, display_id=True)
 
-    def __init__(self, between: float | None = None) -> None:
-        self._stage: object = ""
-        self._between = BETWEEN_LINES if between is None else between
-        self._ended = threading.Event()
-        threading.Thread(target=self._print, daemon=True).start()
+    def draw(stage: object) -> None:
+        shown.update({"text/plain": str(stage)}, raw=True)
 
-    def show(self, stage: Stage) -> None:
-        self._stage = stage
-
-    def close(self) -> None:
-        self._ended.set()
-
-    def _print(self) -> None:
-        with suppress(OSError, ValueError):  # stderr has been closed
-            while not self._ended.wait(self._between):
-                self._write(str(self._stage))
-
-    def _write(self, line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
-
-
-class _NotebookLine(_Lines):
-    """Updates one line in a notebook, and clears it at the end."""
-
-    def __init__(self, display: Callable[..., Any]) -> None:
-        in_a_notebook = 0.5  # seconds between two updates of the line in a notebook
-        self._shown = display({"text/plain": ""}, raw=True, display_id=True)
-        super().__init__(in_a_notebook)
-
-    def close(self) -> None:
-        super().close()
-        self._write("")
-
-    def _write(self, line: str) -> None:
-        self._shown.update({"text/plain": line}, raw=True)
+    yield draw
+    draw("")

@@ -14,7 +14,6 @@ from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from recorded import people_at_work
@@ -28,7 +27,7 @@ from assist.person import qmdp, solve
 from assist.study.runner import run_study
 from assist.team.settings import Setting
 from planner import Instance, Table, cost_to_go, sweep
-from planner.system import progress
+from planner.system import jit, progress
 from planner.system.compiling import compiling
 from planner.system.workers import outcomes
 
@@ -84,7 +83,7 @@ def test_what_was_done_before_says_nothing_about_the_time_that_is_left(monkeypat
     """A resumed run has 90 of 100 at once; its next one after 10 s makes 90 s for the others, not 1 s."""
     shown, now = list[str](), [1000.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr("planner.system.progress._Lines.show", lambda _, stage: shown.append(str(stage)))
+    monkeypatch.setattr("planner.system.progress._Display.show", lambda _, stage: shown.append(str(stage)))
     with progress.stages() as show:
         advance = progress.adding(show, "episodes", 100, done=90)
         now[0] += 10
@@ -132,9 +131,7 @@ def test_on_a_terminal_there_is_a_bar_which_goes_away(monkeypatch) -> None:
 
 
 def test_compiling_is_said_at_once_and_once(capsys) -> None:
-    @numba.njit
-    def twice(number):
-        return 2 * number
+    twice = jit._numba().njit(lambda number: 2 * number)
 
     with compiling(progress.compiling_line()):
         assert capsys.readouterr().err == ""
@@ -151,7 +148,7 @@ def test_compiling_is_said_at_once_and_once(capsys) -> None:
 )
 def test_instances_say_how_far_they_are(count, expected, monkeypatch, capsys) -> None:
     shown = []
-    monkeypatch.setattr("planner.system.progress._Lines.show", lambda _, line, *__: shown.append(line.what))
+    monkeypatch.setattr("planner.system.progress._Display.show", lambda _, line, *__: shown.append(line.what))
     monkeypatch.setattr("assist.cli.output.solve_progress.compiling_line", progress.compiling_line)
     with solving(count, lambda _: None) as (solved, told):
         told(Instance(Path("p.pddl"), Path("domain.pddl")), "compiling", 0, None)
