@@ -79,7 +79,9 @@ def work(folder: Path, seconds: float, search: float, direct: float) -> dict[str
     row: dict[str, Any] = {"status": "", "said": ""}
     start = used()
     try:
-        made, task = grounded(read(instance(problem, domain)), Limits(MOST_WAITING * seconds))
+        made, task = grounded(
+            read(instance(problem, domain)), Limits(MOST_WAITING * seconds, processor_seconds=seconds)
+        )
         row |= {"ground": round(used() - start, 3), "operators": len(task.operators), "compiled": dict(made.compiled)}
         row |= {"variables": len(task.variables), "tried": bool(task.beyond)}
         if row["ground"] > seconds:
