@@ -48,12 +48,12 @@ ROOMS = {
         logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit goals model_comparison
         rule_families trust_log posterior_sample influence_population rule_search trust_fit rule_comparison""",
     "assist.team": """policy_names by_policy robots travel state action_check settings
-        assignment attention attention_never questions time_expansion
+        assignment attention attention_never questions robots_at_work engine time_expansion
         subproblem_frontier attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache growing_problem leaf_estimates backups
         compliance_relaxation truncated_bound truncated_policy person_problem""",
-    "assist.simulation": """affordable union pool schedule common_random_numbers hidden_goals trace
-        episode episodes trust_of_people model_group task_view run traced_run requested
+    "assist.simulation": """affordable union pool schedule common_random_numbers goal_knowledge trace
+        episode episodes trust_of_people model_group beginning task_view run traced_run requested
         simulate belief_trace illustration""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files notebook",
     "assist.explain": "continuations contrast explanation",

@@ -115,9 +115,7 @@ class _Desk:
         numbers = np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.robot)
         return numbers.reshape(len(numbers), *self.axis)
 
-    def step(
-        self, rows: NDArray[np.int64], numbers: NDArray[np.int64], draws: CommonRandomNumbers
-    ) -> tuple[Any, Any, Any]:
+    def step(self, rows: NDArray[np.int64], numbers: NDArray[np.int64]) -> tuple[Any, Any, Any]:
         """Advance some teams by one step.
 
         Returns
@@ -134,13 +132,8 @@ class _Desk:
         illegal |= teams.collisions(self.decode(np.where(illegal, 0, numbers)).person)
         moved = np.zeros(numbers.shape, dtype=bool)
         moved[rows] = ~illegal[rows]
-        robot, way = teams.send(self.decode(np.where(moved, numbers, 0)))
-        drawn = np.empty((*teams.x.shape, 2))
-        every = np.arange(len(numbers))
-        for kind in (1, 2) if teams.on_grid else (1,):
-            drawn[..., kind - 1] = draws.draw(kind, every)
-        slot, cost = teams.step(rows, robot, drawn)
-        return illegal, (robot, slot), -(way + cost).sum(axis=1)
+        taken = teams.step(rows, self.decode(np.where(moved, numbers, 0)))
+        return illegal, (taken.robot, taken.slot), taken.reward.sum(axis=1)
 
 
 class TeamEnv(gymnasium.Env):
@@ -264,6 +257,7 @@ class TeamEnv(gymnasium.Env):
         teams = self._desk.teams
         draws = self._draws = CommonRandomNumbers(self._seed, np.array([self._episode]), teams.x.shape[1])
         drawn = draws.team(len(teams.pool.people))
+        teams.draw_from(draws)
         people = np.array([options["team"]], dtype=np.int64) if "team" in options else drawn
         teams.begin(np.zeros(1, dtype=np.int64), people, lambda kind: draws.draw(kind, np.zeros(1, dtype=np.int64)))
         self._seen = []
@@ -287,7 +281,7 @@ class TeamEnv(gymnasium.Env):
             each = f", for each of {robots} robots" * (robots > 1)
             raise ValueError(f"action {action}: expected 0 to {self._desk.actions - 1}{each}")
         number, before = number.reshape(1, robots), teams.x[0].copy()
-        illegal, (robot, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number, self._draws)
+        illegal, (robot, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number)
         if self.render_mode is not None:
             self._remember(before, robot[0], slot[0])
         terminated = bool(teams.finished.all())
@@ -413,6 +407,7 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
             self._desk = self._made(self._source.pool)
         teams = self._desk.teams
         self._draws = CommonRandomNumbers(number, np.arange(self.num_envs), teams.x.shape[1])
+        teams.draw_from(self._draws)
         self._begin(np.arange(self.num_envs), self._draws)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         return self._observed(np.zeros(teams.location.shape, dtype=bool))
@@ -435,7 +430,7 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
                 f"actions: expected numbers from 0 to {self._desk.actions - 1} in an array of shape {shape}"
             )
         each = numbers.reshape(teams.location.shape)
-        illegal, _, reward = self._desk.step(np.flatnonzero(~ended), each, self._draws)
+        illegal, _, reward = self._desk.step(np.flatnonzero(~ended), each)
         if ended.any():
             self._begin(np.flatnonzero(ended), self._draws)
         terminated = np.logical_and.reduce(teams.finished, axis=1)

@@ -17,16 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 from planner import load, sweep
 
 from ..people.decision import NOTHING, Floats
-from ..people.hidden_type import drawn_goals, mean_over_goals
+from ..people.hidden_type import mean_over_goals
 from ..people.human import Population
-from ..person.beliefs import Acts, Seen
-from ..person.dynamics import PeopleArrays
-from ..simulation.common_random_numbers import from_the_prior
+from ..person.beliefs import Seen
+from ..simulation.beginning import Beginning, Beginnings
+from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.model_group import ModelGroup, World
 from ..simulation.pool import MAX_ENUMERATED, Pool
-from ..team.assignment import placed
+from ..simulation.schedule import Schedule
+from ..team.engine import Engine, PeopleAtWork, StepTaken
+from ..team.robots_at_work import RobotsAtWork
 from ..team.settings import Setting
-from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
+from ..team.state import BASE, NOBODY, TeamAction, TeamState
+
+Ints = NDArray[np.int64]
 
 
 class PoolSource:
@@ -85,19 +89,66 @@ class PoolSource:
         return True
 
 
+class WholeTasks:
+    """The tasks of people who are all on enumerated tasks, as `team.engine.Tasks` has them; people may come and go.
+
+    Parameters
+    ----------
+    pool : Pool
+    world : World
+    shape : pair of int
+        N and K.
+
+    Raises
+    ------
+    ValueError
+        The pool is of a truncated task.
+    """
+
+    def __init__(self, pool: Pool, world: World, shape: tuple[int, int]) -> None:
+        for policy in pool.policies:
+            policy.require_enumerated("pool")
+        self.policies, self._of_people = pool.policies, world == "people"
+        self.groups = {number: ModelGroup(pool, number, world) for number in range(len(pool.policies))}
+        self._first = np.sum([group.row for group in self.groups.values()], axis=0)
+        self.model, self.who = np.zeros((2, *shape), dtype=np.int64)
+
+    def begin(self, teams: Ints, people: Ints, began: Beginning) -> None:
+        """Let people begin in some teams, given by their numbers in the pool, shape (m, K)."""
+        self.model[teams] = began.model
+        self.who[teams] = self._first[people] + began.goal if self._of_people else began.mind
+
+    def rows(self, places: Ints, active: Ints) -> Ints:
+        """Return the row of each person, which is the place."""
+        del active
+        return places
+
+
+class AllTeams:
+    """Random numbers that advance in all teams at a time, whichever of them are at work."""
+
+    def __init__(self, draws: CommonRandomNumbers, teams: int) -> None:
+        self._draws, self._every = draws, np.arange(teams)
+
+    def draw(self, kind: int, rows: Ints) -> Floats:
+        """Return uniform numbers of a kind for some teams, shape (m, K)."""
+        return self._draws.draw(kind, self._every)[rows]
+
+
 class Teams:
-    """N teams of K people each, with the robots of the pool's setting.
+    """N teams of K people each, with the robots of the pool's setting, which begin episodes one by one.
 
     Attributes
     ----------
-    x, finished, erred, theta, ... : arrays, shape (N, K)
-        As in `TeamState`; `people` are indices into the pool.
+    engine : Engine
+        The teams at work.
+    x, finished, theta, people, model : arrays, shape (N, K)
+        States and so on, as in `PeopleAtWork`; `people` are indices into the pool.
+    erred : bool array, shape (N, K)
     belief : float array, shape (N, K, H, T), or None
-        The belief in each person's type and theta; None without `filters`.
-    location, busy_until : int arrays, shape (N, M)
-        Where each robot is or is going, and the step of its arrival.
-    clock : int array, shape (N,)
-        Number of steps of the episode so far.
+        As in `TeamState`; None without `filters`.
+    location : int array, shape (N, M)
+        Where each robot is or is going.
 
     Raises
     ------
@@ -116,24 +167,38 @@ class Teams:
         filters: bool = True,
     ) -> None:
         pool.setting.require_all_seen("an environment")
-        for policy in pool.policies:
-            policy.require_enumerated("pool")
-        self.pool, self.on_grid = pool, world == "model"
-        self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
-        self.groups = {number: ModelGroup(pool, number, world) for number in range(len(pool.policies))}
-        self._row = np.sum([group.row for group in self.groups.values()], axis=0)
-        choices = [pool.choices(number) for number in range(len(pool.people))]
-        self._initial = np.array([one.initial for one in choices])
-        self._at_goal = np.array([one.goal[one.initial] for one in choices])
-        self._hidden = np.array([[human.beta, human.theta] for human in pool.people])
-        self._prior = np.array([policy.pomdp.prior for policy in pool.policies])
         shape = (teams, places)
-        self.people, self.model, self.who, self.x = (np.zeros(shape, dtype=np.int64) for _ in range(4))
-        self.beta, self.theta, self.seen = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=np.int64)
-        self.finished, self.erred = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+        self.pool, self._beginnings, self._tasks = pool, Beginnings(pool, world), WholeTasks(pool, world, shape)
+        self.travel, self.fleet = pool.setting.travel(places, distance), pool.setting.fleet
+        self._prior = np.array([policy.pomdp.prior for policy in pool.policies])
+        self.people, self.model = np.zeros(shape, dtype=np.int64), self._tasks.model
+        self.x, row, goal, seen = np.zeros((4, *shape), dtype=np.int64)
+        self.theta, self.finished, self.erred = (
+            np.zeros(shape),
+            np.zeros(shape, dtype=bool),
+            np.zeros(shape, dtype=bool),
+        )
         self.belief = np.zeros((*shape, *self._prior.shape[1:])) if filters else None
-        self.clock = np.zeros(teams, dtype=np.int64)
-        self.location, self.busy_until = np.zeros((2, teams, len(self.fleet)), dtype=np.int64)
+        presence = Schedule.of(places)
+        them = PeopleAtWork(
+            self.people, AllTeams(CommonRandomNumbers(0, np.arange(teams), places), teams), world == "model", self.x,
+            row, goal, self.theta, seen, self.finished, presence.joins, presence.leaves,
+        )  # fmt: skip
+        flat = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self._prior.shape[1:])
+        known, robots = (
+            Seen(row.reshape(-1), flat, self.erred.reshape(-1)),
+            RobotsAtWork(self.fleet, self.travel, teams),
+        )
+        self.engine, self.location = Engine(self._tasks, them, robots, known), robots.location
+
+    @property
+    def clock(self) -> Ints:
+        """The number of steps of each episode so far, shape (N,)."""
+        return self.engine.clock
+
+    def draw_from(self, draws: CommonRandomNumbers) -> None:
+        """Take the random numbers of all that happens from these, from now on."""
+        self.engine.people.draws = AllTeams(draws, len(self.x))
 
     def begin(self, rows: NDArray[np.int64], people: NDArray[np.int64], draw: Callable[[int], Floats]) -> None:
         """Begin an episode in some teams.
@@ -144,27 +209,21 @@ class Teams:
         people : int array, shape (m, K)
             Indices into the pool.
         draw : callable
-            Returns uniform numbers, shape (m, K), of a kind of `CommonRandomNumbers`. They draw people's goals or, in
-            the world "model", their types and theta from the prior.
+            As in `Beginnings.of`.
         """
-        self.people[rows], self.model[rows] = people, self.pool.model[people]
-        self.beta[rows], self.theta[rows] = np.moveaxis(self._hidden[people], -1, 0)
-        self.seen[rows] = 0
-        self.x[rows], self.finished[rows], self.erred[rows] = self._initial[people], self._at_goal[people], False
+        began, them = self._beginnings.of(people, draw), self.engine.people
+        self._tasks.begin(rows, people, began)
+        self.people[rows], them.goal[rows], them.theta[rows], them.seen[rows] = people, began.goal, began.theta, 0
+        self.x[rows], self.finished[rows], self.erred[rows] = began.place, began.finished, False
         if self.belief is not None:
-            self.belief[rows] = self._prior[self.model[rows]]
-        self.location[rows], self.busy_until[rows], self.clock[rows] = BASE, 0, 0
-        pomdps = [solved.pomdp for solved in self.pool.policies]
-        if self.on_grid:
-            _, self.who[rows], self.beta[rows], self.theta[rows] = from_the_prior(pomdps, self.model[rows], draw(0))
-        else:
-            self.who[rows] = self._row[people]
-            if self.pool.goals > 1:
-                self.who[rows] += drawn_goals([pomdp.hidden.goals for pomdp in pomdps], self.model[rows], draw(4))
+            self.belief[rows] = self._prior[began.model]
+        self.engine.robots.begin(rows)
+        self.engine.clock[rows] = 0
+        self.engine.changed()
 
     def free(self) -> NDArray[np.bool_]:
         """Return which robots are not under way, shape (N, M)."""
-        return self.busy_until <= self.clock[:, None]
+        return self.engine.robots.free(self.engine.clock)
 
     def reachable(self) -> NDArray[np.bool_]:
         """Return to which people each robot may be sent, shape (N, M, K).
@@ -179,28 +238,7 @@ class Teams:
 
     def state(self) -> TeamState:
         """Return the state that team policies read; its step is the largest clock of any team."""
-        return TeamState(
-            step=int(self.clock.max()), x=self.x, active=~self.finished, erred=self.erred, location=self.location,
-            model=self.model, belief=self.belief, policies=self.pool.policies, travel=self.travel,
-            free=self.free(), fleet=self.fleet,
-        )  # fmt: skip
-
-    def send(self, action: TeamAction) -> tuple[NDArray[np.int64], Floats]:
-        """Send the robots; return their action on each person and the costs, both of shape (N, K).
-
-        They are the costs of moving and what an action of each robot costs more than one of the best, in cost units.
-        """
-        robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
-        rows, number = sent = np.nonzero(action.person != NOBODY)
-        to, origin, does = action.person[sent], self.location[sent], action.robot[sent]
-        robot[rows, to] = does
-        charged[rows, to] = self.travel.costs_between(number, origin, to)
-        self.busy_until[sent] = self.clock[rows] + self.travel.steps_between(number, origin, to)
-        self.location[:] = placed(self.location, action.person)
-        for model, at in by_model(self.model[rows, to], np.flatnonzero(does > 0), len(self.pool.policies)):
-            x, suggested = self.x[rows[at], to[at]], self.pool.policies[model].pomdp.suggested
-            charged[rows[at], to[at]] += self.fleet.extra_of(number[at], suggested[x, does[at]] == NOTHING)
-        return robot, charged
+        return self.engine.state()
 
     def collisions(self, person: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which robots are sent to where another one goes or stays with its task, shape (N, M).
@@ -219,42 +257,22 @@ class Teams:
                 return refused
             refused |= wrong
 
-    def step(
-        self, rows: NDArray[np.int64], robot: NDArray[np.int64], draws: Floats
-    ) -> tuple[NDArray[np.int64], Floats]:
-        """Let each person who has not finished act once, in some teams.
+    def step(self, rows: NDArray[np.int64], action: TeamAction) -> StepTaken:
+        """Send the robots, and let each person who has not finished act once, in some teams; the others wait.
 
         Parameters
         ----------
         rows : int array, shape (m,)
-        robot : int array, shape (N, K)
-            The robot action on each person.
-        draws : float array, shape (N, K, 2)
-            Uniform numbers for the choices and, in the world "model", for the transitions of theta.
-
-        Returns
-        -------
-        slot : int array, shape (N, K)
-            The slot of each person's action; -1 for people who did not act.
-        cost : float array, shape (N, K)
-            The cost of robot actions and of people's actions, in cost units.
+        action : TeamAction
+            The actions of all teams; those of the others send nobody.
         """
-        there = np.zeros(self.x.shape, dtype=bool)
-        there[rows] = ~self.finished[rows]
-        charged = np.zeros(self.x.size)
-        before, models = self.x.reshape(-1).copy(), []
-        people = PeopleArrays.of_teams(self.x, robot, self.who, self.theta, self.seen, draws)
-        for number, at in by_model(self.model.reshape(-1), np.flatnonzero(there), len(self.pool.policies)):
-            group = self.groups[number]
-            models.append((group.model, at))
-            charged[at] = group.arrays.robot_costs[people.x[at], people.robot[at]]
-            group.act(at, people)
-            self.finished.reshape(-1)[at] = group.ended(at, people)
-        self.clock[rows] += 1
-        acts = Acts(before, people.robot, people.slot, ~self.finished.reshape(-1))
-        belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
-        Seen(people.x, belief, self.erred.reshape(-1)).observe(acts, people.robot, models, lambda _: np.empty(0))
-        return people.slot.reshape(self.x.shape), (people.cost + charged).reshape(self.x.shape)
+        self.engine.over[:] = True
+        self.engine.over[rows] = False
+        self.engine.changed()
+        taken = self.engine.step(action)
+        self.engine.over[:] = False
+        self.engine.changed()
+        return taken
 
 
 class Sight:

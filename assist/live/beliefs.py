@@ -20,7 +20,7 @@ from ..person.beliefs import Acts, PersonModel
 from ..person.joint_belief import JointBelief, expected_answers, same_suggestions
 from ..person.observation_model import ObservationModel
 from ..person.ties import first_best
-from ..team.questions import likelihood_of
+from ..team.questions import GoalQuestion
 from ..team.settings import Setting
 from ..team.state import worth_of_actions
 from ..texts.refusals import InapplicableError
@@ -77,9 +77,8 @@ def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Se
     with unchanged_if_refused(team, record):
         for told in answers:
             try:
-                team.beliefs.told(
-                    record.place, likelihood_of(goals.index(told.goal), hidden, told.yes, setting.ask_error)
-                )
+                question = GoalQuestion(goals.index(told.goal), hidden, setting.ask_error)
+                team.beliefs.told(record.place, question.likelihood(told.yes))
             except ImpossibleObservationError:
                 key = "impossible_yes" if told.yes else "impossible_no"
                 raise InapplicableError(key, person=record.name, goal=told.goal) from None
@@ -150,8 +149,10 @@ def worth_of_asking(record: RosterEntry, setting: Setting) -> tuple[float, dict[
     for name, after in after_answers(record, setting.observation).items():
         with suppress(ImpossibleObservationError):
             for told in _told_at(record, len(record.steps)):
-                likelihood = likelihood_of(goals.index(told.goal), hidden, told.yes, setting.ask_error)
-                after = replace(then := after.told(likelihood), evidence=then.evidence * after.evidence)
+                question = GoalQuestion(goals.index(told.goal), hidden, setting.ask_error)
+                after = replace(
+                    then := after.told(question.likelihood(told.yes)), evidence=then.evidence * after.evidence
+                )
             found[name] = after
     if not found:
         return 0.0, {}

@@ -1,21 +1,30 @@
-"""A simulated person in a live session, who sees what a real person sees and acts by the model."""
+"""A simulated person in a live session, who sees what a real person sees and acts by the model.
+
+Choice, influence, trust and misconceptions are the functions of the engine, on the choices around the person's state.
+So the same person with the same states and uniform numbers acts as in `simulate`, in a task of any size.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, cast
+from dataclasses import replace
+from typing import NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planner import CostToGo, Table, optimal_choices
+from planner import CostToGo, Table, Transitions, optimal_choices
 
+from ..people.choice_model import boltzmann
 from ..people.choices import Choices
-from ..people.decision import NOTHING, Floats, choice, influence
+from ..people.decision import NOTHING, Floats, perceived_cost
 from ..people.goals import Goals
 from ..people.human import Human, Population
-from ..people.misconception import perceived_cost_to_go
+from ..people.state_keys import keys_of
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule, moved
+from ..people.weighted_choice import Weighted
+from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel
 
 
@@ -31,38 +40,33 @@ class _Step(NamedTuple):
 class SimulatedPerson:
     """A person with their own expertise, trust and misconceptions, in a task of any size.
 
-    The perceived cost-to-go of a state, h(x) = h*(x) + sigma eps(x), is drawn from a random generator seeded by the
-    state, so that it is always the same. Terms of the choice have the population's weights. A user's own choice model
-    needs an enumerated task.
+    A user's own choice model needs an enumerated task.
 
     Parameters
     ----------
-    population : Population
-        Population from which the person is drawn.
+    population : Population or Human
+        The person, or the population from which they are drawn.
     trust : TrustRule, optional
         Rule by which theta changes; by default equation (7) with eta = 0.2.
     seed : int
         Random seed of the person and of all their choices.
     """
 
-    def __init__(self, population: Population, *, trust: TrustRule | None = None, seed: int = 0) -> None:
+    def __init__(
+        self, population: Population | Human, *, trust: TrustRule | None = None, seed: int = 0
+    ) -> None:  # fmt: skip
         self._seed, self._trust = seed, EquationSeven() if trust is None else trust
         self._count = np.zeros((), dtype=np.int64)
         self.rng = np.random.default_rng(seed)
-        if population.parts:
-            population = population.parts[int(self.rng.choice(len(population.parts), p=population.shares))]
-        ranges = (population.beta, population.theta, population.sigma)
-        self.beta, self.theta, self.sigma = (float(self.rng.uniform(*ends)) for ends in ranges)
-        self.weights = {name: float(self.rng.uniform(*ends)) for name, ends in population.weights.items()}
-        self._noise, self._chooses = population.noise, population.chooses
+        self.human = population if isinstance(population, Human) else population.sample(None, 1, self.rng)[0]
+        self.theta = self.human.theta
         self._last: _Step | None = None
         # Where the person is if the robot does not see all actions as they are, and the last action of which it saw
         # something.
         self.state: int | None = None
         self.reported: str | None = None
         self._words: dict[int, tuple[CostToGo, Vocabulary]] = {}
-        self._own: dict[int, tuple[CostToGo, Choices, Floats, Floats]] = {}
-        self._arranged: dict[int, tuple[CostToGo, Choices]] = {}
+        self._whole: dict[int, tuple[CostToGo, Choices]] = {}
 
     def pursued(self, task: CostToGo | Goals) -> CostToGo:
         """Return the task with the goal that the person pursues; of several goals, it is drawn from their prior."""
@@ -71,7 +75,10 @@ class SimulatedPerson:
         own = np.random.default_rng([self._seed, len(task.tables)])  # so that no other draw depends on the goals
         return list(task.tables.values())[int(own.choice(len(task.tables), p=list(task.prior.values())))]
 
-    def act(self, task: CostToGo, state: int, applicable: Sequence[str], suggestion: str | None) -> str:
+    def act(
+        self, task: CostToGo, state: int, applicable: Sequence[str], suggestion: str | None, *,
+        uniform: float | None = None,
+    ) -> str:  # fmt: skip
         """Return the chosen action (equations 5 and 6), and update theta after a suggestion (equation 7, or the rule).
 
         Parameters
@@ -83,26 +90,35 @@ class SimulatedPerson:
             Applicable actions; in a dead end it holds waiting only.
         suggestion : str or None
             The suggested action, one of these.
+        uniform : float, optional
+            The number in [0, 1) that draws the choice; by default it is drawn here.
         """
         rows = task.choices([state])
         if not len(rows.actions):
             return applicable[0]
         names = [task.task.actions[action] for action in rows.actions]
-        slot = names.index(suggestion) if suggestion in names else NOTHING
-        p = influence(self.chances(task, state), slot, self.theta)
-        done = int(self.rng.choice(len(names), p=p / p.sum()))
+        suggested = names.index(suggestion) if suggestion in names else NOTHING
+        choices, row, slots = self._around(task, state, rows, suggested)
+        slot = NOTHING if suggested == NOTHING else int(slots[suggested])
+        p = influenced(self.human.chances(choices)[row][None], np.array([slot]), np.array([self.theta]))
+        counts = np.array([[choices.applicable[row].sum()]])
+        number = self.rng.random() if uniform is None else uniform
+        done = int(drawn_slots(p, counts, 0.0, np.array([number]))[0])
         if slot != NOTHING:
-            cost = self._perceived(task, state, rows)
-            perceived = PerceivedSuggestions.of(
-                cost[slot], cost.min(), np.array(self._value(task, state)),
-                np.array(self._value(task, int(rows.targets[slot]))),
-                optimal_choices(task, [state], rows)[slot],
-            )  # fmt: skip
-            event = perceived.event(done == slot, self._trust.feedback)
-            theta, self._count = moved(self._trust, np.array(self.theta), self._count, event)
-            self.theta = float(theta)
-        self._last = _Step(task, state, int(rows.actions[done]), int(rows.targets[done]))
-        return names[done]
+            self._trusts(choices, row, slot, followed=done == slot)
+        action = int(np.flatnonzero(slots == done)[0])
+        self._last = _Step(task, state, int(rows.actions[action]), int(rows.targets[action]))
+        return names[action]
+
+    def _trusts(self, choices: Choices, row: int, slot: int, *, followed: bool) -> None:
+        """Update theta after a suggestion."""
+        q, value = perceived_cost(choices, self.human.expects(choices)), self.human.value(choices)
+        perceived = PerceivedSuggestions.of(
+            q[row, slot], q[row].min(), value[row], value[choices.targets[row, slot]], choices.optimal[row, slot]
+        )
+        event = perceived.event(np.array(followed), self._trust.feedback)
+        theta, self._count = moved(self._trust, np.array(self.theta), self._count, event)
+        self.theta = float(theta)
 
     def answer(self, task: CostToGo | Goals, goal: str | None) -> str | bool | None:
         """Return the true answer to "is this your goal?", or, if it is None, to "what did you do last?"."""
@@ -137,17 +153,45 @@ class SimulatedPerson:
 
         Terms depend on the last action if it led to this state, that is, after no undo and no change of the task.
         """
-        rows = task.choices([state])
-        if self._chooses is not None:
-            _, choices, p, _ = self._known(task)
-            actions = task.task.first_of_name[rows.actions]
-            slots = [int(np.flatnonzero(choices.actions[state] == action)[0]) for action in actions]
-            return p[state, slots]
-        q = self._perceived(task, state, rows)
-        every = np.ones(len(q), dtype=bool)
-        return choice(q, every, self.beta, self._bias(task, state, rows) if self.weights else None)
+        choices, row, slots = self._around(task, state, task.choices([state]), NOTHING)
+        return self.human.chances(choices)[row, slots]
 
-    def _bias(self, task: CostToGo, state: int, rows: Any) -> Floats:
+    def _around(
+        self, task: CostToGo, state: int, rows: Transitions, suggested: int
+    ) -> tuple[Choices, int, NDArray[np.int64]]:  # fmt: skip
+        """Return the choices around a state, its row there, and the slot of each of the task's actions in the state.
+
+        Those after the suggested action are included, as trust depends on its value. A model of the user's own gets the
+        choices of the whole task.
+        """
+        weighted = isinstance(self.human.chooses, Weighted)
+        if self.human.chooses is not boltzmann and not weighted:
+            choices = self._choices(task)
+            actions = task.task.first_of_name[rows.actions]
+            return choices, state, np.array([np.flatnonzero(choices.actions[state] == one)[0] for one in actions])
+        known = [state] if suggested == NOTHING else [state, int(rows.targets[suggested])]
+        known = list(dict.fromkeys(known))
+        each = [task.choices([one]) for one in known]
+        states = np.array(list(dict.fromkeys([*known, *(int(to) for one in each for to in one.targets)])))
+        number = {int(one): row for row, one in enumerate(states)}
+        counts = [len(one.actions) for one in each] + [0] * (len(states) - len(known))
+        actions, targets = (np.concatenate([getattr(one, name) for one in each]) for name in ("actions", "targets"))
+        expanded = np.arange(len(states)) < len(known)
+        local = Transitions(
+            np.concatenate([[0], np.cumsum(counts)]), task.task.first_of_name[actions],
+            np.array([number[int(to)] for to in targets], dtype=np.int64),
+        )  # fmt: skip
+        optimal = np.concatenate([optimal_choices(task, [one], own) for one, own in zip(known, each, strict=True)])
+        choices = Choices.arranged(
+            task.lookup(states), task.is_goal(states), local, optimal, names=task.task.actions,
+            costs=task.task.action_costs[actions], known=expanded, key=keys_of(task, states),
+        )  # fmt: skip
+        if weighted:
+            choices = self._with_terms(task, state, rows, choices)
+        return choices, 0, np.arange(len(rows.actions))
+
+    def _with_terms(self, task: CostToGo, state: int, rows: Transitions, choices: Choices) -> Choices:
+        """Return choices with the values of the person's terms in the first row, that of the state."""
         if id(task) not in self._words:
             self._words[id(task)] = task, Vocabulary.of(task.task.actions)
         last, came = self._last, False
@@ -159,40 +203,13 @@ class SimulatedPerson:
             goals_met(task, rows.targets)[None], np.array([last.action if last and came else NOTHING_YET]),
             np.array([last.state if last and came else NOTHING_YET]),
         )  # fmt: skip
-        said = features(situation, {name: TERMS[name] for name in self.weights})
-        bias: Floats = said[0] @ np.array(list(self.weights.values()))
-        return bias
+        said = features(situation, {name: TERMS[name] for name in self.human.weights})
+        every = np.zeros((*choices.applicable.shape, said.shape[2]))
+        every[0, : said.shape[1]] = said[0]
+        return replace(choices, terms=tuple(self.human.weights), features=every)
 
     def _choices(self, task: CostToGo) -> Choices:
         """Return the choices of an enumerated task."""
-        if id(task) not in self._arranged:
-            self._arranged[id(task)] = task, Choices.of(cast(Table, task))
-        return self._arranged[id(task)][1]
-
-    def _known(self, task: CostToGo) -> tuple[CostToGo, Choices, Floats, Floats]:
-        """Return a task's choices, with the probabilities and values of the user's own choice model."""
-        if id(task) not in self._own:
-            choices = self._choices(task)
-            h = perceived_cost_to_go(choices, self.sigma, np.random.default_rng(self._seed), self._noise)
-            assert self._chooses is not None
-            human = Human(self.beta, self.theta, self.sigma, h, self._chooses)
-            self._own[id(task)] = task, choices, human.chances(choices), human.value(choices)
-        return self._own[id(task)]
-
-    def _value(self, task: CostToGo, state: int) -> float:
-        """Return the perceived value of a state: minus the smallest perceived cost of its actions."""
-        if self._chooses is not None:
-            return float(self._known(task)[3][state])
-        if task.is_goal([state])[0]:
-            return 0.0
-        return -float(self._perceived(task, state, task.choices([state])).min(initial=np.inf))
-
-    def _perceived(self, task: CostToGo, state: int, rows: Any) -> Floats:
-        """Return the perceived cost of each action: its own cost plus the perceived cost-to-go of its successor."""
-        seeds = [[self._seed, int(to)] for to in rows.targets]
-        if self._noise == "action":
-            seeds = [[self._seed, state, int(action)] for action in rows.actions]
-        eps = np.array([np.random.default_rng(seed).standard_normal() for seed in seeds])
-        after = task.lookup(rows.targets) + self.sigma * eps
-        costs: Floats = task.task.action_costs[rows.actions]
-        return costs + np.where(task.is_goal(rows.targets), 0.0, after)
+        if id(task) not in self._whole:
+            self._whole[id(task)] = task, Choices.of(cast(Table, task))
+        return self._whole[id(task)][1]

@@ -166,19 +166,19 @@ class HiddenType:
 
     def acting(self, belief: Floats) -> Floats:
         """Return the beliefs, shape (..., H, T), on which the robot acts; for one goal they are the same."""
-        if len(self.goals) == 1:
-            return belief
         return self.given_likeliest(belief) if self.assume_likeliest else self.sharpened(belief)
 
     def given_likeliest(self, belief: Floats) -> Floats:
         """Return each belief conditioned on its most probable goal; ties favour the first goal."""
+        if len(self.goals) == 1:
+            return belief
         share = self.marginal(belief, "goal")
         best = np.arange(share.shape[-1]) == share.argmax(axis=-1)[..., None]
         return self.given_goal(belief, np.where(best, 1 / np.where(best, share, 1.0), 0.0))
 
     def sharpened(self, belief: Floats) -> Floats:
         """Return beliefs with the probability of each goal raised to the power `sharpness`."""
-        if self.sharpness == 1:
+        if self.sharpness == 1 or len(self.goals) == 1:
             return belief
         share = self.marginal(belief, "goal")
         weight = (share / share.max(axis=-1, keepdims=True)) ** self.sharpness

@@ -173,27 +173,54 @@ def act_readable(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m:
     theta, who = people.theta[rows], people.who[rows]
     acting, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
     counts, slots = m.counts[acting, None], np.arange(m.chosen.shape[1])
-    applicable, suggested = slots < counts, slots == suggestion[:, None]
-    p = np.where(applicable, minds.p[who, acting], 0.0)
-
-    # The influence of a suggestion (equation 6). One after which no action would be possible is ignored.
-    its = in_order(np.where(suggested, p, 0.0))
-    possible = (suggestion >= 0) & (theta * its + (1.0 - theta) * in_order(np.where(suggested, 0.0, p)) > 0.0)
-    weight = np.where(suggested, theta[:, None], 1.0 - theta[:, None])
-    p = np.where(possible[:, None], p * weight, p)
-
-    # The first slot whose cumulative probability exceeds a uniform number; rounding must not select an impossible one.
-    chance = np.where(applicable, (1.0 - minds.lapse) * p / in_order(p)[:, None] + minds.lapse / counts, 0.0)
-    remaining = np.subtract.accumulate(np.column_stack([people.uniform[rows, 0], chance]), axis=1)[:, 1:]
-    exceeded = remaining < 0.0
-    last = chance.shape[1] - 1 - (chance[:, ::-1] > 0.0).argmax(axis=1)
-    slot = np.where(exceeded.any(axis=1), exceeded.argmax(axis=1), last)
-
+    p = np.where(slots < counts, minds.p[who, acting], 0.0)
+    slot = drawn_slots(influenced(p, suggestion, theta), counts, minds.lapse, people.uniform[rows, 0])
     y = m.targets[acting, slot]
     people.slot[rows], people.cost[rows] = slot, m.costs[acting, slot]
     advised = np.flatnonzero(suggestion >= 0)
     _trust(advised, rows, x, robot, slot == suggestion, people, minds, m)
     people.x[rows] = y
+
+
+def influenced(p: Floats, suggestion: NDArray[np.int64], theta: Floats) -> Floats:
+    """Return how likely choices are after suggestions (equation 6), shape (N, A), not normalised.
+
+    A suggestion after which no action would be possible is ignored.
+
+    Parameters
+    ----------
+    p : float array, shape (N, A)
+        Probability of each choice without a suggestion.
+    suggestion : int array, shape (N,)
+        The suggested slot; `NOTHING` for none.
+    theta : float array, shape (N,)
+    """
+    suggested = np.arange(p.shape[1]) == suggestion[:, None]
+    its = in_order(np.where(suggested, p, 0.0))
+    possible = (suggestion >= 0) & (theta * its + (1.0 - theta) * in_order(np.where(suggested, 0.0, p)) > 0.0)
+    weight = np.where(suggested, theta[:, None], 1.0 - theta[:, None])
+    return np.where(possible[:, None], p * weight, p)
+
+
+def drawn_slots(p: Floats, counts: NDArray[np.int64], lapse: float, uniform: Floats) -> NDArray[np.int64]:
+    """Return the choices that uniform numbers draw, shape (N,): the first slot up to which the probability exceeds it.
+
+    Parameters
+    ----------
+    p : float array, shape (N, A)
+        As from `influenced`.
+    counts : int array, shape (N, 1)
+        Number of applicable choices.
+    lapse : float
+        Probability of a uniform choice.
+    uniform : float array, shape (N,)
+    """
+    applicable = np.arange(p.shape[1]) < counts
+    chance = np.where(applicable, (1.0 - lapse) * p / in_order(p)[:, None] + lapse / counts, 0.0)
+    remaining = np.subtract.accumulate(np.column_stack([uniform, chance]), axis=1)[:, 1:]
+    exceeded = remaining < 0.0
+    last = chance.shape[1] - 1 - (chance[:, ::-1] > 0.0).argmax(axis=1)  # rounding must not select an impossible one
+    return np.where(exceeded.any(axis=1), exceeded.argmax(axis=1), last)
 
 
 def _trust(

@@ -9,7 +9,7 @@ from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .episode import Episode
 from .episodes import Episodes
-from .hidden_goals import GoalKnowledge
+from .goal_knowledge import GoalKnowledge
 from .pool import Pool
 from .simulate import simulate
 from .trace import Trace

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..people.arguments import one_of, whole
 from ..person.memory_needed import require_room
 from .common_random_numbers import CommonRandomNumbers
-from .hidden_goals import GoalKnowledge
+from .goal_knowledge import GoalKnowledge
 from .model_group import World
 from .pool import Pool
 

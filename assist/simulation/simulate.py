@@ -15,7 +15,6 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from threading import Event
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,14 +31,14 @@ from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .common_random_numbers import BLOCK
 from .episodes import Episodes
-from .hidden_goals import GoalKnowledge
+from .goal_knowledge import GoalKnowledge
 from .model_group import ModelGroup, World
 from .pool import Pool, require_pool
 from .requested import number_of, people_drawn, require_possible, require_room_for_episodes, team_of
-from .run import Run
+from .run import Simulation
 from .schedule import Schedule
 from .trace import Reasons, Trace
-from .traced_run import TracedRun
+from .traced_run import Tracer
 
 SOLVING = "solving people's POMDPs"
 PEOPLE_AT_A_TIME = 16_384
@@ -154,16 +153,14 @@ def simulate(
         prepare(policy, needed, progress=partial(progress, SOLVING), jobs=jobs)
     over = Event()
 
+    simulation = Simulation(pool, policy, called, seed_number, travel, presence, world, goals, groups, questions, over)
+
     def run(chunk: slice) -> tuple[Episodes, list[Trace]]:
-        options: dict[str, Any] = {
-            "teams": None if teams is None else teams[chunk], "numbers": numbers[chunk], "seed": seed_number,
-            "name": called, "travel": travel, "presence": presence, "world": world, "over": over,
-            "groups": groups, "questions": questions, "goals": goals,
-        }  # fmt: skip
+        some, own = numbers[chunk], None if teams is None else teams[chunk]
         if trace is None:
-            return Run(pool, policy, **options).run(), []
-        traced = TracedRun(pool, policy, reasons=reasons, **options)
-        return traced.run(), traced.traces
+            return simulation.chunk(some, own), []
+        tracer = Tracer(pool, called, some, reasons)
+        return simulation.chunk(some, own, tracer, keeps_beliefs=reasons is not None), tracer.traces
 
     advance = adding(progress, f"simulating {called}" + " and explaining its suggestions" * explained, count)
     done, size, found = 0, 1 if explained else BLOCK, list[Episodes]()

@@ -9,35 +9,57 @@ expected increase of that benefit. Free information from later actions would low
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..people.hidden_type import HiddenType
+from ..person.beliefs import Beliefs
 from ..person.joint_belief import JointBelief, expected_answers
 from ..person.policy import Policy
 from ..person.qmdp import QMDP, evaluate, qmdp
-from ..person.ties import first_best
+from ..person.ties import NEAR, first_best
 from .by_policy import ByPolicy
-from .state import worth_of_actions
+from .state import by_model, worth_of_actions
 
 
-def likelihood_of(goal: int, hidden: HiddenType, yes: bool, error: float) -> Floats:
-    """Return the likelihood of an answer under each type, shape (H, 1), for `Beliefs.told`.
+@dataclass(frozen=True, eq=False)
+class GoalQuestion:
+    """The question "is this your goal?", an observation of a person's type.
 
-    Parameters
+    Attributes
     ----------
     goal : int
-        Number of the goal that was asked about.
+        Number of the goal.
     hidden : HiddenType
-    yes : bool
-        The answer.
+        The types of the person.
     error : float
         Probability of a wrong answer.
     """
-    return np.where((hidden.goal_of == goal) == yes, 1 - error, error)[:, None]
+
+    goal: int
+    hidden: HiddenType
+    error: float
+
+    def likelihood(self, yes: bool) -> Floats:
+        """Return the likelihood of an answer under each type, shape (H, 1), for `Beliefs.told`."""
+        return np.where((self.hidden.goal_of == self.goal) == yes, 1 - self.error, self.error)[:, None]
+
+    def answer(self, goal: int, uniform: float) -> bool:
+        """Return the answer of a person with a goal, given by its number; a uniform number tells if it is wrong."""
+        return bool((goal == self.goal) != (uniform < self.error))
+
+
+class Asked(NamedTuple):
+    """A question to a person of a team, and what the answer is worth above its cost, in cost units."""
+
+    team: int
+    person: int
+    question: GoalQuestion
+    worth: float
 
 
 class Questions:
@@ -53,7 +75,7 @@ class Questions:
     """
 
     def __init__(self, policies: Sequence[Policy], cost: float, error: float = 0.0) -> None:
-        self.cost, self.error = cost, error
+        self.policies, self.cost, self.error = policies, cost, error
         self._benefit: ByPolicy[Floats] = ByPolicy(policies, benefit)
 
     def best(
@@ -71,6 +93,45 @@ class Questions:
         """
         each = policy.pomdp.hidden.marginal(belief * self._benefit[policy][x], "goal")
         return self._best(each, attention)
+
+    def of_teams(
+        self, beliefs: Beliefs, active: NDArray[np.bool_], model: NDArray[np.int64], robots: int
+    ) -> list[Asked]:
+        """Return the question in each team that is worth most, where it is worth its cost.
+
+        Parameters
+        ----------
+        beliefs : Beliefs
+            Those in the N K people of the teams.
+        active : bool array, shape (N, K)
+            Who is at work.
+        model : int array, shape (N, K)
+            Index of each person's policy.
+        robots : int
+            Number of robots of each team.
+        """
+        attention = np.minimum(1, robots / np.maximum(1, active.sum(axis=1)))
+        goal, worth = np.zeros(active.shape, dtype=np.int64), np.full(active.shape, -np.inf)
+        for number, rows in by_model(model.reshape(-1), np.flatnonzero(active), len(self.policies)):
+            at = np.unravel_index(rows, active.shape)
+            goal[at], worth[at] = self.best(
+                self.policies[number], beliefs.x[rows], beliefs.belief[rows], attention[at[0]]
+            )
+        teams = np.flatnonzero(active.any(axis=1))
+        person = first_best(worth[teams])
+        return [
+            Asked(
+                n,
+                k,
+                GoalQuestion(int(goal[n, k]), self.policies[model[n, k]].pomdp.hidden, self.error),
+                float(worth[n, k]),
+            )
+            for n, k in zip(teams.tolist(), person.tolist(), strict=True)
+            if worth[n, k] > NEAR
+        ]
+
+    def _about(self, goal: int, policy: Policy) -> GoalQuestion:
+        return GoalQuestion(goal, policy.pomdp.hidden, self.error)
 
     def best_of(self, policy: Policy, joint: JointBelief, attention: float) -> tuple[int, float]:
         """Return the goal to ask a person about whose task state may be uncertain, and the worth minus the cost.

@@ -25,14 +25,16 @@ from numpy.typing import NDArray
 
 from ..people.arguments import number, whole
 from ..people.decision import NOTHING, Floats
-from ..person.beliefs import Acts, PersonModel, Seen
+from ..person.beliefs import PersonModel, Seen
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
+from ..person.problem_arrays import ProblemArrays
 from ..person.ties import NEAR, first_best, ranked
-from .assignment import placed
 from .by_policy import ByPolicy
+from .engine import Engine, PeopleAtWork
 from .priority import Priority, to_the_best
-from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState, by_model
+from .robots_at_work import RobotsAtWork
+from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState
 from .time_expansion import AWAY, HERE
 from .travel import Travel
 
@@ -82,6 +84,39 @@ class RolloutOptions:
 
 
 @dataclass(frozen=True, eq=False)
+class ModelPeople:
+    """The people of a policy as the robot's model has them, as `engine.Group` has them.
+
+    Attributes
+    ----------
+    model : PersonModel
+    minds : Minds
+        Choices of each type.
+    """
+
+    model: PersonModel
+    minds: Minds
+
+    @classmethod
+    def of(cls, policy: Policy) -> ModelPeople:
+        """Return the people of a policy."""
+        return cls(PersonModel.of(policy.pomdp), Minds.of_model(policy.pomdp))
+
+    @property
+    def arrays(self) -> ProblemArrays:
+        """Their problem."""
+        return self.model.arrays
+
+    def act(self, rows: Ints, people: PeopleArrays) -> None:
+        """Let some people act once."""
+        act(rows, people, self.minds, self.arrays)
+
+    def ended(self, rows: Ints, people: PeopleArrays) -> Bools:
+        """Return whether some people have reached their goal."""
+        return np.asarray(self.arrays.goal[self.minds.goal[people.who[rows]], people.x[rows]])
+
+
+@dataclass(frozen=True, eq=False)
 class Rollout:
     """Priority, with the next decision improved by simulation.
 
@@ -92,14 +127,14 @@ class Rollout:
     near : float
         As in the options, in cost units.
     options : RolloutOptions
-    models : ByPolicy of pairs of Minds and PersonModel
+    models : ByPolicy of ModelPeople
         The people of each policy, as the robot's model has them.
     """
 
     base: Priority
     near: float
     options: RolloutOptions
-    models: ByPolicy[tuple[Minds, PersonModel]]
+    models: ByPolicy[ModelPeople]
     uses_belief, weighs_costs = True, True
 
     @classmethod
@@ -123,7 +158,7 @@ class Rollout:
         for policy in policies:
             policy.require_enumerated("policy 'rollout'")
         near = options.near * min(policy.cheapest for policy in policies)
-        return cls(Priority.of(policies, travel), near, options, ByPolicy(policies, _model))
+        return cls(Priority.of(policies, travel), near, options, ByPolicy(policies, ModelPeople.of))
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""
@@ -203,9 +238,39 @@ class Rollout:
 _ACTION = ("person", "robot")
 
 
-def _model(policy: Policy) -> tuple[Minds, PersonModel]:
-    """Return the people of a policy as the robot's model has them."""
-    return Minds.of_model(policy.pomdp), PersonModel.of(policy.pomdp)
+class PathTasks:
+    """The tasks of people of the robot's model, as `engine.Tasks` has them: all are enumerated.
+
+    Parameters
+    ----------
+    policies : sequence of Policy
+    models : ByPolicy of ModelPeople
+    model, who : int arrays, shape (N, K)
+        Index of each person's policy, and the number of their type.
+    """
+
+    def __init__(self, policies: Sequence[Policy], models: ByPolicy[ModelPeople], model: Ints, who: Ints) -> None:
+        self.policies, self.model, self.who = policies, model, who
+        self.groups = {number: models[policies[number]] for number in np.unique(model).tolist()}
+
+    def rows(self, places: Ints, active: Ints) -> Ints:
+        """Return the row of each person, which is the place."""
+        del active
+        return places
+
+
+class PathNumbers:
+    """The random numbers of sample paths, which are the same for all pairs of a team and an action."""
+
+    def __init__(self, rng: np.random.Generator, pairs: int, shape: tuple[int, int]) -> None:
+        self._rng, self._pairs, self._shape = rng, pairs, shape
+        self._drawn = np.empty(0)
+
+    def draw(self, kind: int, rows: Ints) -> Floats:
+        """Return uniform numbers for choices (1), drawn for a step with those for theta (2), for some paths."""
+        if kind == 1:
+            self._drawn = self._rng.random((*self._shape, 2))
+        return self._drawn[rows % len(self._drawn), :, kind - 1]
 
 
 class _Paths:
@@ -233,95 +298,74 @@ class _Paths:
         n, c = np.nonzero(used)
         self.rollout, self.team, self.samples = rollout, team, samples
         self.pairs, people = len(n), team.x.shape[1]
-        self.rng = np.random.default_rng([rollout.options.seed, batch])
-        own = rows[n].repeat(samples)
-        self.model, self.active, self.location = team.model[own], team.active[own], team.location[own]
-        assert team.belief is not None
-        # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
-        self.left = 1 - team.free[own].astype(np.int64)
+        rng, own = np.random.default_rng([rollout.options.seed, batch]), rows[n].repeat(samples)
         person, robot = (np.stack([getattr(one, name) for one in actions])[c, rows[n]] for name in _ACTION)
         self.first = TeamAction(person.repeat(samples, axis=0), robot.repeat(samples, axis=0))
-        self.grid = team.policies[0].pomdp.grid
-        strata = np.stack([self.rng.permutation(samples) for _ in range(people)], axis=1)
-        uniform = (strata + self.rng.random(strata.shape)) / samples
+        grid = team.policies[0].pomdp.grid
+        assert team.belief is not None
+        strata = np.stack([rng.permutation(samples) for _ in range(people)], axis=1)
+        uniform = (strata + rng.random(strata.shape)) / samples
         cells = team.belief[rows[n]].reshape(self.pairs, 1, people, -1).cumsum(axis=3)
         cells = (cells <= uniform[:, :, None] * cells[..., -1:]).sum(axis=3).reshape(-1, people)
-        self.mind, cell = np.divmod(cells, len(self.grid.theta))
-        self.theta, self.seen = self.grid.theta[cell], self.grid.count[cell]
-        self.x = team.x[own]
-        belief = team.belief[own]
-        belief = belief.reshape(-1, *belief.shape[2:])
-        self.beliefs = Seen(self.x.reshape(-1), belief, team.erred[own].reshape(-1))
+        mind, cell = np.divmod(cells, len(grid.theta))
+
+        state, active, model = team.x[own], team.active[own], team.model[own]
+        them = PeopleAtWork(
+            mind, PathNumbers(rng, self.pairs, (samples, people)), True, state, state.copy(), np.zeros_like(state),
+            grid.theta[cell], grid.count[cell], ~active, np.zeros(people, dtype=np.int64),
+            np.full(people, np.iinfo(np.int64).max),
+        )  # fmt: skip
+        known = team.beliefs.of((own[:, None] * people + np.arange(people)).reshape(-1))
+        robots = RobotsAtWork(team.fleet, team.travel, len(own))
+        self.engine = Engine(
+            PathTasks(team.policies, rollout.models, model, mind), them, robots,
+            Seen(them.row.reshape(-1), known.belief, known.erred),
+        )  # fmt: skip
+        # A robot that is under way is taken to arrive in the next step: the team's state does not have the number.
+        self.engine.clock[:] = team.step
+        robots.location[:], robots.busy_until[:] = team.location[own], team.step + 1 - team.free[own]
 
     def values(self) -> Floats:
         """Return the sum of discounted advantages on each path, shape (L, S)."""
-        values, discount = np.zeros(len(self.x)), 1.0
+        values, discount = np.zeros(self.pairs * self.samples), 1.0
         gamma = self.team.policies[0].pomdp.gamma
         for step in range(self.rollout.options.horizon):
-            if not self.active.any():
+            if not self.engine.now.active.any():
                 break
-            values += discount * self._step(step)
+            values += discount * self._step(self.first if step == 0 else self.rollout.base(self.engine.state()))
             discount *= gamma
         return values.reshape(self.pairs, self.samples)
 
-    def _step(self, step: int) -> Floats:
+    def _step(self, action: TeamAction) -> Floats:
         """Advance all paths by one step; return their advantages."""
-        action = self.first if step == 0 else self._priority(step)
-        before = self._positions()
-        going = np.nonzero(action.person != NOBODY)
-        origin, to, number = self.location[going], action.person[going], going[1]
-        robot, by, gained = np.zeros_like(self.x), np.zeros_like(self.x), np.zeros(len(self.x))
-        robot[going[0], to], by[going[0], to] = action.robot[going], number
-        np.subtract.at(gained, going[0], self.team.travel.costs_between(number, origin, to))
-        self.location = placed(self.location, action.person)
-        self.left[going] = self.team.travel.steps_between(number, origin, to)
-        now = self._positions()
-        attended = self.active & (now != AWAY)
+        engine, grid = self.engine, self.team.policies[0].pomdp.grid
+        before, seen = self._positions(engine.clock), engine.people.seen.copy()
+        taken = engine.step(action)
+        now, sent = self._positions(taken.clock), taken.sent
+        by, gained = np.zeros_like(before), np.zeros(len(before))
+        by[sent.team, sent.person] = sent.robot
+        np.subtract.at(gained, sent.team, sent.cost)
+        attended = taken.now.active & (now != AWAY)
         gained += self.rollout.base.price[0] * attended.sum(axis=1)
         # In the position after the robot's way: leave or stay away (0), or stay (1), or make a suggestion (2 and up).
-        move = np.where(now == HERE, 1 + robot, 0)
-        advantage = self._act(before, np.where(now == AWAY, before, now), move, robot, by)
-        self.left = (self.left - 1).clip(0)
-        return gained + advantage.sum(axis=1)
+        move = np.where(now == HERE, 1 + taken.robot, 0)
+        cell = np.searchsorted(grid.values, taken.theta) + seen * len(grid.values)
+        after_way, advantage = np.where(now == AWAY, before, now), np.zeros(before.size)
+        each = (before, after_way, move, taken.robot, by, taken.before, engine.tasks.who, cell)
+        for group, rows in taken.now.groups:
+            was, at, does, robot, its, x, h, t = (array.reshape(-1)[rows] for array in each)
+            policy = self.team.policies[group]
+            solved, states = policy.with_robot(self.rollout.base), policy.with_robot(self.rollout.base).states[0]
+            extra = self.team.fleet.extra_of(its, policy.pomdp.suggested[x, robot] == NOTHING)
+            advantage[rows] = solved.policy.q_mdp[states[at, x], does, h, t]
+            advantage[rows] -= solved.policy.value_mdp[states[was, x], h, t]
+            advantage[rows] -= np.where(robot > 0, extra, 0.0)
+        return gained + advantage.reshape(before.shape).sum(axis=1)
 
-    def _priority(self, step: int) -> TeamAction:
-        """Return priority's action in the present state of all paths."""
-        known = self.beliefs
-        team = TeamState(
-            self.team.step + step, self.x, self.active, known.erred.reshape(self.x.shape), self.location, self.model,
-            known.belief.reshape(*self.x.shape, *known.belief.shape[1:]), self.team.policies, self.team.travel,
-            free=self.left == 0, fleet=self.team.fleet,
-        )  # fmt: skip
-        return self.rollout.base(team)
-
-    def _positions(self) -> Ints:
+    def _positions(self, clock: Ints) -> Ints:
         """Return the robot's position for each person, as in their problem with a robot that comes and goes."""
-        position = np.full(self.x.shape, AWAY)
-        somewhere = np.nonzero(self.location != BASE)
-        position[somewhere[0], self.location[somewhere]] = HERE + self.left[somewhere]
+        location, left = self.engine.robots.location, self.engine.robots.left(clock)
+        position = np.full(self.engine.people.place.shape, AWAY)
+        somewhere = np.nonzero(location != BASE)
+        position[somewhere[0], location[somewhere]] = HERE + left[somewhere]
         return position
-
-    def _act(self, before: Ints, now: Ints, move: Ints, robot: Ints, by: Ints) -> Floats:
-        """Let everybody act; return the advantage of each action by the robot with a number, shape (rows, K)."""
-        uniform = self.rng.random((1, self.samples, self.x.shape[1], 2)).repeat(self.pairs, axis=0)
-        before_it, models = self.x.reshape(-1).copy(), []
-        people = PeopleArrays.of_teams(self.x, robot, self.mind, self.theta, self.seen, uniform)
-        cell = np.searchsorted(self.grid.values, self.theta) + self.seen * len(self.grid.values)
-        advantage = np.zeros(self.x.shape)
-        for model, rows in by_model(self.model.reshape(-1), np.flatnonzero(self.active), len(self.team.policies)):
-            policy = self.team.policies[model]
-            solved, (minds, known) = policy.with_robot(self.rollout.base), self.rollout.models[policy]
-            x, h, t = (array.reshape(-1)[rows] for array in (self.x, self.mind, cell))
-            states = solved.states[0]
-            q = solved.policy.q_mdp[states[now.reshape(-1)[rows], x], move.reshape(-1)[rows], h, t]
-            value = solved.policy.value_mdp[states[before.reshape(-1)[rows], x], h, t]
-            advantage.reshape(-1)[rows] = q - value
-            does = robot.reshape(-1)[rows]
-            extra = self.team.fleet.extra_of(by.reshape(-1)[rows], policy.pomdp.suggested[x, does] == NOTHING)
-            advantage.reshape(-1)[rows] -= np.where(does > 0, extra, 0.0)
-            act(rows, people, minds, known.arrays)
-            self.active.reshape(-1)[rows] = ~known.arrays.goal[minds.goal[h], people.x[rows]]
-            models.append((known, rows))
-        acts = Acts(before_it, people.robot, people.slot, self.active.reshape(-1))
-        self.beliefs.observe(acts, people.robot, models, lambda _: np.empty(0))
-        return advantage

@@ -27,7 +27,7 @@ from assist.person.beliefs import Seen
 from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team import Setting
-from assist.team.questions import Questions, benefit, likelihood_of
+from assist.team.questions import GoalQuestion, Questions, benefit
 from planner import LimitError, Table, sweep, sweep_goals
 from planner.system.errors import ResultsExistError
 
@@ -412,7 +412,7 @@ def test_an_answer_is_a_bayesian_update_and_worth_what_it_changes(error: float) 
             yes = (1 - error) * shares[g] + error * (1 - shares[g])
             told = Seen(np.full(2, at), np.array([one, one]), np.zeros(2, dtype=bool))
             for person, said in enumerate((True, False)):
-                told.told(person, likelihood_of(g, policy.pomdp.hidden, said, error))
+                told.told(person, GoalQuestion(g, policy.pomdp.hidden, error).likelihood(said))
             after = [reached(belief, at) for belief in told.belief]
             assert told.belief[0].reshape(3, -1).sum(axis=1)[g] == pytest.approx((1 - error) * shares[g] / yes)
             found.append(yes * after[0] + (1 - yes) * after[1] - reached(one, at))

@@ -153,7 +153,7 @@ def test_people_are_drawn_from_a_file(begun: Begun, tmp_path: Path) -> None:
     file.write_text(json.dumps({"parts": [fixed | {"weights": {"name": [9.0, 9.0]}, "share": 1.0}]}))
     session = begun(TINY, "--humans", 1, "--simulate", 1, "--population", file)
     (person,) = begun.plan.seats().people.values()
-    assert (person.beta, person.theta, person.weights) == (2.0, 0.9, {"name": 9.0})
+    assert (person.human.beta, person.theta, person.human.weights) == (2.0, 0.9, {"name": 9.0})
     assert np.frombuffer(session.beliefs()["simulated-1"]).size == 10  # beta is known
 
 

@@ -21,7 +21,7 @@ from assist.live import Assistant, Event, Question, Session
 from assist.people import Goals
 from assist.person import ObservationModel
 from assist.team import Setting
-from assist.team.questions import likelihood_of
+from assist.team.questions import GoalQuestion
 from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.texts import InapplicableError, InvalidError
 
@@ -79,7 +79,7 @@ def test_the_belief_after_answers_is_that_of_enumerated_histories(name: str) -> 
         if question is not None:
             yes = bool(rng.random() < 0.5)
             team.answer("ann", yes)
-            said = likelihood_of(list(goals.tables).index(str(question.goal)), pomdp.hidden, yes, error)
+            said = GoalQuestion(list(goals.tables).index(str(question.goal)), pomdp.hidden, error).likelihood(yes)
             told, share = told + 1, share * said[:: len(said) // 3, 0]
         team.elapse()
         seen = team.person("ann")

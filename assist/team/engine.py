@@ -1,0 +1,331 @@
+"""Teams at work, one step at a time, for given actions of their robots.
+
+An `Engine` joins four parts. Each has its own affairs:
+
+- `Tasks` are the people's problems: the row of each person in theirs, and how people choose there.
+- `PeopleAtWork` are the people as they are: states, theta, goals, and the random numbers of all that happens.
+- `RobotsAtWork` are the robots: where they are, and when they arrive.
+- `Beliefs` are what the robots know of the people.
+
+In a step, the robots are sent and speak, everybody at work acts once, and the beliefs follow what was seen. `simulate`
+is a loop over a policy, an environment passes actions in, and a rollout is an engine on copies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.decision import NOTHING, Floats
+from ..person.beliefs import Acts, Beliefs, PersonModel
+from ..person.dynamics import PeopleArrays
+from ..person.policy import Policy
+from ..person.problem_arrays import ProblemArrays
+from .questions import Asked, Questions
+from .robots_at_work import RobotsAtWork, Sent
+from .state import TeamAction, TeamState, by_model
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class Group(Protocol):
+    """The people of one model, and how they choose."""
+
+    @property
+    def model(self) -> PersonModel:
+        """The robot's model of them."""
+        ...
+
+    @property
+    def arrays(self) -> ProblemArrays:
+        """Their problem."""
+        ...
+
+    def act(self, rows: Ints, people: PeopleArrays) -> None:
+        """Let some people of the group act once."""
+        ...
+
+    def ended(self, rows: Ints, people: PeopleArrays) -> Bools:
+        """Return whether the episode has ended for some people of the group."""
+        ...
+
+
+class Tasks(Protocol):
+    """The people's problems.
+
+    Attributes
+    ----------
+    policies : sequence of Policy
+    groups : mapping of int to Group
+        By the index of the policy.
+    model : int array, shape (N, K)
+        Index of each person's policy.
+    who : int array, shape (N, K)
+        Row of each person in the `Minds` of their group.
+    """
+
+    @property
+    def policies(self) -> Sequence[Policy]: ...  # noqa: D102
+    @property
+    def groups(self) -> Mapping[int, Group]: ...  # noqa: D102
+    @property
+    def model(self) -> Ints: ...  # noqa: D102
+    @property
+    def who(self) -> Ints: ...  # noqa: D102
+
+    def rows(self, places: Ints, active: Ints) -> Ints:
+        """Return the row of each person in their policy's problem, shape (N, K).
+
+        Parameters
+        ----------
+        places : int array, shape (N, K)
+            Where people are, as in `person.rows`.
+        active : int array
+            The people at work, as indices of the flattened array.
+        """
+        ...
+
+
+class Draws(Protocol):
+    """The random numbers of a them."""
+
+    def draw(self, kind: int, rows: Ints) -> Floats:
+        """Return uniform numbers of a kind for some teams, shape (m, K); `CommonRandomNumbers.draw` has the kinds."""
+        ...
+
+
+@dataclass(eq=False)
+class PeopleAtWork:
+    """N teams of K people as they are, which robots see in part; the arrays change in place.
+
+    Attributes
+    ----------
+    number : int array, shape (N, K)
+        Which person of a pool each of them is.
+    draws : Draws
+    on_grid : bool
+        Whether they are people of the robot's model, whose theta moves between grid points at random.
+    place, row : int arrays, shape (N, K)
+        Where each person is, and the row of this place in the present step (`person.rows`).
+    goal : int array, shape (N, K)
+        Number of the goal that each person pursues.
+    theta : float array, shape (N, K)
+    seen : int array, shape (N, K)
+        Number of outcomes of suggestions that the person has seen.
+    finished : bool array, shape (N, K)
+    joins, leaves : int arrays, shape (K,)
+        First step of the person at each place, and the step before which they leave.
+    """
+
+    number: Ints
+    draws: Draws
+    on_grid: bool
+    place: Ints
+    row: Ints
+    goal: Ints
+    theta: Floats
+    seen: Ints
+    finished: Bools
+    joins: Ints
+    leaves: Ints
+
+
+class Now(NamedTuple):
+    """Who is at work in the present step.
+
+    Attributes
+    ----------
+    running : int array
+        The teams in which a person is at work, or is to come.
+    active : bool array, shape (N, K)
+        Who is at work.
+    groups : list of pairs of int and int array
+        Index of each policy, with the people at work as indices of the flattened arrays.
+    """
+
+    running: Ints
+    active: Bools
+    groups: list[tuple[int, Ints]]
+
+
+class StepTaken(NamedTuple):
+    """What happened in a step.
+
+    Attributes
+    ----------
+    now : Now
+    clock : int array, shape (N,)
+        The step of each team.
+    sent : Sent
+    executes : bool array
+        Whether each robot that was sent executed an action.
+    before, robot : int arrays, shape (N, K)
+        Row of each person before the step, and the robot action that they heard.
+    theta : float array, shape (N, K)
+        Theta before the step.
+    slot : int array, shape (N, K)
+        Slot of each person's choice; `NOTHING` if they did not act.
+    cost, reward : float arrays, shape (N, K)
+        Cost of each person's choice; and minus this cost and those of the robots' actions and ways for the person.
+    """
+
+    now: Now
+    clock: Ints
+    sent: Sent
+    executes: Bools
+    before: Ints
+    robot: Ints
+    theta: Floats
+    slot: Ints
+    cost: Floats
+    reward: Floats
+
+
+class Engine:
+    """N teams of K people and M robots at work.
+
+    Parameters
+    ----------
+    tasks : Tasks
+    people : PeopleAtWork
+    robots : RobotsAtWork
+    beliefs : Beliefs
+        Of the N K people, in the order of the flattened arrays. For people whose states are known, `x` is `people.row`.
+    acted_on : callable, optional
+        Returns the beliefs on which the robots act, from those that they have; by default the same.
+
+    Attributes
+    ----------
+    clock : int array, shape (N,)
+        The present step of each team.
+    over : bool array, shape (N,)
+        Teams that are left out.
+    """
+
+    def __init__(
+        self, tasks: Tasks, people: PeopleAtWork, robots: RobotsAtWork, beliefs: Beliefs,
+        acted_on: Callable[[Beliefs], Beliefs] | None = None,
+    ) -> None:  # fmt: skip
+        self.tasks, self.people, self.robots, self.beliefs, self._acted_on = tasks, people, robots, beliefs, acted_on
+        self.clock, self.over = np.zeros(len(people.place), dtype=np.int64), np.zeros(len(people.place), dtype=bool)
+        self._now: Now | None = None
+        self._charged = np.zeros(people.place.shape)
+
+    @property
+    def now(self) -> Now:
+        """Who is at work in the present step."""
+        if self._now is None:
+            them, clock = self.people, self.clock[:, None]
+            to_come = ~them.finished & (clock < them.leaves) & ~self.over[:, None]
+            active = to_come & (clock >= them.joins)
+            flat = np.flatnonzero(active)
+            them.row[:] = self.tasks.rows(them.place, flat)
+            groups = by_model(self.tasks.model.reshape(-1), flat, len(self.tasks.policies))
+            self._now = Now(np.flatnonzero(to_come.any(axis=1)), active, groups)
+        return self._now
+
+    def changed(self) -> None:
+        """Tell that somebody else has changed the people, so that `now` is another one."""
+        self._now = None
+
+    def deciding(self) -> Ints:
+        """Return the teams in which a robot may be sent, and somebody is at work."""
+        now = self.now
+        may: Bools = np.logical_and(self.robots.free(self.clock).any(axis=1), now.active.any(axis=1))
+        return now.running[may[now.running]]
+
+    def state(self, teams: Ints | None = None) -> TeamState:
+        """Return what the robots know of some teams, given by their numbers, or of all: what policies act on."""
+        now, (N, K), known = self.now, self.people.place.shape, self.beliefs
+        every = slice(None) if teams is None or len(teams) == N else teams
+        if every is teams:
+            known = known.of((teams[:, None] * K + np.arange(K)).reshape(-1))
+        if self._acted_on is not None:
+            known = self._acted_on(known)
+        return TeamState(
+            step=int(self.clock[every].max()), x=known.x.reshape(-1, K), active=now.active[every],
+            erred=known.erred.reshape(-1, K), location=self.robots.location[every], model=self.tasks.model[every],
+            belief=known.belief.reshape(-1, K, *known.belief.shape[1:]) if len(known.belief) else None,
+            policies=self.tasks.policies, travel=self.robots.travel, free=self.robots.free(self.clock)[every],
+            fleet=self.robots.fleet, beliefs=known,
+        )  # fmt: skip
+
+    def ask(self, questions: Questions) -> list[tuple[Asked, bool]]:
+        """Ask people what is worth its cost, at most one in each team, and return the questions with their answers.
+
+        The beliefs follow the answers, and the cost is one of the present step.
+        """
+        now, (N, K), found = self.now, self.people.goal.shape, list[tuple[Asked, bool]]()
+        asked = questions.of_teams(self.beliefs, now.active, self.tasks.model, len(self.robots.fleet))
+        uniform, working = np.ones((N, K)), np.flatnonzero(now.active.any(axis=1))
+        if questions.error:
+            uniform[working] = self.people.draws.draw(7, working)
+        for one in asked:
+            yes = one.question.answer(int(self.people.goal[one.team, one.person]), uniform[one.team, one.person])
+            self.beliefs.told(one.team * K + one.person, one.question.likelihood(yes))
+            self._charged[one.team, one.person] += questions.cost
+            found.append((one, yes))
+        return found
+
+    def step(self, action: TeamAction, teams: Ints | None = None) -> StepTaken:
+        """Send the robots of some teams, or of all, and let everybody at work act once.
+
+        Parameters
+        ----------
+        action : TeamAction
+            The actions of these teams. The robots of other teams are not sent.
+        teams : int array, optional
+        """
+        now, them, policies = self.now, self.people, self.tasks.policies
+        sent = self.robots.send(action, np.arange(len(self.clock)) if teams is None else teams, self.clock)
+        said, executes, charged = self._say(sent)
+        robot = self.beliefs.heard(
+            said.reshape(-1), them.row.reshape(-1), [(policies[number].pomdp, rows) for number, rows in now.groups]
+        ).reshape(said.shape)
+        groups = self.tasks.groups
+        before, theta, uniform = them.row.copy(), them.theta.copy(), np.empty((*said.shape, 2))
+        for kind in (1, 2) if them.on_grid else (1,):
+            uniform[now.running, :, kind - 1] = them.draws.draw(kind, now.running)
+        acting = PeopleArrays.of_teams(them.row, robot, self.tasks.who, them.theta, them.seen, uniform)
+        place, finished = them.place.reshape(-1), them.finished.reshape(-1)
+        for number, rows in now.groups:
+            group = groups[number]
+            group.act(rows, acting)
+            finished[rows] = group.ended(rows, acting)
+            place[rows] = policies[number].places(acting.x[rows])
+        acts = Acts(before.reshape(-1), acting.robot, acting.slot, ~finished)
+        models = [(groups[number].model, rows) for number, rows in now.groups]
+        self.beliefs.observe(acts, said.reshape(-1), models, self._uniform)
+        cost, clock = acting.cost.reshape(said.shape), self.clock.copy()
+        self.clock[now.running] += 1
+        self._now, self._charged = None, np.zeros(said.shape)
+        slot = acting.slot.reshape(said.shape)
+        return StepTaken(now, clock, sent, executes, before, robot, theta, slot, cost, -charged - cost)
+
+    def _say(self, sent: Sent) -> tuple[Ints, Bools, Floats]:
+        """Return the robot action for each person, which robots execute an action, and the costs for each person."""
+        policies, groups, fleet = self.tasks.policies, self.tasks.groups, self.robots.fleet
+        said, charged, executes = np.zeros_like(self.people.place), self._charged, np.zeros(len(sent.team), dtype=bool)
+        if not len(sent.team):
+            return said, executes, charged
+        x, at = self.beliefs.x.reshape(said.shape), (sent.team, sent.person)
+        said[at] = sent.action
+        charged[at] += sent.cost
+        for number, rows in by_model(self.tasks.model[at], np.flatnonzero(sent.action > 0), len(policies)):
+            to, does, arrays = (sent.team[rows], sent.person[rows]), sent.action[rows], groups[number].arrays
+            executes[rows] = arrays.suggested[x[to], does] == NOTHING
+            charged[to] += arrays.robot_costs[x[to], does]
+            if fleet.costs_differ:
+                charged[to] += fleet.extra_of(sent.robot[rows], executes[rows])
+        return said, executes, charged
+
+    def _uniform(self, kind: int) -> Floats:
+        """Return uniform numbers of a kind for all people, 0 in teams that do not run any more."""
+        uniform = np.zeros(self.people.place.shape)
+        uniform[self.now.running] = self.people.draws.draw(kind, self.now.running)
+        return uniform.reshape(-1)

@@ -1,0 +1,47 @@
+"""A simulated person of a live session is the same person as in a simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from assist.live.simulated_person import SimulatedPerson
+from assist.people import Population
+from assist.simulation import Pool, simulate
+from assist.simulation.common_random_numbers import CommonRandomNumbers
+from assist.simulation.trace import Trace
+from assist.team import Setting
+from planner import OnDemand, load, sweep
+
+TINY = sweep(load("kitting/tiny"))
+PLACES = 3
+
+
+@pytest.mark.parametrize("trust", ["paper", "outcome", "reliability"])
+@pytest.mark.parametrize("noise", ["state", "action"])
+@pytest.mark.parametrize("on_demand", [False, True])
+def test_the_same_person_with_the_same_numbers_acts_as_in_a_simulation(
+    trust: str, noise: str, on_demand: bool
+) -> None:  # fmt: skip
+    population = Population(noise=noise)  # type: ignore[arg-type]
+    setting = Setting(trust=trust, c_suggest=0.05, c_move=0.0, suggestions="all")
+    pool, trace = Pool.sample(TINY, PLACES, seed=7, setting=setting, population=population), Trace()
+    simulate(pool, "priority", humans=[0, 1, 2], episodes=[4], seed=9, trace=trace)
+    drawn = np.random.default_rng(np.random.SeedSequence(7, spawn_key=(0,)))
+    humans = population.sample(None, PLACES, drawn)
+    people = [SimulatedPerson(human, trust=setting.trust_rule()) for human in humans]
+    task = OnDemand(load("kitting/tiny"), jobs=1) if on_demand else TINY
+    states, advised = [task.initial] * PLACES, 0
+    numbers, step, uniform = CommonRandomNumbers(9, np.array([4]), PLACES), -1, np.empty(PLACES)
+    for row in trace:
+        k = row["place"]
+        if row["step"] > step:
+            step, uniform = row["step"], numbers.draw(1, np.array([0]))[0]
+        rows = task.choices([states[k]])
+        names = [task.task.actions[action] for action in rows.actions]
+        assert people[k].theta == pytest.approx(row["theta"], abs=1e-12)
+        done = people[k].act(task, states[k], names, row["suggestion"], uniform=float(uniform[k]))
+        assert done == row["action"]
+        advised += row["suggestion"] is not None
+        states[k] = int(rows.targets[names.index(done)])
+    assert advised > 3
