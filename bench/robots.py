@@ -15,7 +15,6 @@ from typing import Any
 
 import click
 import numpy as np
-from repriced import Repriced
 from tables import Columns, cell, more_option, record_option, write_record
 from team import pool_of
 
@@ -23,7 +22,7 @@ from assist.certify.certificate import returns
 from assist.certify.team_bound import upper_bound
 from assist.people.decision import Floats
 
-OTHERS = ("none", "reactive", "attention", "whittle", "repriced", "rollout")
+OTHERS = ("none", "reactive", "attention", "whittle", "rollout")
 
 
 def _known(name: str):  # type: ignore[no-untyped-def]
@@ -71,8 +70,7 @@ def main(
             row["gap %"] = 100 * (found.upper - row["priority"]) / abs(row["priority"])
             for name in OTHERS:
                 if count := rollout_episodes if name == "rollout" else episodes:
-                    policy = Repriced.of(pool.policies, travel) if name == "repriced" else name
-                    own = returns(pool, policy, team, travel, episodes=count, seed=0)
+                    own = returns(pool, name, team, travel, episodes=count, seed=0)
                     _mean(row, name, own - base[:count])
             if robots > 1 and humans % robots == 0:
                 alone = pool_of(instance, humans // robots, 0, knowledge="exact")

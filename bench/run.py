@@ -89,7 +89,6 @@ CASES = {
     ),
     "confidence": ("--seeds 100", "--seeds 2 --settings 1"),
     "random_pddl": ("100 --jobs 2", "10"),
-    "repriced": ("--steps 100", "--instance kitting/tiny --people 3 --robots 2 --steps 4"),
     "robots": (
         "--humans 6 --episodes 500 --rollout-episodes 50 --time-limit 10",
         "--humans 2 --robots 2 --instance tiny --episodes 20 --rollout-episodes 4 --time-limit 1",

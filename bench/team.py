@@ -17,7 +17,6 @@ from __future__ import annotations
 import json
 import statistics
 import time
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,6 @@ import numpy as np
 from joint import joint_bounds
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from pooled import pooled
 from rich.console import Console
 from rich.table import Table
 from tables import Columns, cell, more_option, record_option, write_record
@@ -43,7 +41,6 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamPolicy, TeamState
 from planner import load, sweep
@@ -102,7 +99,7 @@ SETTINGS_SHOWN: Columns = {
     "ahead of attention-never": cell("ahead of attention-never", ".2f", "its stderr"),
 }  # fmt: skip
 FLUID: Columns = {
-    "robots": cell("robots"), "people": cell("people"), "a robot serves": cell("serves"),
+    "robots": cell("robots"), "people": cell("people"),
     "return per robot": cell("value per robot", ".2f"),
     "gap": lambda row: f"{row['gap %']:.2f} ± {row['stderr %']:.2f} %",
 }  # fmt: skip
@@ -470,45 +467,32 @@ def joint(time_limit: float, episodes: int, paths: int, settings: int, out: Path
 @record_option
 def fluid(instance: str, per_robot: int, episodes: int, time_limit: float, out: Path, record: Path | None) -> None:
     """Let m robots serve any of m * n people, and compare with the bound, which is the same for all m."""
-    pool = pool_of(instance, per_robot, 0, knowledge="exact")
-    found = upper_bound(pool, gap=5e-4, time_limit=time_limit)
-    priority = Priority.of(pool.policies, found.travel)
-    one = simulate(
-        replace(pool, setting=replace(pool.setting, max_steps=2000)), priority, humans=list(range(per_robot)),
-        episodes=episodes // 2, seed=0, world="model",
-    ).discounted_return  # fmt: skip
-    rows = [_fluid_row(1, "own people only", one, found.upper, per_robot)]
+    found = upper_bound(pool_of(instance, per_robot, 0, knowledge="exact"), gap=5e-4, time_limit=time_limit)
+    rows = []
     for robots in (1, 2, 4, 8, 16, 32, 64):
-        values = pooled(pool, priority, robots, robots * per_robot, max(50, episodes // (4 * robots)))
-        rows.append(_fluid_row(robots, "anybody", values / robots, found.upper, per_robot))
+        people = robots * per_robot
+        pool = pool_of(instance, people, 0, knowledge="exact", robots=robots, max_steps=2000)
+        travel, runs = pool.setting.travel(people), max(50, episodes // (4 * robots))
+        values = returns(pool, "priority", tuple(range(people)), travel, episodes=runs, seed=robots) / robots
+        mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(runs))
+        rows.append(
+            {"robots": robots, "people": people, "value per robot": mean, "upper": found.upper,
+             "gap %": 100 * (found.upper - mean) / abs(mean), "stderr %": 100 * error / abs(mean)}
+        )  # fmt: skip
     write(out, "fluid", rows, f"{per_robot} people for each robot, {instance}")
     write_record(record, FLUID, rows)
 
     def plot(axis: Axes) -> None:
-        mine = rows[1:]
         axis.errorbar(
-            [r["robots"] for r in mine], [r["gap %"] for r in mine], yerr=[2 * r["stderr %"] for r in mine],
-            marker="o", color=COLOURS["priority"], label="each robot may go to anybody",
+            [r["robots"] for r in rows], [r["gap %"] for r in rows], yerr=[2 * r["stderr %"] for r in rows],
+            marker="o", color=COLOURS["priority"],
         )  # fmt: skip
-        axis.axhline(
-            rows[0]["gap %"], color=COLOURS["attention"], linestyle="--", label="each robot has its own people"
-        )
         axis.set(xscale="log", xlabel=f"robots, with {per_robot} people for each", ylabel="gap to the bound, %")
-        axis.set_xticks([r["robots"] for r in mine], [str(r["robots"]) for r in mine])
+        axis.set_xticks([r["robots"] for r in rows], [str(r["robots"]) for r in rows])
         axis.minorticks_off()
         axis.set_ylim(bottom=0)
-        axis.legend(frameon=False)
 
     draw(out, "team_fluid", 6.5, plot)
-
-
-def _fluid_row(robots: int, serves: str, values: np.ndarray, upper: float, per_robot: int) -> dict[str, Any]:
-    """Return a row; `values`, shape (N,), are returns per robot."""
-    mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
-    return {
-        "robots": robots, "people": robots * per_robot, "serves": serves, "value per robot": mean, "upper": upper,
-        "gap %": 100 * (upper - mean) / abs(mean), "stderr %": 100 * error / abs(mean),
-    }  # fmt: skip
 
 
 if __name__ == "__main__":
