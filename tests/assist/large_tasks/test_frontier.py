@@ -112,7 +112,7 @@ def test_a_parts_interval_and_the_wholes_overlap(
         gamma=given["gamma"], c_suggest=given["c_suggest"],
     )  # fmt: skip
     part = TruncatedTask.of(table, states=states).problem(**given)  # type: ignore[arg-type]
-    exact, same, bounds = (solve(problem, gap=1e-3, time_limit=0.2) for problem in (whole, everything, part))
+    exact, same, bounds = (solve(problem, gap=0.05) for problem in (whole, everything, part))
     assert len(everything.frontier.states) == 0  # type: ignore[union-attr]
     for one, other in ((exact, same), (exact, bounds)):
         assert one.lower <= other.upper
@@ -156,7 +156,7 @@ def test_bounds_of_a_whole_and_of_all_of_it_as_a_part_overlap_where_actions_are_
     setting = {"gamma": 0.95, "c_suggest": 0.01}
     whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), **setting)  # type: ignore[arg-type]
     part = TruncatedTask.of(table, states=len(table)).problem(**setting)  # type: ignore[arg-type]
-    one, other = (solve(problem, gap=0.02, time_limit=2) for problem in (whole, part))
+    one, other = (solve(problem, gap=0.02) for problem in (whole, part))
     assert max(one.lower, other.lower) <= min(one.upper, other.upper)
 
 

@@ -164,7 +164,7 @@ def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
     goals, setting = TASKS["tiny"], {"gamma": 0.9, "c_suggest": 0.05}
     size = len(goals.tables["a"])
     problems = [PersonProblem.of(goals, states=states, **setting) for states in (size, 4, 12)]  # type: ignore[arg-type]
-    exact, *found = (solve(one.pomdp, gap=1e-2, time_limit=20) for one in problems)
+    exact, *found = (solve(one.pomdp, gap=1e-2) for one in problems)
     for one, truncated in zip(found, problems[1:], strict=True):
         assert one.lower <= exact.upper
         assert exact.lower <= one.upper
@@ -173,7 +173,7 @@ def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
     assert found[0].upper - found[0].lower > found[1].upper - found[1].lower > 0
     part = TruncatedTask.of(goals, states=size)
     assert (len(part.frontier), sorted(part.states)) == (0, [*range(size)])
-    same = solve(part.problem(**setting), gap=1e-2, time_limit=20)  # type: ignore[arg-type]
+    same = solve(part.problem(**setting), gap=1e-2)  # type: ignore[arg-type]
     assert same.lower <= exact.upper
     assert exact.lower <= same.upper
     assert same.value_qmdp == pytest.approx(exact.value_qmdp, abs=1e-5)
@@ -264,5 +264,5 @@ def test_a_problem_has_as_many_states_as_a_solver_can_keep() -> None:
             assert first_bounds_bytes(found.pomdp, depth) <= 0.8e6 * limit
             assert depth == (500 if limit == np.inf else 125)
     assert sizes[0] > sizes[1] > sizes[2] > 20
-    bounds = solve(found.pomdp, time_limit=1, memory_limit_mb=20.0)
+    bounds = solve(found.pomdp, gap=1.0, memory_limit_mb=20.0)
     assert bounds.lower < bounds.upper

@@ -39,11 +39,11 @@ def whole(table: Table) -> AssistPOMDP:
 @pytest.mark.parametrize("instance", thinned([*INSTANCES.values(), WAYS], 3), ids=["fixed", "dead ends", "costs"])
 def test_a_parts_bounds_hold_for_the_whole(instance: Instance) -> None:
     table = table_of(instance)
-    exact = solve(whole(table), gap=1e-3, time_limit=3)
+    exact = solve(whole(table), gap=1e-2)
     widths = []
     for states in (5, 60, 10_000):
         part = TruncatedTask.of(table, states=states)
-        bounds = solve(part.problem(**SETTING), gap=1e-3, time_limit=3)  # type: ignore[arg-type]
+        bounds = solve(part.problem(**SETTING), gap=1e-2)  # type: ignore[arg-type]
         assert bounds.lower <= exact.upper
         assert exact.lower <= bounds.upper
         assert bounds.value_never <= exact.upper
@@ -51,8 +51,8 @@ def test_a_parts_bounds_hold_for_the_whole(instance: Instance) -> None:
     assert len(part.frontier) == 0
     assert len(part.choices) == len(table)
     assert widths[-1] < widths[0]
-    if exact.stopped == bounds.stopped == "gap":
-        assert abs(bounds.lower - exact.lower) <= 2e-3 * abs(exact.lower)
+    assert exact.stopped == bounds.stopped == "gap"
+    assert abs(bounds.lower - exact.lower) <= 1e-2 * abs(exact.lower)
 
 
 @pytest.mark.parametrize("instance", [*INSTANCES.values(), WAYS], ids=["fixed", "dead ends", "costs"])
@@ -218,7 +218,7 @@ def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
     ours, theirs = TruncatedTask.of(table, states=20), TruncatedTask.of(asked, states=20)
     values = {tuple(row) for row in table.values(ours.states).tolist()}
     assert values == {tuple(row) for row in asked.values(theirs.states).tolist()}
-    known, unknown = (solve(r.problem(**SETTING), time_limit=2) for r in (ours, theirs))  # type: ignore[arg-type]
+    known, unknown = (solve(r.problem(**SETTING), gap=2e-2) for r in (ours, theirs))  # type: ignore[arg-type]
     assert unknown.lower <= known.lower + 1e-9
     assert unknown.upper == pytest.approx(known.upper, rel=2e-2)
     assert unknown.upper >= known.lower
@@ -245,8 +245,9 @@ def test_nothing_is_executed_where_a_problem_breaks_off() -> None:
 
 
 def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
-    for problem in (whole(table_of(INSTANCES["sealed"])), TruncatedTask.of(table_of(WAYS), states=20).problem()):
-        solution = solve(problem, gap=0.01, time_limit=1)
+    part = TruncatedTask.of(table_of(WAYS), states=20).problem()
+    for problem, gap in ((whole(table_of(INSTANCES["sealed"])), 0.05), (part, 1.0)):
+        solution = solve(problem, gap=gap)
         solution.save(tmp_path / "policy.npz", note=np.array("kept"))
         again = Solution.load(tmp_path / "policy.npz")
         x = np.flatnonzero(~problem.ends)
@@ -262,7 +263,7 @@ def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
 
 
 def test_a_solution_is_saved_under_the_name_that_is_given(tmp_path: Path, tiny: Table) -> None:
-    solution = solve(whole(tiny), gap=0.1, time_limit=1)
+    solution = solve(whole(tiny), gap=0.1)
     solution.save(tmp_path / "policy")
     assert [file.name for file in tmp_path.iterdir()] == ["policy"]
     assert Solution.load(tmp_path / "policy").lower == solution.lower

@@ -189,7 +189,7 @@ def test_values_satisfy_the_bellman_equation(rule: TrustRule) -> None:
 @pytest.mark.slow
 def test_bounds_of_the_solver_hold_the_simulated_return(rule: TrustRule) -> None:
     pomdp = problem(rule, lapse=0.01)
-    solution = solve(pomdp, gap=0.02, time_limit=20)
+    solution = solve(pomdp, gap=0.02)
     human = Population().sample(pomdp.model.choices, 1, np.random.default_rng(0))[0]
     setting = Setting(gamma=0.95, c_suggest=0.1, c_move=0.0, lapse=0.01, suggestions="all", trust=rule, max_steps=400)
     pool = Pool(setting, (human,), (solution,), np.zeros(1, dtype=np.int64))

@@ -30,7 +30,9 @@ def assert_no_trace(*texts: str, folder: Path, said: str = "") -> None:
     assert [one for text in texts for one in bytes_of(text) if one in everything] == []
 
 
-@pytest.mark.parametrize("ends", [signal.SIGTERM, signal.SIGKILL], ids=["stopped", "killed"])
+@pytest.mark.parametrize(
+    "ends", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL], ids=["stopped", "killed"]
+)
 def test_who_is_erased_is_in_no_byte_of_a_team(tmp_path: Path, ends: signal.Signals) -> None:
     """The journal, its log, the store of people, and what the service says on stderr, also of what it refused."""
     options = ("--humans", 1, "--data", tmp_path / "data", "--people-store", tmp_path / "people.sqlite", "--tick", 3600)
@@ -57,8 +59,7 @@ def test_who_is_erased_is_in_no_byte_of_a_team(tmp_path: Path, ends: signal.Sign
     assert_no_trace(NAME, "zdenkas-", folder=tmp_path)
 
 
-@pytest.mark.parametrize("how", ["withdraw", "code", "erase"])
-def test_who_withdraws_is_in_no_byte_of_a_study(tiny: Table, tmp_path: Path, how: str) -> None:
+def test_who_withdraws_is_in_no_byte_of_a_study(tiny: Table, tmp_path: Path) -> None:
     """The journal, the export and the report within the folder, and the log; the rows of others stay."""
     file = written(tmp_path / "study.toml", PLAN.replace("simulated = 2", "simulated = 1"))
     data = tmp_path / "data"
@@ -81,28 +82,33 @@ def test_who_withdraws_is_in_no_byte_of_a_study(tiny: Table, tmp_path: Path, how
                 view = answer.json()
             return person
 
-        leaves, stays = takes_part(WORDS), takes_part("die Worte der anderen")
-        completion = study.ask("GET", f"/api/people/{leaves}").json()["study"]["completion"]
-        (data / "user-study.zip").write_bytes(study.ask("GET", "/api/study/export").content)
+        leave = {how: takes_part(f"{WORDS} {how}") for how in ("withdraw", "code", "erase")}
+        stays = takes_part("die Worte der anderen")
         run("study-report", data)
-        assert WORDS.encode() in content(data)
-        path = f"/api/study/participants/{leaves}"
-        code = study.ask("GET", f"{path}/withdrawal").json()["code"]
-        answer = {
-            "withdraw": lambda: study.ask("POST", f"{path}/withdraw", json={}),
-            "code": lambda: study.ask("POST", "/api/study/withdrawals", "everybody", json={"code": code}),
-            "erase": lambda: study.ask("DELETE", f"/api/people/{leaves}/records", params={"reason": "a letter"}),
-        }[how]()
-        assert answer.status_code == 200, answer.text
-        gone = (WORDS, f"a visit {WORDS}", completion, *([leaves] if how == "erase" else []))
-        assert_no_trace(*gone, folder=data)
-        assert not (data / "user-study.zip").exists()
+        gone: list[str] = []
+        for how, person in leave.items():
+            (data / "user-study.zip").write_bytes(study.ask("GET", "/api/study/export").content)
+            words, path = f"{WORDS} {how}", f"/api/study/participants/{person}"
+            assert words.encode() in content(data)
+            completion = study.ask("GET", f"/api/people/{person}").json()["study"]["completion"]
+            if how == "withdraw":
+                answer = study.ask("POST", f"{path}/withdraw", json={})
+            elif how == "code":
+                code = study.ask("GET", f"{path}/withdrawal").json()["code"]
+                answer = study.ask("POST", "/api/study/withdrawals", "everybody", json={"code": code})
+            else:
+                answer = study.ask("DELETE", f"/api/people/{person}/records", params={"reason": "a letter"})
+            assert answer.status_code == 200, answer.text
+            gone += [words, completion, *([person] if how == "erase" else [])]
+            assert_no_trace(*gone, folder=data)
+            assert not (data / "user-study.zip").exists()
         _, said = study.end(signal.SIGKILL)
     assert_no_trace(*gone, folder=data, said=said)
-    assert leaves not in said
+    assert not any(person in said for person in leave.values())
     assert b"die Worte der anderen" in content(data)
     with served("--study", file, "--data", data, instance=None) as study:
         assert study.ask("GET", f"/api/people/{stays}").json()["study"]["kind"] == "thanks"
-        again = study.ask("GET", f"/api/people/{leaves}")
-        assert again.status_code == 404 if how == "erase" else again.json()["study"]["kind"] == "withdrew"
+        for how, person in leave.items():
+            again = study.ask("GET", f"/api/people/{person}")
+            assert again.status_code == 404 if how == "erase" else again.json()["study"]["kind"] == "withdrew"
     assert_no_trace(*gone, folder=data)
