@@ -2,8 +2,8 @@
 
     python bench/run.py [--smallest] [--only NAME] [--jobs N] [--out DIR]
 
-A script that fails does not stop the others; the exit code is then 1. Scripts that need another program (SARSOP, other
-planners) are omitted. Concurrent runs (`--jobs`) slow each other down, so use them only to test that scripts work; the
+A script that fails does not stop the others; the exit code is then 1. Scripts that need another program are
+omitted. Concurrent runs (`--jobs`) slow each other down, so use them only to test that scripts work; the
 output of each is printed when it ends.
 """
 
@@ -79,14 +79,9 @@ CASES = {
     "pairs": (". --pairs 1 --only rate --only environments", ". --smallest"),
     "orbits": ("kitting/ladder-4x8 --compare 5 --seconds 5", "kitting/tiny --compare 1"),
     "observed": ("", "kitting/tiny stations/one-way --limit 1"),
-    "on_demand": ("--states 10", "--states 2"),
     "people tower": ("--made-up 20 --quick", "--made-up 4 --quick"),
     "people recover": ("--people 40 --seeds 1", "--instance kitting/tiny --people 4 --actions 20 --seeds 1"),
     "people huge": ("--people 8", "--instance kitting/tiny --people 4 --actions 10"),
-    "pomdp": (
-        "--timeout 10 --solvers kitassist --settings 0.95/1/1 --settings 0.99/0.5/0.5",
-        "--timeout 2 --solvers kitassist --settings 0.95/1/0 --no-cold",
-    ),
     "confidence": ("--seeds 100", "--seeds 2 --settings 1"),
     "random_pddl": ("100 --jobs 2", "10"),
     "robots": (
@@ -121,7 +116,7 @@ CASES = {
 NEED_DATA = {"collection", "covered", "live_pictures", "numeric_pddl", "symbolic"}
 """Scripts that need other people's files or programs, another checkout, or a browser."""
 
-WRITES = {"cost_to_go", "fit_figures", "fit time", "growth", "pomdp"} | {c for c in CASES if c.startswith("team")}
+WRITES = {"cost_to_go", "fit_figures", "fit time", "growth"} | {c for c in CASES if c.startswith("team")}
 
 
 def _command(name: str, smallest: bool, out: Path) -> list[str]:
