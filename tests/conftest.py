@@ -69,8 +69,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return one more than there are processors: about one worker waits for another process at any time."""
-    return len(os.sched_getaffinity(0)) + 1
+    """Return two more than there are processors: about two workers wait for a browser or a service at any time."""
+    return len(os.sched_getaffinity(0)) + 2
 
 
 @pytest.hookimpl(trylast=True)
@@ -245,6 +245,12 @@ def draw_first_picture(patched: pytest.MonkeyPatch) -> None:
 def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """See `draw_first_picture`."""
     draw_first_picture(monkeypatch)
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let reports of user studies draw no figures, each of which takes half a second."""
+    monkeypatch.setattr("assist.reports.userstudy_report._pictures", lambda *_: iter(()))
 
 
 def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subprocess.CompletedProcess[str]:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 from conftest import KITTING
 
+from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
 from assist.userstudy.study_events import StudyEvent
+from planner import Table
+
+Open = Callable[..., StudySession]
 
 PLAN = f"""title = "A small study"
 tasks = ["{KITTING}/tiny.pddl"]
@@ -62,6 +68,21 @@ SCORES: dict[str, dict[str, Any]] = {
 def written(file: Path, text: str = PLAN) -> Path:
     file.write_text(text, encoding="utf-8")
     return file
+
+
+@pytest.fixture
+def opened(tiny: Table, tmp_path: Path) -> Iterator[Open]:
+    """A function that opens a study in a folder, and begins it or goes on with it; all are closed after the test."""
+    held: list[StudySession] = []
+
+    def open_it(text: str = PLAN, folder: Path = tmp_path / "data") -> StudySession:
+        study = read(written(tmp_path / "study.toml", text))
+        held.append(StudySession(study, {"tiny": tiny, "practice": tiny}, folder))
+        return held[-1]
+
+    yield open_it
+    for session in held:
+        session.close()
 
 
 class Part:

@@ -150,6 +150,7 @@ def test_a_second_service_on_one_folder_is_refused_in_one_line_and_disturbs_nobo
         assert answer.status_code == 200
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_study_whose_folder_cannot_be_written_any_more_can_be_reported(tiny: Table, tmp_path: Path) -> None:
     session = StudySession(read(written(tmp_path / "study.toml")), {"tiny": tiny, "practice": tiny}, tmp_path / "data")
     ann = Part(session, "ann")

@@ -77,7 +77,7 @@ def test_what_makes_visits_dearer_or_slower_makes_them_worth_less(pool: Pool, da
     assert root(AttentionSubproblem.of(alone, entry, steps, price).priced(dearer)) == pytest.approx(less, abs=1e-9)
 
 
-@pytest.mark.parametrize("steps", [0, 1, 2])
+@pytest.mark.parametrize("steps", [0, pytest.param(1, marks=pytest.mark.slow), 2])
 def test_visits_are_what_a_team_of_one_is(pool: Pool, steps: int) -> None:
     """A policy of the subproblem has the same return as the same actions in the simulation of a team."""
     setting = replace(pool.setting, travel_time=float(steps))
@@ -96,7 +96,7 @@ def test_visits_are_what_a_team_of_one_is(pool: Pool, steps: int) -> None:
         said = np.where(position == HERE, np.maximum(robot - 1, 0), robot if steps == 0 else 0)
         return TeamAction(person[:, None], said[:, None])
 
-    run = simulate(one, act, humans=[0], episodes=20_000, seed=0, travel=travel, world="model")
+    run = simulate(one, act, humans=[0], episodes=5_000, seed=0, travel=travel, world="model")
     error = run.discounted_return.std() / np.sqrt(len(run))
     assert run.moves.sum() > 0
     assert solution.lower - 4 * error <= run.discounted_return.mean() <= solution.upper + 4 * error
@@ -111,7 +111,7 @@ def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
     assert (found.price >= 0).all()
     values = {}
     for name in POLICIES:
-        certificate = found.certify(pool.policy(name), name, episodes=50 if name == "rollout" else 1000)
+        certificate = found.certify(pool.policy(name), name, episodes=10 if name == "rollout" else 1000)
         values[name] = certificate.value
         assert certificate.value <= certificate.upper + 4 * certificate.value_stderr
         expected = 100 * (certificate.upper - certificate.value) / abs(certificate.value)

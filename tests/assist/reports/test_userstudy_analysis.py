@@ -387,11 +387,9 @@ def exported(folder: Path, tables: Tables, text: str = CONFIRMED) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("text", [CONFIRMED, WITHIN], ids=["between", "within"])
-def test_the_report_separates_confirmatory_from_exploratory(
-    tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("assist.reports.userstudy_report._pictures", lambda *_: iter(()))
+def test_the_report_separates_confirmatory_from_exploratory(tmp_path: Path, text: str) -> None:
     rng, rows = np.random.default_rng(2), list[Any]()
     orders = ["none > attention", "attention > none"]
     for number in range(12):
@@ -421,10 +419,8 @@ def run(*words: object) -> Any:
     return CliRunner().invoke(main, [str(word) for word in words])
 
 
-def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("assist.reports.userstudy_report._pictures", lambda *_: iter(()))
+@pytest.mark.usefixtures("no_figures")
+def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(tmp_path: Path) -> None:
     file, data = written(tmp_path / "study.toml", CONFIRMED), tmp_path / "data"
     said = run("study-prepare", file, "--data", data)
     assert json.loads(said.stdout) == json.loads((data / REGISTERED).read_text())

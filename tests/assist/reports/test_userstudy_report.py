@@ -215,6 +215,7 @@ def test_the_template_of_the_report_has_no_words_of_its_own() -> None:
     assert not re.search(r"[A-Za-z]", own), own
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize(
     ("more", "said"),
     [
@@ -223,17 +224,15 @@ def test_the_template_of_the_report_has_no_words_of_its_own() -> None:
     ],
 )
 def test_every_design_has_a_german_report(tmp_path: Path, more: str, said: str) -> None:
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(userstudy_report, "_pictures", lambda *_: iter(()))
-        folder = tmp_path / "data"
-        exported(folder)
-        plan = PLAN.replace("simulated = 2", "simulated = 0").replace("seed = 3", 'seed = 3\nlanguage = "de"')
-        plan = f"{plan}\n{more}" if more.startswith("[") else plan.replace("seed = 3", f"seed = 3\n{more}")
-        written(folder / "study.toml", plan)
-        run("study-report", folder)
+    folder = exported(tmp_path / "data")
+    plan = PLAN.replace("simulated = 2", "simulated = 0").replace("seed = 3", 'seed = 3\nlanguage = "de"')
+    plan = f"{plan}\n{more}" if more.startswith("[") else plan.replace("seed = 3", f"seed = 3\n{more}")
+    written(folder / "study.toml", plan)
+    run("study-report", folder)
     assert said in (folder / "report" / "report.md").read_text("utf-8")
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_what_people_typed_breaks_neither_the_page_nor_a_table(tmp_path: Path) -> None:
     away = [
         {"participant": f"P{number}", "status": "gone", "stage": "consent", "excluded": "left | <ran>"}
@@ -284,6 +283,7 @@ def test_a_text_is_read_back_as_it_was(text: str) -> None:
     assert found["answer"] == text.replace("\r\n", "\n").replace("\r", "\n")
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_names_that_look_like_formulas_are_in_the_report_of_an_export(tmp_path: Path) -> None:
     plan = PLAN.replace('name = "attention"', 'name = "+robot"').replace(
         "[[conditions]]",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import shutil
 import time
-from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import pytest
 from store_faults import Failing
 from test_event_store import content, forked
-from userstudies import PLAN, SCORES, Part, written
+from userstudies import PLAN, SCORES, Open, Part, opened, written
 
 from assist.cli.user_study import _report
 from assist.live.events import ERASED
@@ -30,23 +29,9 @@ from assist.userstudy.study_events import StudyEvent
 from assist.userstudy.tables import tables
 from planner import Table
 
-Open = Callable[..., StudySession]
 GROUPED = PLAN.replace("simulated = 2", "simulated = 0") + '[group]\nsize = 3\nthen = "start"\n'
+__all__ = ["opened"]
 SLIDERS = {**SCORES["nasa-tlx"], "mental": 85}
-
-
-@pytest.fixture
-def opened(tiny: Table, tmp_path: Path) -> Iterator[Open]:
-    held: list[StudySession] = []
-
-    def open_it(text: str = PLAN) -> StudySession:
-        study = read(written(tmp_path / "study.toml", text))
-        held.append(StudySession(study, {"tiny": tiny, "practice": tiny}, tmp_path / "data"))
-        return held[-1]
-
-    yield open_it
-    for session in held:
-        session.close()
 
 
 def answers(part: Part) -> None:
@@ -71,6 +56,7 @@ def of_others(session: StudySession, name: str) -> Any:
     return views, rows, beliefs, [row for row in session.log() if row["person"] != name], session.cohort.begun
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("late", [False, True])
 def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool) -> None:
     """Neither in the journal and its log, nor in the export and the report, nor in what a killed process left."""
@@ -273,6 +259,7 @@ def test_who_kills_the_process_while_it_withdraws_loses_nothing_and_keeps_nothin
         again.close()
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_who_withdraws_after_the_end_did_not_complete_the_study(opened: Open) -> None:
     session = opened()
     for name in ("ann", "eve", "cid"):
@@ -300,6 +287,7 @@ def test_who_withdraws_after_the_end_did_not_complete_the_study(opened: Open) ->
     assert "| withdrew; their data are removed | 2 |" in text.read_text()
 
 
+@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("how", ["withdraw", "erase"])
 def test_a_report_that_is_being_written_has_nothing_of_who_withdraws_meanwhile(
     opened: Open, monkeypatch: pytest.MonkeyPatch, how: str
@@ -320,7 +308,6 @@ def test_a_report_that_is_being_written_has_nothing_of_who_withdraws_meanwhile(
         return html_page(*arguments, **more)
 
     monkeypatch.setattr("assist.reports.userstudy_report.html_page", late)
-    monkeypatch.setattr("assist.reports.userstudy_report._pictures", lambda *_: iter(()))
     write_report(session.folder, session.folder / REPORT)
     assert len(calls) == 2
     assert b"words about ann" in content(session.folder / REPORT)

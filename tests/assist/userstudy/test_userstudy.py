@@ -6,7 +6,7 @@ import json
 import shutil
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import fields, replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -20,7 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 from sessions import former
-from userstudies import PLAN, SCORES, Part, written
+from userstudies import PLAN, SCORES, Open, Part, opened, written
 
 from assist.live.store import stored
 from assist.reports.userstudy_summary import summarise
@@ -35,21 +35,7 @@ from assist.userstudy.tables import tables
 from planner import Instance, Table
 from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError
 
-Open = Callable[..., StudySession]
-
-
-@pytest.fixture
-def opened(tiny: Table, tmp_path: Path) -> Iterator[Open]:
-    held: list[StudySession] = []
-
-    def open_it(text: str = PLAN, folder: Path = tmp_path / "data") -> StudySession:
-        study = read(written(tmp_path / "study.toml", text))
-        held.append(StudySession(study, {"tiny": tiny, "practice": tiny}, folder))
-        return held[-1]
-
-    yield open_it
-    for session in held:
-        session.close()
+__all__ = ["opened"]
 
 
 def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None:

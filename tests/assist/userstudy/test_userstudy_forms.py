@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from serving import served
 from test_live_pages import CHROMIUM, chromium, violations
-from userstudies import PLAN, Part, written
+from userstudies import PLAN, Open, Part, opened, written
 
 from assist.reports.userstudy_summary import summarise
 from assist.userstudy.export import files
@@ -24,13 +23,12 @@ from assist.userstudy.plan import UserStudy
 from assist.userstudy.plan_file import read
 from assist.userstudy.questionnaire_file import ItemTable, QuestionnaireTable
 from assist.userstudy.questionnaires import Item
-from assist.userstudy.session import JOURNAL, StudySession
+from assist.userstudy.session import JOURNAL
 from assist.userstudy.tables import tables
 from assist.web.user_study.routes import form_of
-from planner import Table
 from planner.system.errors import InputFileError
 
-__all__ = ["chromium"]
+__all__ = ["chromium", "opened"]
 
 FORMS = """
 [[questionnaires]]
@@ -69,20 +67,6 @@ PLAIN = PLAN[: PLAN.index("[[questionnaires]]")] + PLAN[PLAN.index("[[conditions
 WITH_FORMS = PLAIN.replace("seed = 3", "seed = 3\nexclude_failed_checks = 1") + FORMS
 BACKGROUND = {"age": 30, "hand": "both", "used": ["games"], "height": 1.75}
 EASE = {"clear": 5, "lost": 2, "reads": 4, "calm": None}
-
-
-@pytest.fixture
-def opened(tiny: Table, tmp_path: Path) -> Iterator[Callable[[], StudySession]]:
-    held: list[StudySession] = []
-
-    def open_it() -> StudySession:
-        study = read(written(tmp_path / "study.toml", WITH_FORMS))
-        held.append(StudySession(study, {"tiny": tiny, "practice": tiny}, tmp_path / "data"))
-        return held[-1]
-
-    yield open_it
-    for session in held:
-        session.close()
 
 
 def study_of(folder: Path, text: str = WITH_FORMS) -> UserStudy:
@@ -156,9 +140,9 @@ def test_whatever_is_answered_is_accepted_or_refused_in_one_sentence(item: Item,
 
 
 def test_participants_see_the_questions_of_their_condition_in_an_order_of_their_own(
-    opened: Callable[[], StudySession],
+    opened: Open,
 ) -> None:
-    session, orders = opened(), {}
+    session, orders = opened(WITH_FORMS), {}
     for name in ("ann", "bob", "cid", "dora"):
         part = Part(session, name)
         part.come()
@@ -183,7 +167,7 @@ def test_participants_see_the_questions_of_their_condition_in_an_order_of_their_
     before = {name: session.person(name) for name in orders}
     found = tables(session.study, session.folder / JOURNAL)
     session.close()
-    again = opened()
+    again = opened(WITH_FORMS)
     assert {name: again.person(name) for name in orders} == before
     for name, order in orders.items():
         own = [row for row in found.answers if (row["participant"], row["questionnaire"]) == (name, "ease")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from conftest import KITTING
 from scipy import stats
 from serving import served
 from test_live_pages import CHROMIUM, chromium, violations
-from userstudies import PLAN, Part, written
+from userstudies import PLAN, Open, Part, opened, written
 
 from assist.reports.userstudy_report import report_text
 from assist.reports.userstudy_summary import measures, summarise
@@ -19,10 +18,9 @@ from assist.texts import Catalogue, InapplicableError, catalogue, languages
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import JOURNAL, StudySession
 from assist.userstudy.tables import tables
-from planner import Table
 from planner.system.errors import InputFileError
 
-__all__ = ["chromium"]
+__all__ = ["chromium", "opened"]
 GROUPS = (
     PLAN.replace("simulated = 2\n", "")
     .replace("[setting]", "[group]\nsize = 3\nwait = 5\n\n[setting]")
@@ -30,21 +28,6 @@ GROUPS = (
 )
 WITHIN = GROUPS.replace("seed = 3", 'seed = 3\ndesign = "within"')
 EAGER = GROUPS.replace("wait = 5", 'wait = 5\nthen = "start"')
-Open = Callable[..., StudySession]
-
-
-@pytest.fixture
-def opened(tiny: Table, tmp_path: Path) -> Iterator[Open]:
-    held: list[StudySession] = []
-
-    def open_it(text: str = GROUPS) -> StudySession:
-        study = read(written(tmp_path / "study.toml", text))
-        held.append(StudySession(study, {"tiny": tiny, "practice": tiny}, tmp_path / "data"))
-        return held[-1]
-
-    yield open_it
-    for session in held:
-        session.close()
 
 
 def waiting(session: StudySession, *names: str) -> list[Part]:
@@ -59,7 +42,7 @@ def waiting(session: StudySession, *names: str) -> list[Part]:
 
 
 def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> None:
-    session = opened()
+    session = opened(GROUPS)
     ann, bob = waiting(session, "ann", "bob")
     assert session.person("ann")["study"]["waiting"] == {"here": 2, "of": 3}
     assert session.person("ann")["seq"] == session.person("bob")["seq"]  # the page shows who came
@@ -92,7 +75,7 @@ def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> Non
 
 @pytest.mark.parametrize("goes", ["left", "withdrew", "expired"])
 def test_a_member_who_leaves_does_not_stop_the_others(opened: Open, goes: str) -> None:
-    session = opened()
+    session = opened(GROUPS)
     ann, bob, cyd = waiting(session, "ann", "bob", "cyd")
     bob.errs()
     bob.report(goes)
@@ -103,7 +86,7 @@ def test_a_member_who_leaves_does_not_stop_the_others(opened: Open, goes: str) -
         part.finish()
     views = {part.name: session.person(part.name) for part in (ann, bob, cyd)}
     session.close()
-    again = opened()
+    again = opened(GROUPS)
     assert {name: again.person(name) for name in views} == views
     bob, ann = Part(again, "bob"), Part(again, "ann")
     if goes == "left":
@@ -119,7 +102,7 @@ def test_a_member_who_leaves_does_not_stop_the_others(opened: Open, goes: str) -
 
 
 def test_nobody_comes_in_time(opened: Open) -> None:
-    session = opened()
+    session = opened(GROUPS)
     (ann,) = waiting(session, "ann")
     ann.report("expired")
     seen = session.person("ann")["study"]
@@ -176,7 +159,7 @@ def test_after_the_time_one_may_go_on_alone_while_the_others_wait(opened: Open) 
 
 @pytest.mark.parametrize("erased", ["ann", "cyd"])  # the first to come; and the last, whose event began the group
 def test_a_member_is_erased_and_the_others_are_as_before(opened: Open, erased: str) -> None:
-    session = opened()
+    session = opened(GROUPS)
     parts = waiting(session, "ann", "bob", "cyd")
     for _ in range(3):
         for part in parts:
@@ -190,7 +173,7 @@ def test_a_member_is_erased_and_the_others_are_as_before(opened: Open, erased: s
     assert {part.name: session.person(part.name) for part in stay} == views
     assert {name: session.cohort.beliefs()[name] for name in views} == {name: beliefs[name] for name in views}
     session.close()
-    again = opened()
+    again = opened(GROUPS)
     assert {part.name: again.person(part.name) for part in stay} == views
     assert not any(erased.encode() in file.read_bytes() for file in again.folder.glob("journal*"))
     Part(again, stay[1].name).finish()

@@ -455,6 +455,7 @@ def test_too_many_requests_are_refused_to_whom_they_are_from(tiny: Table, tmp_pa
         assert web.ask("GET", ANN, "ann").status_code == 200
 
 
+@pytest.mark.slow
 def test_a_waiting_room_opens_the_page_at_the_same_second(tiny: Table, tmp_path: Path) -> None:
     """A hundred people behind one address, who load every file of the page; guesses of tokens keep their own limit."""
     web = Web(tiny, tmp_path, allowance=Allowance(clock=lambda: 0.0))
