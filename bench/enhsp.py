@@ -3,7 +3,7 @@
     python bench/enhsp.py [NAME...] [--drawn 24] [--seconds 60] [--record FILE]
 
 ENHSP (the package up-enhsp, which needs Java) searches with `opt-hrmax`, an optimal A*. The tasks are those of
-`domains/stock`, the numeric cases of `tests/test_cases_numbers.py`, tasks that `tests/random_numeric.py` draws, and,
+`domains/stock`, the numeric cases of `test_cases_numbers`, tasks that `tests/random_numeric.py` draws, and,
 where the environment variable NUMERIC_PDDL names a folder with a folder for each pair (`domain.pddl` and `p.pddl`),
 those without durations. Each runs in a process of its own, from the files to an optimal plan. Times are processor
 seconds of the whole process, Python's and Java's start included. Where
