@@ -35,7 +35,7 @@ import click
 import numpy as np
 from tables import Columns, cell, record_option, write_record
 
-from assist.live.events import Event
+from assist.live.events import Acted
 from assist.live.session import Session
 from assist.person.observation_model import ObservationModel
 from assist.team.settings import Setting
@@ -277,9 +277,10 @@ def check(instance: Path, data: Path, seen: Seen, noise: ObservationModel) -> No
     with tempfile.TemporaryDirectory() as folder:
         anew = Session(tasks, Path(folder) / "journal.sqlite", **options)
         for record in kept._store:
-            facts = {name: record.get(name) for name in ("person", "action", "followed", "task", "id")}
-            # A suggestion that was not seen then is marked by the view on which the person acted: none.
-            anew.report([Event(record["event"], **facts, seen=0 if record.get("unheard") else None)])
+            event = record.event
+            if isinstance(event, Acted) and not event.heard:  # that it was not seen is said by the view: none
+                event = event.model_copy(update={"heard": True, "seq": 0})
+            anew.report(event)
         assert anew.beliefs() == kept.beliefs(), "the beliefs are those of an uninterrupted run"
         assert anew.recommend() == kept.recommend()
         anew.close()

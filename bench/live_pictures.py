@@ -134,7 +134,7 @@ def finish(table: Table, ann: Client, operator: Client) -> None:
         mine = [row["action"] for row in operator.log() if row["person"] == ann.name]
         plan = table.optimal_plan(table.space.follow(mine))
         assert plan
-        ann.act(plan[0])
+        ann.observe("person-1", plan[0])
 
 
 @click.command()
@@ -200,7 +200,7 @@ def live(out: Path) -> None:
         link, ann, operator = said["join"]["person-1"], Client(said["join"]["person-1"]), Client(said["operator"])
         time.sleep(9)  # simulated people act a few times; the robot stays with a person for several pictures
         for number, action in enumerate(MISTAKES):
-            if ann.act(action)["suggestion"] and number > 2:
+            if ann.observe("person-1", action)["suggestion"] and number > 2:
                 break
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         camera = Camera(browser, out)

@@ -1,6 +1,6 @@
 """A live session without a service, and broken ones: journals that are truncated, changed, or of another task.
 
-The journals are of the former format, which a session imports. Their databases are broken as files, too.
+Databases are broken as files, too.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STEPS = 6
 
 def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) -> None:
     """Replace `assist.web.server.serve`: each person acts a few times, pages are drawn, and the session ends."""
-    from assist.live.events import Event
+    from assist.live.events import Acted, Began, Joined, Left
     from assist.web.task_drawings import Pictures
     from assist.web.tokens import AccessTokens
 
@@ -46,10 +46,10 @@ def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) ->
             action = seen["applicable"][0]
             if name in simulated:
                 action = simulated[name].act(task, state, seen["applicable"], seen["suggestion"])
-            (outcome,) = session.report([Event("acted", name, action)])
+            (outcome,) = session.report_all([Acted(person=name, action=action)])
             if isinstance(outcome, Exception):
                 raise outcome
-        session.report([Event("left", people[0]), Event("joined", people[0]), Event("began", people[-1])])
+        session.report_all([Left(person=people[0]), Joined(person=people[0]), Began(person=people[-1])])
         json.dumps([session.entry(name) for name in session.people])
     finally:
         listening.close()
@@ -71,15 +71,8 @@ def spoil(fuzzer: Fuzzer, folder: Path) -> None:
     elif chance < 0.5:
         content = file.read_bytes()
         file.write_bytes(content[: int(fuzzer.rng.integers(len(content)))])
-    elif chance < 0.75:
-        _spoil_record(fuzzer, file)
     else:
-        former = file.with_suffix(".jsonl")
-        _as_former(file, former)
-        records = [json.loads(line) for line in former.read_text().splitlines()]
-        number = int(fuzzer.rng.integers(len(records))) if fuzzer.rng.random() < 0.7 else 0
-        fuzzer._spoil_value(records[number])
-        former.write_text("".join(json.dumps(record) + "\n" for record in records), errors="surrogatepass")
+        _spoil_record(fuzzer, file)
 
 
 def _spoil_record(fuzzer: Fuzzer, file: Path) -> None:
@@ -91,16 +84,6 @@ def _spoil_record(fuzzer: Fuzzer, file: Path) -> None:
         (text,) = db.execute(f"SELECT {column} FROM {table} WHERE rowid = ?", (row,)).fetchone()
         fuzzer._spoil_value(record := json.loads(text))
         db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (json.dumps(record), row))
-
-
-def _as_former(file: Path, former: Path) -> None:
-    """Replace a database by a journal of the former format."""
-    with closing(sqlite3.connect(file)) as db:
-        rows = db.execute("SELECT document, NULL FROM header").fetchall()
-        rows += db.execute("SELECT record, answer FROM events ORDER BY n").fetchall()
-    lines = [json.loads(record) | ({} if answer is None else {"answer": json.loads(answer)}) for record, answer in rows]
-    former.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    file.unlink()
 
 
 def kept(folder: Path) -> list[Any] | None:

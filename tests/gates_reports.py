@@ -120,7 +120,7 @@ def report(team: Assistant, rng: random.Random) -> list[Any]:
         (12 if uncertain else 1, ["observe", [name], {"likelihoods": {action: 0.8, rng.choice(actions): 0.3}}]),
         (8 if uncertain else 1, ["observe", [name], {"missed": rng.choice([0.2, 0.7])}]),
         (2, ["answer", [name, rng.choice([True, None, action])], {}]),
-        (6 if team.setting.c_ask is not None else 1, ["retract", [name], {}]),
+        (6 if team.setting.c_ask is not None else 1, ["undo", [name], {"of": "answered"}]),
         (8, ["undo", [name], {}]),
         (3, ["begin", [name], {}]),
         (5, ["leave", [name], {}]),

@@ -23,7 +23,7 @@ from typing import Any
 
 from sessions import EASY, SETTING, all_of
 
-from assist.live.events import Event
+from assist.live.events import Acted, Joined, TeamEvent
 from assist.live.live_task import LiveTask
 from assist.live.session import Session
 from assist.live.store import JournalError, stored
@@ -114,18 +114,18 @@ def schedule(task: Policy, folder: Path, seed: int) -> Counter[str]:
     def opened() -> Session:
         return Session(task, file, setting=SETTING, population=EASY)  # type: ignore[arg-type]
 
-    session, acknowledged, number = opened(), dict[str, tuple[Event, Any]](), 0
-    session.report([Event("joined", name, id=f"join {name}") for name in "abc"])
+    session, acknowledged, number = opened(), dict[str, tuple[TeamEvent, Any]](), 0
+    session.report_all([Joined(person=name, id=f"join {name}") for name in "abc"])
     for _ in range(rng.randint(2, 5)):
-        batch: list[Event] = []
+        batch: list[TeamEvent] = []
         for _ in range(rng.randint(1, 5)):
             name, number = rng.choice("abc"), number + 1
             options = session.person(name)["applicable"] if name in session.people else []
-            batch.append(Event("acted", name, rng.choice(options or ["(fetch box-a)"]), id=str(number)))
+            batch.append(Acted(person=name, action=rng.choice(options or ["(fetch box-a)"]), id=str(number)))
         erases = rng.random() < 0.2 and "c" in session.people
         outcomes, stones, beliefs = list[Any](), len(session.tombstones()), session.beliefs()
 
-        def work(session: Session, batch: list[Event] = batch, *, erases: bool = erases) -> tuple[list[Any], int]:
+        def work(session: Session, batch: list[TeamEvent] = batch, *, erases: bool = erases) -> tuple[list[Any], int]:
             whole = session._store._db
             fault = failing(session, rng, 30 if erases else 2 * len(batch) + 2, kind)
             session._store._db = fault  # type: ignore[assignment]
@@ -134,7 +134,7 @@ def schedule(task: Policy, folder: Path, seed: int) -> Counter[str]:
                 if erases:
                     session.erase("c", "as asked")
                 else:
-                    found = session.report(batch)
+                    found = session.report_all(batch)
             except (KeyboardInterrupt, MemoryError, RuntimeError, JournalError) as error:
                 if not isinstance(error, JournalError) and error not in ERRORS:
                     raise
@@ -163,7 +163,7 @@ def schedule(task: Policy, folder: Path, seed: int) -> Counter[str]:
             counts["acknowledged"] += sum(one[0].person == "c" for one in acknowledged.values())
             acknowledged = {id: one for id, one in acknowledged.items() if one[0].person != "c"}
             assert session.beliefs() == {name: beliefs[name] for name in "ab"}
-        ids = [record["id"] for _, record in stored(file)[1] if "id" in record]
+        ids = [record["event"]["id"] for _, record in stored(file)[1] if "id" in record["event"]]
         assert len(ids) == len(set(ids))
         assert set(acknowledged) <= set(ids)
         before = all_of(session)
@@ -171,7 +171,7 @@ def schedule(task: Policy, folder: Path, seed: int) -> Counter[str]:
         session = opened()
         assert all_of(session) == before, "what is in memory is what is stored"
         for event, outcome in acknowledged.values():
-            assert session.report([event]) == [outcome]
+            assert session.report(event) == outcome
     session.close()
     counts["acknowledged"] += len(acknowledged)
     return counts

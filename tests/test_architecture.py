@@ -57,9 +57,9 @@ ROOMS = {
         simulate belief_trace illustration""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files notebook",
     "assist.explain": "continuations contrast explanation",
-    "assist.live": """live_task events advice roster uncertain_actions beliefs live_questions decision_point
-        robot_places decisions saved_team assistant old_journal store people_store
-        erasing recent_events course event_sourced header session simulated_person trace_reasons""",
+    "assist.live": """names live_task advice roster uncertain_actions beliefs live_questions decision_point
+        robot_places decisions desk events reports record assistant store people_store header history team session
+        simulated_person trace_reasons""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options action_prices prices certificate visited_beliefs computation
         truncated_prices sample_paths team_bound relaxed_value comparison""",
@@ -68,14 +68,14 @@ ROOMS = {
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people policies study userstudy",
     "assist.study": "study protocol tasks cells runner own_code",
-    "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file study_events codes
-        participant_team participants places groups erasing cohort session tables export""",
+    "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file codes
+        participant_team participants places events record groups roll cohort session tables export""",
     "assist.reports": """statistics policy_comparison effects hypothesis_tests repeated_measures wording templates
         html_page study_summary study_claims study_figures study_report userstudy_summary
         preregistration userstudy_report""",
-    "assist.web": """tokens cookies log_lines measures service schemas authorization request_limits task_drawings routes
-        metrics streams openapi_page page_routes app connections server client""",
-    "assist.web.user_study": "service routes rehearsal server",
+    "assist.web": """tokens cookies log_lines measures schemas service authorization request_limits task_drawings
+        event_routes event_table routes metrics streams openapi_page page_routes app connections server client""",
+    "assist.web.user_study": "schemas service routes rehearsal server",
     "assist.bridges": """messages ordering session_client tasks team_watch mqtt_settings mqtt opcua_settings opcua
         opcua_server ros2_settings ros2""",
     "assist.cli.terminal": "interrupts console",

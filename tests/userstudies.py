@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 from conftest import KITTING
 
+from assist.live.events import TeamEvent, kinds
+from assist.userstudy.events import StudyEvent
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
-from assist.userstudy.study_events import StudyEvent
 from planner import Table
 
 Open = Callable[..., StudySession]
@@ -104,7 +105,7 @@ class Part:
         return str(self.session.person(self.name)["study"]["kind"])
 
     def report(self, kind: str, **more: Any) -> dict[str, Any]:
-        outcome = self.session.report([StudyEvent(kind, self.name, **more)])[0]
+        outcome = self.session.report_all([(kinds(TeamEvent) | kinds(StudyEvent))[kind](person=self.name, **more)])[0]
         if isinstance(outcome, Exception):
             raise outcome
         return outcome

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -63,27 +62,6 @@ class Reason:
         plain["goals"] = dict(self.goals)
         return plain if self.goals else {name: value for name, value in plain.items() if name != "goals"}
 
-    @classmethod
-    def of(cls, plain: Mapping[str, Any]) -> Reason:
-        """Return the reason that `dataclasses.asdict` converted to plain data, read from JSON or not.
-
-        Raises
-        ------
-        ValueError
-            The data are not those of a reason.
-        """
-        values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in plain.items()}
-        goals = values.get("goals", {})
-        if not isinstance(goals, Mapping):
-            raise ValueError(f"reason 'goals': {str(goals)[:40]}")  # noqa: TRY004
-        named = [(name, value) for name, value in values.items() if name != "goals"]
-        for name, value in [*named, *goals.items()]:
-            pair = name.endswith("_interval")
-            numbers = value if pair and isinstance(value, tuple) and len(value) == 2 else () if pair else (value,)
-            if not numbers or not all(type(one) in (int, float) and math.isfinite(one) for one in numbers):
-                raise ValueError(f"reason {str(name)[:40]!r}: {str(value)[:40]}")
-        return cls(**values)
-
 
 @dataclass(frozen=True)
 class Question:
@@ -113,23 +91,6 @@ class Question:
     def as_dict(self) -> dict[str, Any]:
         """Return the question as plain data."""
         return {"person": self.person, "goal": self.goal, "options": list(self.options), "worth": self.worth}
-
-    @classmethod
-    def of(cls, plain: Mapping[str, Any]) -> Question:
-        """Return the question that `as_dict` converted to plain data.
-
-        Raises
-        ------
-        ValueError
-            The data are not those of a question.
-        """
-        person, goal, options, worth = (plain[one.name] for one in fields(cls))
-        texts = isinstance(options, list | tuple) and all(
-            isinstance(one, str) for one in [person, goal or "", *options]
-        )
-        if not texts or type(worth) not in (int, float) or not math.isfinite(worth):
-            raise ValueError(f"question {str(dict(plain))[:60]}")
-        return cls(person, goal, tuple(options), worth)
 
 
 @dataclass(frozen=True)
@@ -190,27 +151,6 @@ class Advice:
 
     def __getstate__(self) -> dict[str, Any]:
         return {one.name: getattr(self, one.name) for one in fields(self)}
-
-    @classmethod
-    def of(cls, plain: Mapping[str, Any]) -> Advice:
-        """Return the advice that `dataclasses.asdict` converted to plain data, read from JSON or not.
-
-        Raises
-        ------
-        ValueError
-            The data are not those of an advice.
-        """
-        reason, arrived = plain["reason"], plain["arrived"]
-        person, suggestion = plain["person"], plain["suggestion"]
-        if not isinstance(arrived, bool) or not all(isinstance(one, str | None) for one in (person, suggestion)):
-            raise ValueError(f"advice {str(dict(plain))[:60]}")
-        if person is None and (suggestion is not None or reason is not None):
-            raise ValueError("advice for nobody")
-        asked = plain.get("question")
-        return cls(
-            person, suggestion, None if reason is None else Reason.of(reason), arrived,
-            None if asked is None else Question.of(asked),
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)

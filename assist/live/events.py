@@ -1,143 +1,521 @@
-"""The events of a live session, as reported, and the records of them that are stored."""
+"""What can happen to a live team: each kind of event is a class, and the record of a team is the list of its events.
+
+A class declares the fields of the event, and where it is reported over HTTP. `recorded` checks that it is possible now
+and completes it; `change` is what it does to a team, also when a record is applied again; `remains` is what is kept of
+it when a person's records are erased; `take_back` undoes it, which people ask for with `Undone`. From these classes
+follow records, saved teams, the HTTP interface with its description, the verbs of `Reports`, and the operator's list.
+
+A new kind is a new class here. Nothing else lists the kinds.
+"""
 
 from __future__ import annotations
 
-import math
-import unicodedata
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-FIELDS: Mapping[str, type | tuple[type, ...]] = {
-    "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
-    "followed": bool, "unheard": bool, "advices": list, "robot": int, "belief": list,
-    "distance": list, "likelihoods": dict, "missed": (int, float), "answer": (str, bool),
-}  # fmt: skip
-"""Fields of an event's record, and their types."""
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
-BY_PEOPLE = frozenset({"joined", "left", "began", "acted", "undone", "answered", "retracted"})
-"""Kinds of events of one person."""
+from ..declare.declared import DeclarationError, Expected, Number, Truth, Whole
+from ..texts.refusals import InapplicableError, InvalidError
+from .names import name_of
 
-KINDS = BY_PEOPLE | {"arrived", "elapsed", "paused", "resumed", "rearranged"}
-"""Kinds of events that can be reported."""
-
-LONGEST_REASON = 200
-"""Number of characters of a reason for an erasure, a withdrawal or an exclusion; more would invite personal data."""
-
-VACANT, ERASED = "vacant", "erased"
-"""Kinds of records in place of a person's first event and of the later ones, after their records were erased."""
-
-LONGEST_NAME = 64
-"""Number of characters of a name, which is part of addresses of pages."""
-
-BETWEEN_LETTERS = frozenset(" .-_'\u2019\u05f3\u00b7")
-"""Signs of names besides letters, marks and digits: among others apostrophes, also typographic and Hebrew ones."""
-
-JOINERS = frozenset("\u200c\u200d")
-"""Invisible signs that some scripts need within words: behind a mark, as in Sinhala, or an Arabic letter."""
+if TYPE_CHECKING:
+    from .desk import Desk
 
 
-def name_of(text: str) -> str:
-    """Return a name without blanks around it and in its composed form (NFC), so that it is the same for all."""
-    return unicodedata.normalize("NFC", text).strip()
+def _rows(value: Any) -> Any:
+    """Return a matrix as tuples of rows."""
+    listed = value.tolist() if hasattr(value, "tolist") else value
+    return tuple(tuple(row) if isinstance(row, list) else row for row in listed) if isinstance(listed, list) else listed
 
 
-def is_name(text: str) -> bool:
-    """Whether this is a valid name, in any script, as `name_of` returns it."""
-    if not 0 < len(text) <= LONGEST_NAME or text.strip(" .") != text:
-        return False
-    for before, sign in zip(f" {text}", text, strict=False):
-        if sign in JOINERS:
-            if unicodedata.category(before) != "Mn" and unicodedata.bidirectional(before) != "AL":
-                return False
-        elif unicodedata.category(sign)[0] not in "LMN" and sign not in BETWEEN_LETTERS:
-            return False
-    return any(unicodedata.category(sign)[0] in "LN" for sign in text)
+Name = Annotated[str, AfterValidator(name_of)]
+Action = Annotated[
+    str, Field(min_length=1, max_length=1000, examples=["(fetch box-a)"]), Expected("an action, as (name argument ...)")
+]
+Seq = Annotated[Whole, Field(ge=0)]
+Rows = Annotated[tuple[tuple[Number, ...], ...], BeforeValidator(_rows), Expected("rows of numbers")]
+INTERNAL: Any = {"internal": True}
+"""Marks a field that is recorded, but never reported."""
 
 
-@dataclass(frozen=True)
-class Event:
-    """An event, as reported.
+class Recorded(BaseModel):
+    """Data of declared fields, which never change; others than these, and numbers such as infinity, are refused."""
 
-    Attributes
-    ----------
-    kind : str
-        "joined", "left", "began", "acted", "undone", "answered", "retracted", "arrived", "elapsed", "paused", "resumed"
-        or "rearranged".
-    person : str or None
-        The person who acted, joined or left, or at whom the robot has arrived, as `name_of` returns it; None for other
-        events.
-    action : str or None
-        The action, in PDDL notation.
-    followed : bool or None
-        Whether the suggestion was followed; None if it is not reported.
-    seen : int or None
-        The `seq` of the view on which the person acted or answered; they have not seen a later suggestion or question.
-    task : str or None
-        The task of a person who joins or begins.
-    id : str or None
-        The client's id: a repeated event with this id has no effect, and gets the first answer.
-    robot : int
-        Number of the robot that has arrived, from 1.
-    belief : tuple of float or None
-        The belief about a person who joins for the first time, from an earlier session, flattened; None for the prior.
-    distance : tuple of tuple of float or None
-        The distances after people's places were rearranged.
-    likelihoods : mapping of str to float, or None
-    missed : float or None
-        What is known of an action that was not seen as it is, as in `Assistant.observe`.
-    answer : str, bool or None
-        The answer to a question, as in `Assistant.answer`.
-    stage : str or None
-        In a user study, the stage that a participant completes, or at which they acted; another tab may be further.
-    """
+    model_config = ConfigDict(
+        frozen=True, strict=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+    def __init__(self, **fields: Any) -> None:
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            raise InvalidError("other", why=fault_of(type(self), error, fields)) from None
+
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # data from JSON are validated as such
+
+
+def fault_of(kind: type[BaseModel], error: ValidationError, given: Any) -> str:
+    """Return the first fault of data for a class in one sentence: where it is, what it is, and what would be right."""
+    return str(DeclarationError.of(kind, error, given))
+
+
+class Event(Recorded):
+    """Something that happens in a live session, of a team or of a study."""
 
     kind: str
-    person: str | None = None
-    action: str | None = None
-    followed: bool | None = None
-    seen: int | None = None
-    task: str | None = None
-    id: str | None = None
-    robot: int = 1
-    belief: tuple[float, ...] | None = None
-    distance: tuple[tuple[float, ...], ...] | None = None
-    likelihoods: Mapping[str, float] | None = field(default=None, hash=False)
-    missed: float | None = None
-    answer: str | bool | None = None
-    stage: str | None = None
+    """The kind of event."""
+    id: Annotated[str, Field(min_length=1, max_length=128), Expected("1 to 128 characters")] | None = None
+    """Chosen by the client. A repeated id returns the first answer."""
 
-    def __post_init__(self) -> None:
-        if self.person is not None:
-            object.__setattr__(self, "person", name_of(self.person))
+    path: ClassVar[str | None] = None
+    """Where it is reported over HTTP; None if it is not. `{person}` and `{robot}` stand for these fields."""
+    method: ClassVar[str] = "POST"
+    by_operator: ClassVar[bool] = True
+    """Whether only operators report it; otherwise also the person themselves."""
+    shows: ClassVar[Literal["person", "place", "robot"]] = "person"
+    """What its reporter gets then: the view of the person, also with the address of their page, or of the robot."""
+    concerns_all: ClassVar[bool] = False
+    """Whether it changes the views of everybody."""
+    is_shown: ClassVar[bool] = True
+    """Whether operators see it in the list of events."""
+    ends_task: ClassVar[bool] = False
+    """Whether a person's work on a task ends, so that what was learned of them is kept."""
+
+    @model_serializer(mode="wrap")
+    def _given(self, given: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: value for name, value in given(self).items() if value is not None}
+
+    @property
+    def who(self) -> str | None:
+        """The person of whom it is, if it is of one."""
+        found: str | None = getattr(self, "person", None)
+        return found
+
+    @property
+    def target(self) -> tuple[Any, ...]:
+        """What two reports with the same id have in common, if one repeats the other."""
+        return (self.kind,)
+
+    @classmethod
+    def kind_name(cls) -> str:
+        """Return the kind of its events."""
+        return str(cls.model_fields["kind"].default)
+
+    @classmethod
+    def fields(cls) -> Iterator[str]:
+        """Yield the names of the fields that are reported."""
+        for name, field in cls.model_fields.items():
+            if name != "kind" and field.json_schema_extra != INTERNAL:
+                yield name
 
 
-def advised(record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the advice of each robot in a record; empty if it has none, as it is then the same as before."""
-    found: list[dict[str, Any]] = record.get("advices", [])
+def kinds(base: type[Event]) -> dict[str, type[Any]]:
+    """Return the classes of events below a base, by kind."""
+    found = {}
+    for one in base.__subclasses__():
+        if (kind := one.model_fields["kind"].default) is not None and isinstance(kind, str):
+            found[kind] = one
+        found |= kinds(one)
     return found
 
 
-def require_record(record: Mapping[str, Any]) -> None:
-    """Check a record of an event.
+class TeamEvent(Event):
+    """An event of a team."""
 
-    Raises
-    ------
-    ValueError
-        A field is missing, unknown, or of the wrong type.
-    """
-    for name, value in record.items():
-        expected = FIELDS.get(name, ())
-        truth = expected is bool or (isinstance(expected, tuple) and bool in expected)
-        if not isinstance(value, expected) or (isinstance(value, bool) and not truth):
-            raise ValueError(f"'{name[:40]}' is {str(value)[:40]!r}")
-    if missing := [name for name in ("n", "time", "event", "step") if name not in record]:
-        raise ValueError(f"there is no '{missing[0]}'")
-    kind = record["event"]
-    if kind not in (*KINDS, VACANT, ERASED) or not math.isfinite(record["time"]):
-        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(sorted(KINDS))}")
-    needed = {"person": kind in (*BY_PEOPLE, VACANT), "task": kind == VACANT}
-    needed["action"] = kind == "acted" and "likelihoods" not in record and "missed" not in record
-    needed["distance"] = kind == "rearranged"
-    if missing := [name for name, so in needed.items() if so and name not in record]:
-        raise ValueError(f"there is no '{missing[0]}'")
+    def recorded(self, desk: Desk) -> Self | None:  # noqa: ARG002
+        """Return the event as it is recorded, after checking that it is possible; None if it changes nothing.
+
+        Raises
+        ------
+        InvalidError, AbsentError, InapplicableError
+            It is not possible now. Nothing has changed.
+        """
+        return self
+
+    def change(self, desk: Desk, time: float) -> Any:
+        """Change what the robot knows of the team, at this time in seconds; return what was taken back, if anything.
+
+        Raises
+        ------
+        ValueError
+            It is not possible. Nothing has changed.
+        """
+        raise NotImplementedError
+
+    def remains(self, person: str, label: str) -> TeamEvent:  # noqa: ARG002
+        """Return what remains of it when the records of a person are erased, for whom the label stands."""
+        return self
+
+    def entry(self) -> dict[str, Any]:
+        """Return what the operator's list shows of it beside its kind and person."""
+        return {}
+
+    @property
+    def concerned(self) -> str | None:
+        """The person whose state it may change."""
+        return None
+
+    @property
+    def can_be_taken_back(self) -> bool:
+        """Whether `take_back` undoes it."""
+        return False
+
+    def take_back(self, desk: Desk) -> Any:
+        """Undo the event, the last of its kind in the person's task; return what it was."""
+        raise NotImplementedError
+
+
+class Decided(TeamEvent):
+    """Nothing has happened, and the robots decide: the first event of a team without people."""
+
+    kind: Literal["decided"] = "decided"
+    is_shown: ClassVar[bool] = False
+
+    def change(self, desk: Desk, time: float) -> None:
+        """Change nothing."""
+
+
+class OfPerson(TeamEvent):
+    """An event of one person, of whom all of it is."""
+
+    person: Name
+    """The person, as `name_of` returns the name."""
+
+    by_operator: ClassVar[bool] = False
+    nothing: ClassVar[str | None] = None
+    """Key of the refusal if there is none of this kind to take back."""
+
+    def recorded(self, desk: Desk) -> Self | None:
+        """Check that the person is present."""
+        desk.require(self.person)
+        return self
+
+    def remains(self, person: str, label: str) -> TeamEvent:  # noqa: ARG002
+        """Return that something was erased."""
+        return Erased() if self.person == person else self
+
+    @property
+    def concerned(self) -> str | None:
+        """The person."""
+        return self.person
+
+
+class Joined(OfPerson):
+    """A person who joins the team, or rejoins it."""
+
+    kind: Literal["joined"] = "joined"
+    person: Annotated[Name, Field(examples=["ann"])]
+    """The person."""
+    task: str | None = Field(default=None, max_length=200)
+    """Their task; the first one unless named. Who returns is in the task that they left."""
+    belief: tuple[float, ...] | None = Field(default=None, json_schema_extra=INTERNAL)
+    """The belief about them from an earlier session, flattened; the prior unless given."""
+    population: str | None = Field(default=None, json_schema_extra=INTERNAL)
+    """The name of their prior, if it is not the team's."""
+
+    path: ClassVar[str | None] = "/api/team/people"
+    shows: ClassVar[Literal["person", "place", "robot"]] = "place"
+    by_operator: ClassVar[bool] = True
+
+    def recorded(self, desk: Desk) -> Self | None:
+        """Name the task of a person who joins for the first time."""
+        task = desk.task_of_newcomer(self.person, self.task)
+        return self.model_copy(update={"task": task, "belief": self.belief if task else None})
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Add the person."""
+        desk.joined(self.person, self.task, population=self.population, belief=self.belief)
+
+    def remains(self, person: str, label: str) -> TeamEvent:
+        """Keep the place of a person who came for the first time."""
+        if self.person == person and self.task is not None:
+            return Vacant(person=label, task=self.task)
+        return super().remains(person, label)
+
+
+class Left(OfPerson):
+    """A person who leaves the team, and may rejoin later."""
+
+    kind: Literal["left"] = "left"
+
+    path: ClassVar[str | None] = "/api/team/people/{person}"
+    ends_task: ClassVar[bool] = True
+    method: ClassVar[str] = "DELETE"
+    by_operator: ClassVar[bool] = True
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Remove the person."""
+        desk.left(self.person)
+
+
+class Began(OfPerson):
+    """A person who begins the next task, even if the present one is unfinished."""
+
+    kind: Literal["began"] = "began"
+    task: str | None = Field(default=None, max_length=200)
+    """The task; the same one again unless named."""
+    population: str | None = Field(default=None, json_schema_extra=INTERNAL)
+    """The name of the prior for this task, if it is another one."""
+
+    path: ClassVar[str | None] = "/api/people/{person}/begin"
+    ends_task: ClassVar[bool] = True
+
+    def recorded(self, desk: Desk) -> Self | None:
+        """Check that there is such a task."""
+        if self.task is not None:
+            desk.require_task(self.task)
+        return super().recorded(desk)
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Put the person at the beginning of the task."""
+        desk.began(self.person, self.task, population=self.population)
+
+
+class Acted(OfPerson):
+    """An action of a person, or what is known of it: one of `action`, `likelihoods` and `missed`."""
+
+    kind: Literal["acted"] = "acted"
+    action: Action | None = None
+    """The action, in PDDL notation."""
+    likelihoods: dict[Action, Number] | None = None
+    """Likelihood of what a sensor has seen under each action, 0 for others; only ratios matter."""
+    missed: Number | None = None
+    """Probability that an action was missed in this time step."""
+    followed: Truth | None = None
+    """Whether the suggestion was followed; null if unknown."""
+    seq: Seq | None = None
+    """`seq` of the view on which the person acted; later suggestions are taken as unseen."""
+    heard: bool = Field(default=True, json_schema_extra=INTERNAL)
+    """Whether the person had seen the open suggestion, if there is one."""
+
+    path: ClassVar[str | None] = "/api/people/{person}/actions"
+    nothing: ClassVar[str | None] = "nothing_done"
+
+    def recorded(self, desk: Desk) -> Self | None:
+        """Return the action in PDDL notation, with whether the suggestion was heard."""
+        super().recorded(desk)
+        heard = desk.has_heard(self.person, self.action, self.followed, self.seq)
+        seen = desk.seen_of(self.person, self.action, self.likelihoods, self.missed)
+        return self.model_copy(update={"seq": None, "heard": heard, "action": desk.in_pddl(self.action), **seen})
+
+    def change(self, desk: Desk, time: float) -> None:
+        """Update the state of the person's task and the belief in the person."""
+        desk.acted(
+            self.person, self.action, heard=self.heard, likelihoods=self.likelihoods, missed=self.missed, time=time
+        )
+
+    @property
+    def can_be_taken_back(self) -> bool:
+        """Whether it can: always."""
+        return True
+
+    def take_back(self, desk: Desk) -> str | None:
+        """Return to the state and belief before the action. The suggestion before it is open again."""
+        return desk.take_back_action(self.person)
+
+    def entry(self) -> dict[str, Any]:
+        """Return the action, the likeliest of several."""
+        likely = self.likelihoods or {}
+        return {"action": max(likely, key=likely.__getitem__) if likely else self.action, "followed": self.followed}
+
+
+class Undone(OfPerson):
+    """A person takes back what they did last, as if it had not been observed."""
+
+    kind: Literal["undone"] = "undone"
+    of: str = Field(default="acted", max_length=40)
+    """The kind of event that is taken back, the last of this kind in their task."""
+
+    path: ClassVar[str | None] = "/api/people/{person}/undo"
+
+    def change(self, desk: Desk, time: float) -> Any:  # noqa: ARG002
+        """Take back the last event of this kind."""
+        done = desk.known(self.person).done
+        place = next((place for place in reversed(range(len(done))) if done[place].kind == self.of), None)
+        if place is None:
+            kind = kinds(OfPerson).get(self.of)
+            if kind is not None and kind.nothing is not None:
+                raise InapplicableError(kind.nothing, person=self.person)
+            raise InapplicableError("other", why=f"{self.person} has done nothing of the kind {self.of[:40]!r}")
+        taken = done[place].take_back(desk)
+        del done[place]
+        return taken
+
+    def entry(self) -> dict[str, Any]:
+        """Return what was taken back."""
+        return {"of": self.of}
+
+
+class Answered(OfPerson):
+    """An answer to the robot's question."""
+
+    kind: Literal["answered"] = "answered"
+    answer: Annotated[Truth | Action | None, Expected("an action, True, False or None")] = None
+    """Whether the goal is theirs; the last action; null for no answer."""
+    seq: Seq | None = None
+    """`seq` of the view with the question; answers to earlier questions are refused."""
+
+    path: ClassVar[str | None] = "/api/people/{person}/answer"
+    nothing: ClassVar[str | None] = "no_answer"
+
+    def recorded(self, desk: Desk) -> Self | None:
+        """Check that the question is open, unless the answer is an action."""
+        super().recorded(desk)
+        if not isinstance(self.answer, str):
+            desk.require_asked(self.person, self.seq)
+        return self.model_copy(update={"seq": None})
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Update the belief in the person, or correct the last action."""
+        desk.answered(self.person, self.answer)
+
+    @property
+    def can_be_taken_back(self) -> bool:
+        """Whether it is about the goal."""
+        return isinstance(self.answer, bool)
+
+    def take_back(self, desk: Desk) -> bool:
+        """Return to the belief without the answer. An open suggestion, which may rest on it, is withdrawn."""
+        return desk.take_back_answer(self.person)
+
+    def entry(self) -> dict[str, Any]:
+        """Return the answer."""
+        return {"answer": self.answer}
+
+
+class Arrived(TeamEvent):
+    """The location of a robot."""
+
+    kind: Literal["arrived"] = "arrived"
+    person: Name | None = None
+    """The person at whom it is; null at its base."""
+    robot: Whole = 1
+    """Number of the robot."""
+
+    path: ClassVar[str | None] = "/api/robots/{robot}/arrived"
+    shows: ClassVar[Literal["person", "place", "robot"]] = "robot"
+
+    @property
+    def target(self) -> tuple[Any, ...]:
+        """The robot, too: robots that count their reports on their own use the same ids."""
+        return self.kind, self.robot
+
+    def recorded(self, desk: Desk) -> Self | None:
+        """Check that there is such a robot and person."""
+        if self.person is not None:
+            desk.require(self.person)
+        desk.require_robot(self.robot)
+        return self
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Put the robot there."""
+        desk.has_arrived(self.person, robot=self.robot)
+
+    def remains(self, person: str, label: str) -> TeamEvent:
+        """Keep where the robot was, without the name."""
+        return Arrived(person=label, robot=self.robot) if self.person == person else self
+
+
+class Elapsed(TeamEvent):
+    """Time that passes without an action; it is recorded only if the robots then do something new."""
+
+    kind: Literal["elapsed"] = "elapsed"
+    shows: ClassVar[Literal["person", "place", "robot"]] = "robot"
+    is_shown: ClassVar[bool] = False
+
+    def change(self, desk: Desk, time: float) -> None:
+        """Let the robots decide again."""
+
+
+class Paused(TeamEvent):
+    """The robots stop making suggestions, or resume them. People can act in the meantime."""
+
+    kind: Literal["paused"] = "paused"
+    paused: Truth = True
+    """Whether suggestions are paused."""
+
+    path: ClassVar[str | None] = "/api/team/pause"
+    concerns_all: ClassVar[bool] = True
+    shows: ClassVar[Literal["person", "place", "robot"]] = "robot"
+
+    def recorded(self, desk: Desk) -> Self | None:
+        """Return nothing if it is so already."""
+        return None if desk.paused == self.paused else self
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Pause or resume."""
+        desk.paused = self.paused
+
+    def entry(self) -> dict[str, Any]:
+        """Return whether suggestions were paused or resumed."""
+        return {} if self.paused else {"event": "resumed"}
+
+
+class Rearranged(TeamEvent):
+    """People's places are at other distances."""
+
+    kind: Literal["rearranged"] = "rearranged"
+    distance: Rows
+    """The distances between the places and the base, which is last."""
+
+    shows: ClassVar[Literal["person", "place", "robot"]] = "robot"
+
+    def recorded(self, desk: Desk) -> Self | None:
+        """Check the distances."""
+        try:
+            desk.other_travel(self.distance)
+        except (TypeError, ValueError) as error:
+            raise InvalidError("other", why=str(error)) from None
+        return self
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Use the distances from now on."""
+        desk.rearranged(self.distance)
+
+
+class Kept(TeamEvent):
+    """What is kept of an event whose person's records were erased."""
+
+    is_shown: ClassVar[bool] = False
+
+    def recorded(self, desk: Desk) -> Self | None:  # noqa: ARG002
+        """Refuse it: nobody reports it."""
+        raise InvalidError("other", why=f"{self.kind}: expected an event that can be reported")
+
+
+class Vacant(Kept):
+    """The place of a person whose records were erased: a label has it, so that the others keep theirs."""
+
+    kind: Literal["vacant"] = "vacant"
+    person: str
+    """The label."""
+    task: str
+    """The task of the person."""
+
+    def remains(self, person: str, label: str) -> TeamEvent:
+        """Keep the place under the label, also of a participant who withdrew before, whose code had it."""
+        return Vacant(person=label, task=self.task) if self.person == person else self
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Keep the place."""
+        desk.joined(self.person, self.task)
+        desk.left(self.person)
+
+
+class Erased(Kept):
+    """An event of a person whose records were erased."""
+
+    kind: Literal["erased"] = "erased"
+
+    def change(self, desk: Desk, time: float) -> None:
+        """Change nothing; the robots decided again then."""

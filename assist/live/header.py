@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from hashlib import sha256
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +23,16 @@ from ..people.choices import Choices
 from ..people.decision import perceived_cost
 from ..people.goals import Goals, first_of
 from ..people.human import Population
-from .assistant import Assistant
+from .desk import Desk
 from .live_task import digest
-
-FORMAT = "kitassist session 2"
-"""Format identifier of sessions."""
+from .record import TeamRecord
 
 
-def header_of(desk: Assistant, tasks: Mapping[str, CostToGo | Goals], distance: ArrayLike | None) -> dict[str, Any]:
+def header_of(desk: Desk, tasks: Mapping[str, CostToGo | Goals], distance: ArrayLike | None) -> dict[str, Any]:
     """Return the header of a session."""
     return {
-        "format": FORMAT,
+        "format": TeamRecord.format,
+        "version": metadata.version("kitassist"),
         "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
         "setting": plain(desk.setting),
         "population": plain(desk.population),
@@ -69,15 +69,26 @@ def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, An
     ResultsExistError
         The file belongs to another session; the message states the difference.
     """
+    formats = [str(one.get("format", "")) for one in (found, expected)]
+    if "format" in expected and formats[0] != formats[1] and _kind(formats[0]) == _kind(formats[1]):
+        raise ResultsExistError(
+            f"{file}: was recorded by kitassist {found.get('version', '1.0')}, and only that version reads it; "
+            "expected another folder"
+        )
     files = expected.get("files", {})
     for name, value in expected.items():
-        if name != "files" and found.get(name) != value:
+        if name not in ("files", "version") and found.get(name) != value:
             if name == "tasks" and isinstance(found.get(name), dict):
                 raise ResultsExistError(f"{file}: {_others(found, value, files)}")
             raise ResultsExistError(
                 f"{file}: the session there has {_shown(name, found.get(name), value)}; "
                 "expected the same, or another folder"
             )
+
+
+def _kind(format: str) -> str:
+    """Return a format identifier without its number."""
+    return format.rpartition(" ")[0]
 
 
 def _others(header: Mapping[str, Any], tasks: dict[str, str], files: dict[str, str | None]) -> str:

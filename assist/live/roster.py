@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from sys import intern
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -15,13 +16,13 @@ from ..person.beliefs import Ask, Hidden
 from ..person.joint_belief import JointBelief, is_certain
 from ..team.state import by_model
 from ..texts.refusals import AbsentError
-from .advice import Question
+from .advice import Question, Reason
 from .live_task import LiveTask
 
 V = TypeVar("V")
 
-Named = dict[str, Any]
-"""An action and a suggestion, in PDDL notation, and what was seen if the action is uncertain."""
+Said = tuple[str | None, str | None]
+"""An action and the suggestion before it, in PDDL notation."""
 
 
 class Step(NamedTuple):
@@ -39,10 +40,6 @@ class Step(NamedTuple):
     suggestion: str | None
     seen: Mapping[str, Any] | None = None
 
-    def named(self) -> Named:
-        """Return the action and the suggestion in PDDL notation, and what was seen if the action is uncertain."""
-        return {"action": self.action, "suggestion": self.suggestion, **(self.seen or {})}
-
 
 class Told(NamedTuple):
     """A person's answer to "is this your goal?", and the number of actions before it."""
@@ -57,7 +54,7 @@ Numbers = dict[str | None, int]
 
 
 class FinishedTasks:
-    """A person's finished tasks, with the actions and suggestions in each; an action takes eight bytes.
+    """The actions and suggestions in a person's finished tasks; an action takes eight bytes.
 
     Parameters
     ----------
@@ -67,38 +64,20 @@ class FinishedTasks:
 
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers
-        self._problems: list[LiveTask] = []
         self._ends, self._done = array("q"), array("i")  # action and suggestion of each step alternate
-        self._seen: dict[int, Mapping[str, Any]] = {}  # what was seen, by the position of the action
-        self._told: list[list[Told]] = []
 
-    def add(self, problem: LiveTask, steps: list[Step], told: list[Told]) -> None:
-        """Append a task that was finished or left, with its steps and the answers about its goal."""
+    def add(self, steps: list[Step]) -> None:
+        """Append a task that was finished or left, with its steps."""
         for step in steps:
-            if step.seen is not None:
-                self._seen[len(self._done)] = step.seen
             for name in step.action, step.suggestion:
                 self._done.append(self._numbers.setdefault(name, len(self._numbers)))
-        self._problems.append(problem)
         self._ends.append(len(self._done))
-        self._told.append(told)
 
-    def __iter__(self) -> Iterator[tuple[LiveTask, list[Named], list[Told]]]:
-        """Yield each task with its steps and the answers about its goal."""
+    def __iter__(self) -> Iterator[list[Said]]:
+        """Yield the steps of each task."""
         names, begin = list(self._numbers), 0
-        for problem, end, told in zip(self._problems, self._ends, self._told, strict=True):
-            yield (
-                problem,
-                [
-                    {
-                        "action": names[self._done[at]],
-                        "suggestion": names[self._done[at + 1]],
-                        **self._seen.get(at, {}),
-                    }
-                    for at in range(begin, end, 2)
-                ],
-                told,
-            )
+        for end in self._ends:
+            yield [(names[self._done[at]], names[self._done[at + 1]]) for at in range(begin, end, 2)]
             begin = end
 
 
@@ -106,10 +85,14 @@ class FinishedTasks:
 class RosterEntry:
     """A person's current task, the steps in it, and the belief about the person at its beginning.
 
-    `carried` is the belief with which the person joined, or None if it was the prior. `earlier` is the joint belief
-    before the last action. `told` holds the answers about the goal of this task, and `asked` the kinds of questions
-    since the last action. What every decision copies is kept by the team, by place: a copy of few objects is fast.
-    A record holds the row of the person.
+    `earlier` is the joint belief before the last action. `told` holds the answers about the goal of this task, and
+    `asked` the kinds of questions since the last action. `done` holds the events of this task that can be taken back.
+    `tasks` names all tasks, the present one last, and `times` has the time of each action in them, in seconds. `reason`
+    is that of the last suggestion, and `reasons` that of the suggestion at each action of this task. `history` has the
+    time and the cost-to-go after each event of this task, infinite in dead ends. `seq`, `suggested` and `asked_at` are
+    the numbers of the last event that changed the person's view, and of those of the last suggestion and question. What
+    every decision copies is kept by the team, by place: a copy of few objects is fast. A record
+    holds the row of the person.
     """
 
     name: str
@@ -118,10 +101,40 @@ class RosterEntry:
     before: Floats
     past: FinishedTasks
     steps: list[Step] = field(default_factory=list)
-    carried: Floats | None = None
     earlier: JointBelief | None = None
     told: list[Told] = field(default_factory=list)
     asked: set[str] = field(default_factory=set)
+    done: list[Any] = field(default_factory=list)
+    tasks: list[str] = field(default_factory=list)
+    times: array[float] = field(default_factory=lambda: array("d"))
+    reason: Reason | None = None
+    reasons: list[Reason | None] = field(default_factory=list)
+    history: list[tuple[float, float]] = field(default_factory=list)
+    seq: int = 0
+    suggested: int = 0
+    asked_at: int = 0
+
+    def did(self, step: Step, time: float) -> None:
+        """Append an action."""
+        self.steps.append(step)
+        self.times.append(time)
+        self.reasons.append(self.reason)
+        self.reason = None
+
+    def undo(self) -> Step:
+        """Remove the last action, and return it; the suggestion before it has its reason again."""
+        self.times.pop()
+        self.reason = self.reasons.pop()
+        return self.steps.pop()
+
+    def begin(self, problem: LiveTask, name: str) -> None:
+        """Begin a task."""
+        self.past.add(self.steps)
+        self.problem, self.steps, self.told, self.reason = problem, [], [], None
+        self.tasks.append(intern(name))
+        self.done.clear()
+        self.reasons.clear()
+        self.history.clear()
 
     @property
     def problem(self) -> LiveTask:
@@ -150,9 +163,16 @@ class RosterEntry:
     def question(self, question: Question | None) -> None:
         _set(self.team.questions, self.place, question)
 
-    def episodes(self) -> list[tuple[LiveTask, list[Named], list[Told]]]:
-        """Return all tasks of the person, with their steps and the answers about their goals."""
-        return [*self.past, (self.problem, [step.named() for step in self.steps], self.told)]
+    def log(self) -> Iterator[dict[str, Any]]:
+        """Yield all actions as `fit` reads them, with their tasks and times; what was perhaps missed has no row."""
+        times, now = iter(self.times), [(step.action, step.suggestion) for step in self.steps]
+        for number, (task, steps) in enumerate(zip(self.tasks, [*self.past, now], strict=True), start=1):
+            count = 0
+            for (action, suggestion), time in zip(steps, times, strict=False):
+                row = {"person": self.name, "episode": str(number), "step": count, "action": action}
+                if action is not None:
+                    yield row | {"suggestion": suggestion, "task": task, "time": time}
+                count += action is not None
 
     def close_questions(self) -> None:
         """Close the open question, because the person has acted."""
@@ -256,7 +276,7 @@ class Roster:
             raise AbsentError("other", why=f"{name!r} is not in the team; present: {there or 'nobody'}")
         return record
 
-    def add(self, name: str, problem: LiveTask, belief: ArrayLike | None = None) -> None:
+    def add(self, name: str, problem: LiveTask, task: str, belief: ArrayLike | None = None) -> None:
         """Add a new person at the first free place, with a belief or the prior. `grow` makes places."""
         row, pomdp = problem.row(problem.initial), problem.policy.pomdp
         prior, hidden = pomdp.prior, pomdp.hidden
@@ -267,7 +287,7 @@ class Roster:
             raise ValueError(f"{name}: a belief of shape {prior.shape}; expected {self.belief.shape[1:]}, as in others")
         before = prior if carried is None else hidden.with_goals(carried)
         record = RosterEntry(
-            name, len(self.records), self, before.copy(), FinishedTasks(self._actions), carried=carried
+            name, len(self.records), self, before.copy(), FinishedTasks(self._actions), tasks=[intern(task)]
         )  # fmt: skip
         self.records.append(record)
         self.problems.append(problem)
@@ -353,19 +373,6 @@ class Roster:
     def changes(self, place: int) -> int:
         """Return how often what is known of the person at a place has changed."""
         return int(self._change[place])
-
-    def log(self, *, missed: bool) -> list[Named]:
-        """Return all actions as `fit` reads them, of each person in order; perhaps with those that were missed."""
-        rows = []
-        for record in self.records:
-            for number, (_, steps, _) in enumerate(record.episodes(), start=1):
-                count = 0
-                for step in steps:
-                    if step["action"] is not None or missed:
-                        plain = {name: step[name] for name in ("action", "suggestion")}
-                        rows.append({"person": record.name, "episode": str(number), "step": count, **plain})
-                    count += step["action"] is not None
-        return rows
 
 
 def _distribution(name: str, belief: ArrayLike, shape: tuple[int, ...]) -> Floats:

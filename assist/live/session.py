@@ -1,9 +1,9 @@
 """A live session that is saved: events are applied, stored, and acknowledged.
 
-A `Session` is a `Course` with an `EventStore` and a lock, so that any thread may report events. An event is on the disk
-before it is acknowledged and before others see it. Events that arrive together are one transaction. An event that
-cannot be saved has no effect. A session that is opened again has the same states, beliefs (bit for bit), suggestions
-and answers.
+A `Session` is a `Team`, or another `History`, with an `EventStore` and a lock, so that any thread may report events. An
+event is on the disk before it is acknowledged and before others see it. Events that arrive together are one
+transaction. An event that cannot be saved has no effect. A session that is opened again has the same states, beliefs
+(bit for bit), suggestions and answers.
 
 Any exception while events are applied undoes the whole batch: the transaction ends without effect, and the state is
 restored from the store. Then the other events of the batch are applied again. So the state in memory is always the
@@ -18,10 +18,9 @@ import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,22 +34,23 @@ from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, InapplicableError, InvalidError, Refusal
 from .advice import Advice
-from .course import Course
-from .event_sourced import EventSourced, Outlook
-from .events import LONGEST_REASON, VACANT, Event, name_of
+from .events import Event, Joined, Vacant
 from .header import header_of, require_same
+from .history import History, Outlook
+from .names import LONGEST_REASON, name_of
 from .people_store import PeopleStore, model_of
+from .record import Record, TeamRecord
+from .reports import Reports
 from .store import EventStore, JournalError, Tombstone, utc
+from .team import Team
 
 T = TypeVar("T")
-
-"""Errors of an event that is not possible, which leave the session as it was. After any other it is restored."""
 
 Outcome = dict[str, Any] | Exception
 """Outcome of an event: the view of the client who reported it, or the exception because of which it has no effect."""
 
 
-class Session:
+class Session(Reports):
     """A saved live session of people at work, and of the robot that assists them.
 
     Parameters
@@ -58,8 +58,7 @@ class Session:
     tasks : CostToGo or Goals, or mapping of str to these
         Tasks by name; the first is the default.
     journal : Path
-        The file in which the session is saved, an SQLite database. If it exists, the session continues from it. The
-        ending `.jsonl` stands for `.sqlite`; events of a former journal with that ending are imported.
+        The file in which the session is saved, an SQLite database. If it exists, the session continues from it.
     policy : str or callable
         A team policy, as in `Assistant`.
     setting, population, distance
@@ -77,12 +76,14 @@ class Session:
     Raises
     ------
     ResultsExistError
-        The journal belongs to a running session, or to one with other tasks or settings.
+        The journal belongs to a running session, to one with other tasks or settings, or to another version.
     DamagedFileError
         Something else has changed the journal.
     OSError
         The journal cannot be written.
     """
+
+    kind: ClassVar[type[Record]] = TeamRecord
 
     def __init__(
         self,
@@ -103,7 +104,7 @@ class Session:
         self._clock, self._people, self._learned = clock, people, set[str]()
         self.changed: Callable[[set[str]], None] | None = None
         self.lock = threading.RLock()
-        self._store = EventStore(Path(journal))
+        self._store: EventStore[Any] = EventStore(Path(journal), self.kind)
         try:
             self._open()
         except BaseException:
@@ -112,12 +113,10 @@ class Session:
         self._began = clock() - self._last
 
     def _open(self) -> None:
-        """Restore the state, after the events of an old journal were imported; or begin a new session."""
+        """Restore the state, or begin a new session."""
         expected: dict[str, Any] = json.loads(json.dumps(self._header(), default=str))
         self._meaning = model_of(expected.get("population", {}), expected.get("setting", {}), expected.get("chances"))
         with self._store.transaction():
-            if self._store.old is not None:
-                self._store.import_old()
             found = self._store.header()
             if found is None:
                 self._store.begin(expected)
@@ -126,36 +125,35 @@ class Session:
                 self._check(found, expected | begun)
                 self._options |= begun  # events begin with these; those in force after the last one are to be the given
             self._resume()
-            if isinstance(self._restored, Course) and self._restored.distance != expected["distance"]:
+            if isinstance(self._restored, Team) and self._restored.distance != expected["distance"]:
                 self._check({"distance": self._restored.distance}, {"distance": expected["distance"]})
-        self._store.imported()
 
     def _header(self) -> dict[str, Any]:
-        return header_of(Course(self._tasks, **self._options).desk, self._tasks, self._options["distance"])
+        return header_of(Team(self._tasks, **self._options).desk, self._tasks, self._options["distance"])
 
     def _check(self, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-        require_same(self._store.old or self._store.file, found, expected)
+        require_same(self._store.file, found, expected)
 
-    def _course_anew(self) -> EventSourced:
+    def _anew(self) -> History[Any]:
         """Return the state before the first event."""
-        return Course(self._tasks, **self._options)
+        return Team(self._tasks, **self._options)
 
     def _resume(self) -> None:
         """Restore the state by applying all events of the store."""
-        course, last = self._course_anew(), 0.0
+        history, last = self._anew(), 0.0
         for record in self._store:
-            number = course.count + 1
+            number = history.count + 1
             try:
-                if record.get("n") != number:
-                    raise ValueError(f"event {record.get('n')}; expected {number}")
-                course.again(record)
-                last = record["time"]
+                if record.n != number:
+                    raise ValueError(f"event {record.n}; expected {number}")
+                history.again(record)
+                last = record.time
             except (KeyError, TypeError, AttributeError, ValueError) as error:
                 raise self._store.damaged(number, error) from error
-        self._restored, self._last, self._unsaved = course, last, False
+        self._restored, self._last, self._unsaved = history, last, False
 
     @property
-    def _course(self) -> EventSourced:
+    def history(self) -> History[Any]:
         """The state after all saved events. Callers must hold the lock."""
         if self._unsaved:  # a batch was interrupted
             self._resume()
@@ -174,30 +172,29 @@ class Session:
 
     # What is learned about people.
 
-    def _carried(self, course: EventSourced, event: Event) -> Event:
+    def _carried(self, history: History[Any], event: Joined) -> Joined:
         """Return the event by which a person joins, with the belief of an earlier session if there is one."""
-        person = event.person or ""
-        if self._people is None or not isinstance(course, Course) or course.knows(person):
+        if self._people is None or not isinstance(history, Team) or history.desk.has_met(event.person):
             return event
         try:
-            belief = self._people.belief(person, self._meaning)
+            belief = self._people.belief(event.person, self._meaning)
         except (JournalError, DamagedFileError) as error:
             logging.getLogger(__name__).warning("a person joins without what was learned before: %s", error)
             return event
-        return event if belief is None else replace(event, belief=tuple(belief.ravel().tolist()))
+        return event if belief is None else event.model_copy(update={"belief": tuple(belief.ravel().tolist())})
 
     def _keep(self) -> None:
         """Save the beliefs in people from whose actions something was learned.
 
         Failures are only logged: the events are on the disk, and are to be acknowledged.
         """
-        course, learned = self._restored, self._learned
+        team, learned = self._restored, self._learned
         self._learned = set()
-        if self._people is None or not isinstance(course, Course):
+        if self._people is None or not isinstance(team, Team):
             return
         for person in sorted(learned):
             try:
-                belief = course.learned(person) if course.knows(person) else None
+                belief = team.learned(person)
                 if belief is not None:
                     self._people.save(person, self._meaning, belief)
             except Exception as error:  # noqa: BLE001
@@ -205,15 +202,28 @@ class Session:
 
     # Events.
 
-    def report(self, events: Sequence[Event]) -> list[Outcome]:
+    def report(self, event: Event) -> dict[str, Any]:
+        """Apply an event, wait until it is on the disk, and return the view of the person or robot concerned.
+
+        Raises
+        ------
+        Exception
+            Any of `report_all`.
+        """
+        outcome = self.report_all([event])[0]
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    def report_all(self, events: Sequence[Event]) -> list[Outcome]:
         """Apply events one after the other, wait until they are on the disk, and return their outcomes.
 
         Returns
         -------
         list
-            For each event the view of its person after it (`person`; `robot` for an event without a person), or the
-            exception because of which it has no effect: an `InvalidError`, `AbsentError`, `InapplicableError`, another
-            ValueError, a `LimitError`, a `JournalError` if the disk is full, or any other exception of the program.
+            For each event the view of its person after it, or that of the robot, or the exception because of which it
+            has no effect: an `InvalidError`, `AbsentError`, `InapplicableError`, another ValueError, a `LimitError`, a
+            `JournalError` if the disk is full, or any other exception of the program.
         """
         failed: dict[int, Exception] = {}
         with self.lock:
@@ -224,13 +234,13 @@ class Session:
 
     def _attempt(self, events: Sequence[Event], failed: dict[int, Exception]) -> list[Outcome] | None:
         """Apply and save all events but those that failed before; return None if another one fails."""
-        course, outcomes, touched, number = self._course, list[Outcome](), set[str](), -1
+        history, outcomes, touched, number = self.history, list[Outcome](), set[str](), -1
         try:
             self._store.check()
             self._unsaved = True
             with self._store.transaction():
                 for number, event in enumerate(events):
-                    outcomes.append(failed.get(number) or self._outcome(course, event, touched))
+                    outcomes.append(failed.get(number) or self._outcome(history, event, touched))
                 number = -1
         except Exception as error:
             known = isinstance(error, JournalError)
@@ -251,38 +261,37 @@ class Session:
         self._keep()
         return outcomes
 
-    def _outcome(self, course: EventSourced, event: Event, touched: set[str]) -> Outcome:
+    def _outcome(self, history: History[Any], event: Event, touched: set[str]) -> Outcome:
         """Apply an event within the transaction, and return its outcome."""
         try:
             known = self._known(event)
-            if known is None and event.kind == "joined":
-                event = self._carried(course, event)
-            record = None if known is not None else course.happen(event, self.now())
+            if known is None and isinstance(event, Joined):
+                event = self._carried(history, event)
+            record = None if known is not None else history.happen(event, self.now())
         except Refusal as error:
             return error
         if known is not None:
             return known
-        arrival = event.person is None or event.kind == "arrived"
-        answer = course.robot(event.robot) if arrival else course.person(event.person or "")
+        of_robot = event.shows == "robot" or event.who is None
+        answer = history.robot(getattr(event, "robot", 1)) if of_robot else history.person(event.who or "")
         if record is None:
             return answer
         self._store.add(record, answer, at=utc())
-        touched |= course.touched(record)
-        if event.kind in ("left", "began") or answer.get("finished"):
-            self._learned.add(event.person or "")
+        touched |= history.touched(record)
+        if event.ends_task or answer.get("finished"):
+            self._learned.add(event.who or "")
         return answer
 
     def _known(self, event: Event) -> Outcome | None:
-        """Return the stored answer if an event with this person, id and robot was applied before, else None."""
+        """Return the stored answer if this event was applied before under its id, else None."""
         try:
-            found = self._store.answer(event.person, event.id) if event.id else None
+            found = self._store.answer(event.who, event.id) if event.id else None
         except UnicodeEncodeError:
             return InvalidError("other", why=f"the id {event.id!r} is no text; expected letters, digits and signs")
         if found is None:
             return None
         record, answer = found
-        # Robots that count their reports on their own use the same ids.
-        if (record["event"], record.get("robot", 1)) != (event.kind, event.robot):
+        if record.event.target != event.target:
             return InapplicableError("other", why=f"the id {event.id!r} belongs to another event; expected a new id")
         return answer
 
@@ -316,9 +325,9 @@ class Session:
             raise InvalidError("other", why=why)
         with self.lock:
             try:
-                leaves = self._course.farewell(person)
+                leaves = self.history.farewell(person)
                 if leaves is not None:
-                    self._one(leaves)
+                    self.report(leaves)
             except AbsentError:
                 if self._people is None or not self._people.erase(person):
                     raise
@@ -331,7 +340,7 @@ class Session:
 
     def _remove(self, person: str, label: str, reason: str) -> Tombstone:
         """Remove what is recorded of a person who has left, and check that the others' beliefs stay as they are."""
-        before = self._course
+        before = self.history
         believed = before.beliefs()
         self._unsaved = True
         with self._store.transaction():
@@ -346,79 +355,10 @@ class Session:
             self.changed({person})
         return stone
 
-    @property
-    def was_imported(self) -> bool:
-        """Whether the session was begun in the format of earlier versions, JSON Lines."""
-        return self._store.was_imported
-
     def tombstones(self) -> list[Tombstone]:
         """Return what remains of the people whose records were erased."""
         with self.lock:
             return self._store.tombstones()
-
-    def _one(self, event: Event) -> dict[str, Any]:
-        outcome = self.report([event])[0]
-        if isinstance(outcome, Exception):
-            raise outcome
-        return outcome
-
-    def join(self, person: str, task: str | None = None, *, id: str | None = None) -> dict[str, Any]:
-        """Add a person, or let one return to their task; return their view, as all following methods do."""
-        return self._one(Event("joined", person, task=task, id=id))
-
-    def leave(self, person: str, *, id: str | None = None) -> dict[str, Any]:
-        """Remove a person from the team."""
-        return self._one(Event("left", person, id=id))
-
-    def begin(self, person: str, task: str | None = None, *, id: str | None = None) -> dict[str, Any]:
-        """Let a person begin the next task: the named one, or the same task again."""
-        return self._one(Event("began", person, task=task, id=id))
-
-    def observe(
-        self,
-        person: str,
-        action: str | None = None,
-        *,
-        likelihoods: Mapping[str, float] | None = None,
-        missed: float | None = None,
-        id: str | None = None,
-        followed: bool | None = None,
-        seen: int | None = None,
-    ) -> dict[str, Any]:
-        """Record a person's action, or what is known of it; arguments as in `Event`."""
-        uncertain: dict[str, Any] = {"likelihoods": likelihoods, "missed": missed}
-        return self._one(Event("acted", person, action, followed, seen, id=id, **uncertain))
-
-    def answer(
-        self, person: str, answer: str | bool | None, *, id: str | None = None, seen: int | None = None
-    ) -> dict[str, Any]:
-        """Record a person's answer to a question of the robot, as `Assistant.answer` does."""
-        return self._one(Event("answered", person, answer=answer, seen=seen, id=id))
-
-    def retract(self, person: str, *, id: str | None = None) -> dict[str, Any]:
-        """Take back a person's last answer about the goal of their task."""
-        return self._one(Event("retracted", person, id=id))
-
-    def undo(self, person: str, *, id: str | None = None) -> dict[str, Any]:
-        """Take back a person's last action, as if it had not been observed."""
-        return self._one(Event("undone", person, id=id))
-
-    def arrived(self, person: str | None = None, *, robot: int = 1, id: str | None = None) -> dict[str, Any]:
-        """Record where a robot is, at a person or at its base; return where it is to go next."""
-        return self._one(Event("arrived", person, id=id, robot=robot))
-
-    def elapse(self) -> dict[str, Any]:
-        """Record that time has passed without an action; return where the robot is to go."""
-        return self._one(Event("elapsed"))
-
-    def rearrange(self, distance: ArrayLike) -> dict[str, Any]:
-        """Record that distances have changed, as by `Assistant.rearrange`; return where the robot is to go."""
-        rows = np.asarray(distance, dtype=float).tolist()
-        return self._one(Event("rearranged", distance=tuple(map(tuple, rows))))
-
-    def pause(self, paused: bool = True) -> dict[str, Any]:
-        """Stop the robot's suggestions, or resume them; people can still act."""
-        return self._one(Event("paused" if paused else "resumed"))
 
     def now(self) -> float:
         """Return the seconds since the session began, without those in which it did not run."""
@@ -430,13 +370,13 @@ class Session:
     def people(self) -> tuple[str, ...]:
         """The people who are present, in the order of their first arrival."""
         with self.lock:
-            return self._course.people
+            return self.history.people
 
     def recommend(self, robot: int = 1) -> Advice:
         """Return the decision after the last event: to whom a robot goes, what it suggests, and why."""
         with self.lock:
-            self._course.robot(robot)  # raises an error for a robot that there is not
-            return self._course.advices[robot - 1]
+            self.history.robot(robot)  # raises an error for a robot that there is not
+            return self.history.advices[robot - 1]
 
     def person(self, person: str) -> dict[str, Any]:
         """Return a person's view, as the service sends it.
@@ -446,7 +386,7 @@ class Session:
         AbsentError
             The person is not present.
         """
-        return self._of(person, lambda course: course.person(person))
+        return self._of(person, lambda history: history.person(person))
 
     def entry(self, person: str) -> dict[str, Any]:
         """Return the operator's view of a person, including beliefs.
@@ -456,20 +396,18 @@ class Session:
         AbsentError
             The person is not present.
         """
-        return self._of(person, lambda course: course.entry(person))
+        return self._of(person, lambda history: history.entry(person))
 
     def outlook(self) -> Outlook:
         """Return the team's part of the operator's view: the robots, the last events, and whether it is paused."""
         with self.lock:
-            course = self._course
-            robots = tuple(course.robot(number) for number in range(1, 1 + len(course.advices)))
-            return Outlook(course.count, course.paused, list(course.recent), course.fault, robots)
+            return self.history.outlook()
 
     def began_with(self) -> list[str | None]:
         """Return the people who joined before anything else happened; None for those whose records were erased."""
         with self.lock:
-            first = takewhile(lambda record: record["event"] in ("joined", VACANT), self._store)
-            return [record["person"] if record["event"] == "joined" else None for record in first]
+            first = takewhile(lambda record: isinstance(record.event, Joined | Vacant), self._store)
+            return [record.event.person if isinstance(record.event, Joined) else None for record in first]
 
     def fault(self) -> str | None:
         """Return why events cannot be saved now, as far as it is known; None if they can."""
@@ -479,7 +417,7 @@ class Session:
     def distance(self) -> list[list[float]] | None:
         """The distances in force; None if all are 1."""
         with self.lock:
-            return self._course.distance if isinstance(self._course, Course) else None
+            return self.history.distance if isinstance(self.history, Team) else None
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -495,22 +433,22 @@ class Session:
             There is no such task.
         """
         with self.lock:
-            return self._course.log(task)
+            return self.history.log(task)
 
     def place(self, person: str) -> tuple[CostToGo | Goals, int]:
         """Return a person's task, and the number of its present state."""
-        return self._of(person, lambda course: course.place(person))
+        return self._of(person, lambda history: history.place(person))
 
-    def _of(self, person: str, view: Callable[[EventSourced], T]) -> T:
+    def _of(self, person: str, view: Callable[[History[Any]], T]) -> T:
         """Return a view of a person who is present."""
         with self.lock:
-            self._course.require(person)
-            return view(self._course)
+            self.history.require(person)
+            return view(self.history)
 
     def beliefs(self) -> dict[str, bytes]:
         """Return the belief about each present person, as the bytes of its array."""
         with self.lock:
-            return self._course.beliefs()
+            return self.history.beliefs()
 
 
 def _same(before: bytes, after: bytes) -> bool:

@@ -21,11 +21,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from planner.system.errors import DamagedFileError, ResultsExistError
 
-from . import old_journal
+from .record import Record
+
+R = TypeVar("R", bound=Record)
 
 OWNER_ONLY = stat.S_IRUSR | stat.S_IWUSR
 
@@ -40,7 +42,7 @@ CREATE TABLE IF NOT EXISTS erased (
     label TEXT PRIMARY KEY, at TEXT NOT NULL, reason TEXT NOT NULL, events INTEGER NOT NULL, purged INTEGER NOT NULL
 );
 """
-"""The tables; `person` is empty for events without a person, `at` is empty for imported and for erased events."""
+"""The tables; `person` is empty for events without a person, `at` is empty for erased events."""
 
 
 class JournalError(OSError):
@@ -67,22 +69,15 @@ class Tombstone(NamedTuple):
     events: int
 
 
-Change = Callable[[dict[str, Any], Any], tuple[dict[str, Any], Any]]
-"""Returns a record and its answer as they are to be stored, without what is to be erased."""
-
-
-class EventStore:
+class EventStore(Generic[R]):
     """The database of a session.
 
     Parameters
     ----------
     file : Path
-        Created, with its folder, if it does not exist. The ending `.jsonl` stands for `.sqlite`.
-
-    Attributes
-    ----------
-    old : Path or None
-        A journal of the former format, from which a new database takes its events (`import_old`).
+        Created, with its folder, if it does not exist.
+    kind : type
+        The class of the records.
 
     Raises
     ------
@@ -94,8 +89,8 @@ class EventStore:
         It cannot be written.
     """
 
-    def __init__(self, file: Path) -> None:
-        self.file = database(file)
+    def __init__(self, file: Path, kind: type[R]) -> None:
+        self.file, self._kind = file, kind
         self.file.parent.mkdir(parents=True, exist_ok=True)
         self._lock = os.open(self.file.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY)
         self._db: sqlite3.Connection = None  # type: ignore[assignment]  # until it is connected
@@ -106,8 +101,6 @@ class EventStore:
             with suppress(PermissionError):  # the file is another user's, who shares it
                 self.file.chmod(OWNER_ONLY)  # SQLite gives its log the same permissions
             self._db = self._connected()
-            former = self.file.with_suffix(".jsonl")
-            self.old = former if former.exists() and self.header() is None else None
             try:
                 self.purge()
             except JournalError as error:
@@ -156,13 +149,19 @@ class EventStore:
         """Return the header of the session; None in a new database."""
         return _header(self._db, self.file)
 
-    def __iter__(self) -> Iterator[dict[str, Any]]:
+    def __iter__(self) -> Iterator[R]:
         """Yield the record of each event in order, without answers."""
         with self._sqlite_errors():
-            for n, record in self._db.execute("SELECT n, record FROM events ORDER BY n"):
-                yield _document(record, self.file, n)
+            for n, text in self._db.execute("SELECT n, record FROM events ORDER BY n"):
+                yield self._record(text, n)
 
-    def answer(self, person: str | None, id: str) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    def _record(self, text: str, n: int) -> R:
+        try:
+            return self._kind.of(text)
+        except (TypeError, ValueError) as error:
+            raise self.damaged(n, error) from error
+
+    def answer(self, person: str | None, id: str) -> tuple[R, dict[str, Any]] | None:
         """Return the record of the event of this person and id, and its answer; None if there is none."""
         with self._sqlite_errors():
             row = self._db.execute(
@@ -171,7 +170,7 @@ class EventStore:
         if row is None:
             return None
         n, record, answer = row
-        return _document(record, self.file, n), _document(answer, self.file, n)
+        return self._record(record, n), _document(answer, self.file, n)
 
     def next_label(self) -> str:
         """Return a label for the next person whose records are erased."""
@@ -220,10 +219,10 @@ class EventStore:
         with self._sqlite_errors():
             self._db.execute("INSERT INTO header VALUES (?)", (_text(header),))
 
-    def add(self, record: Mapping[str, Any], answer: Any = None, *, at: str | None = None) -> None:
-        """Add an event within a transaction; `answer` is stored if the record has an id."""
-        person, id = record.get("person") or "", record.get("id")
-        row = record["n"], at, person, id, _text(record), None if id is None else _text(answer)
+    def add(self, record: R, answer: Any, *, at: str) -> None:
+        """Add an event within a transaction; `answer` is stored if the event has an id."""
+        person, id = record.event.who or "", record.event.id
+        row = record.n, at, person, id, record.text(), None if id is None else _text(answer)
         with self._sqlite_errors():
             self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?)", row)
 
@@ -249,57 +248,13 @@ class EventStore:
         writable = os.access(self.file, os.W_OK) and os.access(self.file.parent, os.W_OK)
         return None if writable else f"{self.file.name} cannot be written"
 
-    def import_old(self) -> None:
-        """Add the header and all events of the old journal, within a transaction.
-
-        Raises
-        ------
-        DamagedFileError
-            A line is no event. Its number is in the message.
-        """
-        assert self.old is not None
-        for number, record in enumerate(old_journal.lines(self.old), start=1):
-            if number == 1:
-                self.begin(record)
-                continue
-            try:
-                if record.get("n") != number - 1:
-                    raise ValueError(f"event {record.get('n')}; expected {number - 1}")
-                if wrong := [name for name in ("person", "id") if not isinstance(record.get(name), str | None)]:
-                    raise ValueError(f"{wrong[0]!r} is {str(record[wrong[0]])[:40]!r}")
-                if ("id" in record) != ("answer" in record):
-                    raise ValueError("expected an answer if there is an id, and none otherwise")
-                if "id" in record and self.answer(record.get("person"), record["id"]) is not None:
-                    raise ValueError("the id belongs to another event")
-                answer = record.pop("answer", None)
-                self.add(record, answer)
-            except (KeyError, ValueError) as error:
-                raise self.damaged(number - 1, error) from error
-
-    def imported(self) -> None:
-        """Put the old journal aside: all its events are in the database."""
-        if self.old is not None:
-            self.old.rename(self._aside)
-            self.old = None
-
-    @property
-    def was_imported(self) -> bool:
-        """Whether the session was begun in the former format, a `journal.jsonl`."""
-        return self._aside.exists()
-
-    @property
-    def _aside(self) -> Path:
-        return self.file.with_name(f"{self.file.stem}-imported.jsonl")
-
     def damaged(self, n: int, error: object) -> DamagedFileError:
         """Return the error for the stored event number `n`, which cannot be applied."""
-        if self.old is not None:
-            return DamagedFileError(self.old, n + 1, f"cannot have happened: {error}")
         return DamagedFileError(self.file, None, f"event {n} cannot have happened: {error}")
 
     # Erasing.
 
-    def rewrite(self, person: str, label: str, reason: str, change: Change) -> Tombstone:
+    def rewrite(self, person: str, label: str, reason: str, change: Callable[[R, Any], tuple[R, Any]]) -> Tombstone:
         """Apply a change to all events within a transaction, and add the tombstone of a person."""
         count = 0
         with self._sqlite_errors():
@@ -307,18 +262,18 @@ class EventStore:
                 "SELECT n, person, record, answer FROM events ORDER BY n"
             ).fetchall():
                 own = owner == person
-                before = _document(record, self.file, n), None if answer is None else json.loads(answer)
+                before = self._record(record, n), None if answer is None else json.loads(answer)
                 after, answered = change(*before)
                 count += own
                 if own:
-                    row = after.get("person") or "", after.get("id"), None if answered is None else _text(answered)
+                    row = after.event.who or "", after.event.id, None if answered is None else _text(answered)
                     self._db.execute(
                         "UPDATE events SET at = NULL, person = ?, id = ?, answer = ?, record = ? WHERE n = ?",
-                        (*row, _text(after), n),
+                        (*row, after.text(), n),
                     )
                 elif (after, answered) != before:
                     kept = None if answer is None else _text(answered)
-                    self._db.execute("UPDATE events SET record = ?, answer = ? WHERE n = ?", (_text(after), kept, n))
+                    self._db.execute("UPDATE events SET record = ?, answer = ? WHERE n = ?", (after.text(), kept, n))
             stone = Tombstone(label, utc(), reason, count)
             self._db.execute("DELETE FROM erased WHERE label = ?", (person,))  # who withdrew and is erased later
             self._db.execute("INSERT INTO erased VALUES (?, ?, ?, ?, 0)", stone)
@@ -338,8 +293,6 @@ class EventStore:
             self._db.execute("VACUUM")
             if self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]:
                 raise sqlite3.OperationalError("another program reads it")
-            with suppress(FileNotFoundError):
-                self._aside.unlink()
             self._db.execute("UPDATE erased SET purged = 1")
         except (sqlite3.Error, OSError) as error:
             left = f"the records are erased, but traces may remain until the session is opened again ({error})"
@@ -355,11 +308,6 @@ class EventStore:
             os.close(lock)
 
 
-def database(file: Path) -> Path:
-    """Return the database's file for the file that a user named; journals of the former format end in `.jsonl`."""
-    return file.with_suffix(".sqlite") if file.suffix == ".jsonl" else file
-
-
 def stored(file: Path) -> tuple[dict[str, Any], list[tuple[str | None, dict[str, Any]]]]:
     """Return the header of a session, and the time in UTC and the record of each event. The session may be running.
 
@@ -370,16 +318,10 @@ def stored(file: Path) -> tuple[dict[str, Any], list[tuple[str | None, dict[str,
     OSError
         There is no such file.
     """
-    file = database(file)
-    former = file.with_suffix(".jsonl")
-    if not (former.exists() and not file.exists()):
-        header, records = _stored(file)
-        if header is not None:
-            return header, records
-        if not former.exists():
-            raise DamagedFileError(file, None, "is not the journal of a session")
-    found, *old = list(old_journal.lines(former)) or [{}]
-    return found, [(None, record) for record in old]
+    header, records = _stored(file)
+    if header is None:
+        raise DamagedFileError(file, None, "is not the journal of a session")
+    return header, records
 
 
 def _stored(file: Path) -> tuple[dict[str, Any] | None, list[tuple[str | None, dict[str, Any]]]]:

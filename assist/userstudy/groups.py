@@ -105,8 +105,3 @@ class Groups:
         del self.begun[name].teams[period]
         if not self.begun[name].teams:
             del self.begun[name]
-
-
-def period_field(period: int) -> dict[str, int]:
-    """Return the field of a record of a group that names the period, none for the first."""
-    return {"period": period} if period > 1 else {}

@@ -14,12 +14,28 @@ from typing import Any
 
 from planner import CostToGo
 
-from ..live.course import Course
-from ..live.events import Event
+from ..live.events import Acted, Began, Elapsed, Joined, Left, Recorded, TeamEvent
+from ..live.record import TeamRecord
 from ..live.simulated_person import SimulatedPerson
+from ..live.team import Team
 
-Sub = dict[str, Any]
-"""An event within the team, as a record."""
+Subs = tuple[TeamRecord, ...]
+"""Events within a team."""
+
+
+class Seen(Recorded):
+    """What a participant saw when they acted, and what came of it."""
+
+    suggestion: str | None = None
+    """The suggestion that they saw."""
+    cost_before: float | None = None
+    """Cost-to-go before the action; none in a dead end."""
+    cost_after: float | None = None
+    """Cost-to-go after the action; none in a dead end."""
+    finished: bool
+    """Whether the goal was reached."""
+    optimal: bool
+    """Whether the action was an optimal choice."""
 
 
 class ParticipantTeam:
@@ -30,8 +46,8 @@ class ParticipantTeam:
     name : str
         Of the only participant, or of the group.
     tasks : mapping of str to CostToGo
-    course : callable
-        Returns a new course of the team, without events.
+    team : callable
+        Returns the team without events.
     mates : callable
         Returns the simulated people in their initial states.
     again : bool
@@ -42,121 +58,123 @@ class ParticipantTeam:
         self,
         name: str,
         tasks: Mapping[str, CostToGo],
-        course: Callable[[], Course],
+        team: Callable[[], Team],
         mates: Callable[[], Sequence[SimulatedPerson]],
         *,
         again: bool,
     ) -> None:
         self.name, self._tasks, self._again = name, tasks, again
-        self._course_anew, self._mates_anew = course, mates
-        self._past: list[Sub] = []
+        self._team_anew, self._mates_anew = team, mates
+        self._past: list[TeamRecord] = []
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self.course = self._course_anew()
+        self.team = self._team_anew()
         self._task: dict[str, str] = {}
         self._mates = {f"{self.name}-{number}": mate for number, mate in enumerate(self._mates_anew(), start=1)}
 
     # Events.
 
-    def begin(self, person: str, task: str, n: int, time: float) -> list[Sub]:
+    def begin(self, person: str, task: str, n: int, time: float) -> Subs:
         """Start a task for a participant and the simulated people; return the records."""
-        kind = "began" if person in self._task else "joined"
-        events = [Event(kind, name, task=task) for name in (person, *self._mates)]
+        kind = Began if person in self._task else Joined
+        events = [kind(person=name, task=task) for name in (person, *self._mates)]
         return self._all([*self._rejoins(person), *events], n, time)
 
-    def rejoin(self, person: str, n: int, time: float) -> list[Sub]:
+    def rejoin(self, person: str, n: int, time: float) -> Subs:
         """Let a participant return to their task; return the records, none if they are present."""
         return self._all(self._rejoins(person), n, time)
 
-    def leave(self, person: str, n: int, time: float) -> list[Sub]:
+    def leave(self, person: str, n: int, time: float) -> Subs:
         """Remove a participant, whom the robot then leaves alone; return the records, none if they have left."""
-        return self._all([Event("left", person)] if person in self.course.present else [], n, time)
+        return self._all([Left(person=person)] if self.team.desk.is_present(person) else [], n, time)
 
-    def _rejoins(self, person: str) -> list[Event]:
-        away = person in self._task and person not in self.course.present
-        return [Event("joined", person)] if away else []
+    def _rejoins(self, person: str) -> list[TeamEvent]:
+        away = person in self._task and not self.team.desk.is_present(person)
+        return [Joined(person=person)] if away else []
 
-    def act(self, event: Event, n: int, time: float) -> dict[str, Any]:
+    def act(
+        self, person: str, action: str, followed: bool | None, seq: int | None, n: int, time: float
+    ) -> tuple[Subs, Seen]:
         """Record the participant's action, then one action of each simulated person.
 
-        Return the records (`team`) and what the participant saw (`seen`).
+        Return the records, and what the participant saw.
         """
-        person = event.person or ""
-        before = self.course.person(person)
-        subs = self._all([*self._rejoins(person), event], n, time, mates=True)
-        after = self.course.person(person)
-        seen = {
-            "suggestion": None if own_action(subs, person).get("unheard") else before["suggestion"],
-            "cost_before": before["cost_to_go"], "cost_after": after["cost_to_go"], "finished": after["finished"],
-            "optimal": not self.course.desk.erred(person),
-        }  # fmt: skip
-        return {"team": subs, "seen": seen}
+        before = self.team.person(person)
+        own = Acted(person=person, action=action, followed=followed, seq=seq)
+        subs = self._all([*self._rejoins(person), own], n, time, mates=True)
+        after = self.team.person(person)
+        seen = Seen(
+            suggestion=before["suggestion"] if own_action(subs, person).heard else None,
+            cost_before=before["cost_to_go"], cost_after=after["cost_to_go"], finished=after["finished"],
+            optimal=not self.team.desk.erred(person),
+        )  # fmt: skip
+        return subs, seen
 
-    def elapse(self, n: int, time: float) -> list[Sub]:
+    def elapse(self, n: int, time: float) -> Subs:
         """Let the robot decide again as time has passed; return the records, none if it does nothing new."""
-        return self._all([Event("elapsed")], n, time)
+        return self._all([Elapsed()], n, time)
 
-    def _all(self, events: Sequence[Event], n: int, time: float, *, mates: bool = False) -> list[Sub]:
+    def _all(self, events: Sequence[TeamEvent], n: int, time: float, *, mates: bool = False) -> Subs:
         """Apply events, all of them or none."""
-        subs: list[Sub] = []
+        subs: list[TeamRecord] = []
         try:
             for event in events:
                 subs += self._one(event, n, time)
             for name, mate in self._mates.items() if mates else ():
                 action = self._chosen(name, mate)
                 if action is not None:
-                    subs += self._one(Event("acted", name, action), n, time)
+                    subs += self._one(Acted(person=name, action=action), n, time)
                 elif self._again:
-                    subs += self._one(Event("began", name), n, time)
+                    subs += self._one(Began(person=name), n, time)
         except Exception:
             past, self._past = self._past, []
             self._begin_anew()
             self.again(past)
             raise
         self._keep(subs)
-        return subs
+        return tuple(subs)
 
-    def _one(self, event: Event, n: int, time: float) -> list[Sub]:
-        self.course.count = n - 1
-        record = self.course.happen(event, time)
+    def _one(self, event: TeamEvent, n: int, time: float) -> list[TeamRecord]:
+        self.team.count = n - 1
+        record = self.team.happen(event, time)
         return [] if record is None else [record]
 
     def _chosen(self, name: str, mate: SimulatedPerson) -> str | None:
-        seen = self.course.person(name)
+        seen = self.team.person(name)
         if seen["finished"]:
             return None
-        task, state = self._tasks[seen["task"]], self.course.place(name)[1]
+        task, state = self._tasks[seen["task"]], self.team.place(name)[1]
         return mate.act(task, state, seen["applicable"], seen["suggestion"])
 
-    def again(self, subs: Sequence[Sub]) -> None:
+    def again(self, subs: Sequence[TeamRecord]) -> None:
         """Replay recorded events."""
         for sub in subs:
-            if sub["event"] == "acted" and sub["person"] in self._mates:
-                self._chosen(
-                    sub["person"], self._mates[sub["person"]]
-                )  # advances the simulated person's random numbers
-            self.course.count = sub["n"] - 1
-            self.course.again(sub)
+            event = sub.event
+            if isinstance(event, Acted) and event.person in self._mates:
+                self._chosen(event.person, self._mates[event.person])  # advances the person's random numbers
+            self.team.count = sub.n - 1
+            self.team.again(sub)
         self._keep(subs)
 
-    def _keep(self, subs: Sequence[Sub]) -> None:
+    def _keep(self, subs: Sequence[TeamRecord]) -> None:
         self._past += subs
         for sub in subs:
-            if sub.get("task"):
-                self._task[sub["person"]] = sub["task"]
+            if isinstance(sub.event, Joined | Began) and sub.event.task:
+                self._task[sub.event.person] = sub.event.task
 
     # Views.
 
     def seen(self, person: str) -> dict[str, Any]:
         """Return a participant's view of the task."""
-        return self.course.person(person)
+        return self.team.person(person)
 
     def place(self, person: str) -> tuple[CostToGo, int]:
         """Return a participant's task, and the number of its present state."""
-        return self._tasks[self._task[person]], self.course.place(person)[1]
+        return self._tasks[self._task[person]], self.team.place(person)[1]
 
 
-def own_action(subs: Sequence[Sub], person: str) -> Sub:
-    """Return the record of a participant's action among those of the team."""
-    return next(sub for sub in subs if sub["event"] == "acted" and sub["person"] == person)
+def own_action(team: Sequence[TeamRecord], person: str) -> Acted:
+    """Return a participant's action among the events of the team."""
+    every = (record.event for record in team)
+    return next(event for event in every if isinstance(event, Acted) and event.person == person)

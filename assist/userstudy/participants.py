@@ -35,6 +35,8 @@ class Participant:
         The assigned condition; in a within-participants design, the name of the order (`UserStudy.orders`).
     completion : str or None
         Completion code.
+    arrived, consented : str or None
+        Times of arrival and of consent, UTC.
     excluded : str or None
         Why the researchers exclude the participant from the analysis.
     erased : bool
@@ -57,6 +59,8 @@ class Participant:
     expired: bool = False
     condition: str | None = None
     completion: str | None = None
+    arrived: str | None = None
+    consented: str | None = None
     excluded: str | None = None
     erased: bool = False
     removed: bool = False

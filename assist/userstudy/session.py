@@ -11,19 +11,21 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from planner import CostToGo
 from planner.system.errors import ResultsExistError
 from planner.system.files import atomic, remove_unfinished
 
-from ..live.course import Course
 from ..live.events import Event
 from ..live.header import files_of
 from ..live.live_task import LiveTask, digest
+from ..live.record import Record
 from ..live.session import Outcome, Session
 from ..live.store import Tombstone
+from ..live.team import Team
 from ..people.goals import first_of
 from ..people.user_code import parse
 from ..person.policy import Policy
@@ -32,10 +34,9 @@ from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import BusyError
 from .cohort import Cohort
+from .events import Withdrew
 from .plan import UserStudy
-
-FORMAT = "kitassist user study 2"
-"""Format of journals."""
+from .record import StudyRecord
 
 JOURNAL, PLAN, EXPORT, REPORT = "journal.sqlite", "study.toml", "user-study.zip", "report"
 """Names in a study's folder; the last two are made from the journal, and can be made again."""
@@ -68,6 +69,8 @@ class StudySession(Session):
         As in `Session`.
     """
 
+    kind: ClassVar[type[Record]] = StudyRecord
+
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], folder: str | Path) -> None:
         self.study = study
         # Whether something withdrawn could not be removed, and when that was last tried.
@@ -97,44 +100,44 @@ class StudySession(Session):
 
     def _header(self) -> dict[str, Any]:
         return {
-            "format": FORMAT, "study": self.study.digest,
+            "format": StudyRecord.format, "version": metadata.version("kitassist"), "study": self.study.digest,
             "tasks": {name: digest(task) for name, task in self._tasks.items()},
             "files": files_of(self._tasks),
         }  # fmt: skip
 
     def _check(self, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-        if found.get("format") == FORMAT and found.get("study") != self.study.digest:
+        if found.get("format") == StudyRecord.format and found.get("study") != self.study.digest:
             raise ResultsExistError(
                 f"{self._plan}: the folder belongs to another study than {self.study.file}; expected another folder"
             )
         super()._check(found, expected)
 
-    def _course_anew(self) -> Cohort:
-        return Cohort(self.study, {name: first_of(task) for name, task in self._tasks.items()}, self._course_of)
+    def _anew(self) -> Cohort:
+        return Cohort(self.study, {name: first_of(task) for name, task in self._tasks.items()}, self._team_of)
 
-    def _course_of(self, condition: str | None) -> Course:
+    def _team_of(self, condition: str | None) -> Team:
         policy: str | TeamPolicy = "none" if condition is None else self._policies[condition]
         setting = self.study.setting if condition is None else self.study.condition(condition).setting
         solved = next(tasks for other, tasks in self._solved if other == setting)
-        return Course(solved, policy=policy, setting=setting, population=self.study.population)
+        return Team(solved, policy=policy, setting=setting, population=self.study.population)
 
     # Withdrawals.
 
-    def report(self, events: Sequence[Event]) -> list[Outcome]:
-        """Apply events as `Session.report` does; a withdrawal succeeds when the participant's records are removed.
+    def report_all(self, events: Sequence[Event]) -> list[Outcome]:
+        """Apply events as `Session.report_all` does; a withdrawal succeeds when the participant's records are removed.
 
         A withdrawal whose records cannot be removed now is recorded, but its outcome is the error; it is `BusyError` if
         removals for others have taken long, so that these do not stop the study.
         """
         with self.lock:
-            outcomes = super().report(events)
-            withdrawals = [place for place, event in enumerate(events) if event.kind == "withdrew"]
+            outcomes = super().report_all(events)
+            withdrawals = [place for place, event in enumerate(events) if isinstance(event, Withdrew)]
             if not withdrawals and not (self._remains and self._clock() >= self._tried + RETRY):
                 return outcomes
             try:
                 left = self._remove_withdrawn()
                 late = BusyError("busy", n=len(left))
-                errors: list[Exception | None] = [late if event.person in left else None for event in events]
+                errors: list[Exception | None] = [late if event.who in left else None for event in events]
             except Exception as fault:
                 logging.getLogger(__name__).exception("what was withdrawn could not be removed; it will be tried again")
                 errors = [fault] * len(events)
@@ -191,8 +194,9 @@ class StudySession(Session):
     @property
     def cohort(self) -> Cohort:
         """The participants. Callers must hold the lock."""
-        assert isinstance(self._course, Cohort)
-        return self._course
+        found = self.history
+        assert isinstance(found, Cohort)
+        return found
 
     def see(self, look: Callable[[Cohort], Any]) -> Any:
         """Return the result of a function of the participants, called under the lock."""

@@ -10,6 +10,7 @@ import io
 import json
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,12 +18,14 @@ from typing import Any
 
 from planner.system.errors import DamagedFileError
 
-from ..live.events import ERASED, VACANT
 from ..live.store import stored
+from .events import Acted, Onward
 from .participant_team import own_action
+from .participants import WITHDREW, Participant
 from .plan import Stage, UserStudy
 from .questionnaires import CHOICES
-from .session import FORMAT
+from .record import StudyRecord
+from .roll import Roll
 
 Row = dict[str, Any]
 
@@ -93,9 +96,6 @@ COLUMNS: dict[str, dict[str, str]] = {
 }
 """Columns of each table, with their meanings."""
 
-
-EVENTS = {"visited", "onward", "withdrew", "left", "returned", "expired"}
-"""Events of the table `events`. Actions have a table of their own."""
 
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
 """Signs that are no text; some readers end a file at them. U+FFFD stands for them in CSV."""
@@ -197,110 +197,103 @@ def tables(study: UserStudy, journal: Path) -> Tables:
         The file is not the journal of a user study.
     """
     header, records = stored(journal)
-    if header.get("format") != FORMAT:
-        raise DamagedFileError(journal, None, "not the journal of a user study")
-    found, stages = Tables(), study.stages
-    at: dict[str, int] = {}
-    people: dict[str, Row] = {}
-    current: dict[str, Row] = {}
-    began: dict[str, float] = {}
-    removed: dict[str, str] = {}
-    steps: dict[str, int] = {}
+    if header.get("format") != StudyRecord.format:
+        raise DamagedFileError(journal, None, "not the journal of a user study of this version")
+    roll, found = Roll(study), _Rows(study)
+    for utc, plain in records:
+        record = StudyRecord.of(json.dumps(plain))
+        code = record.event.who
+        before = None if code is None else roll.participants.get(code)
+        stage = study.stages[0 if before is None else before.at]
+        where = None if before is None else _where(study, before, stage)
+        roll.note(record)
+        if code is not None:
+            found.happened(record, utc, stage, where, roll.participants[code])
+        for entered in dict.fromkeys(roll.entered):
+            found.enters(roll.participants[entered], record, utc, by_others=entered in record.members)
+    return found.of(roll)
 
-    def enters(code: str, stage: Stage, time: float) -> None:
-        current.pop(code, None)
-        steps[code], began[code], people[code]["stage"] = 0, time, stage.name
+
+class _Rows:
+    """The rows of the tables, collected event by event."""
+
+    def __init__(self, study: UserStudy) -> None:
+        self._study, self._tables = study, Tables()
+        self._current: dict[str, Row] = {}  # of participants who are at a task, its row
+        self._steps, self._failed = Counter[str](), Counter[str]()
+
+    def happened(
+        self, record: StudyRecord, utc: str | None, stage: Stage, where: Row | None, person: Participant
+    ) -> None:
+        """Add what a participant did at a stage, before which the participant was `where`."""
+        event, code = record.event, person.code
+        if event.is_tabled:
+            self._event(code, record, utc, stage)
+        if where is None:
+            return
+        if isinstance(event, Onward):
+            rows = list(_answers(self._study, stage, event.answers or {}))
+            self._tables.answers += [where | row for row in rows]
+            self._failed[code] += sum(row["passed"] is False for row in rows)
+        elif isinstance(event, Acted):
+            row = where | _action(stage, record, self._steps[code]) | {"utc": utc}
+            self._steps[code] += 1
+            self._tables.actions.append(row)
+            if code in self._current and record.seen is not None:
+                _count(self._current[code], row, record.seen.finished, record.time - person.entered)
+
+    def enters(self, person: Participant, record: StudyRecord, utc: str | None, *, by_others: bool) -> None:
+        """Begin the row of a task when a participant enters its stage, perhaps since others of the group have come."""
+        code, stage = person.code, self._study.stages[person.at]
+        self._current.pop(code, None)
+        self._steps[code] = 0
         if stage.kind == "task":
-            current[code] = _where(study, people[code], stage) | {
-                "task": stage.what, "position": [name for name, _ in study.tasks].index(stage.what) + 1,
+            self._current[code] = _where(self._study, person, stage) | {
+                "task": stage.what, "position": [name for name, _ in self._study.tasks].index(stage.what) + 1,
                 "finished": False, "actions": 0, "optimal_cost": None, "suboptimal_actions": 0, "suggestions": 0,
                 "followed": 0, "seconds": None,
             }  # fmt: skip
-            found.tasks.append(current[code])
+            self._tables.tasks.append(self._current[code])
+        if by_others:
+            self._event(code, record, utc, stage, "onward")
 
-    def begins(record: Mapping[str, Any], utc: str | None) -> None:
-        for code in record["members"]:
-            people[code] |= {name: record[name] for name in ("condition", "group") if name in record}
-            at[code] = study.begins_at(record.get("period", 1))
-            enters(code, stages[at[code]], record["time"])
-            found.events.append({
-                "participant": code, "time": record["time"], "utc": utc, "event": "onward",
-                "stage": people[code]["stage"],
-            })  # fmt: skip
+    def _event(self, code: str, record: StudyRecord, utc: str | None, stage: Stage, kind: str | None = None) -> None:
+        self._tables.events.append({
+            "participant": code, "time": record.time, "utc": utc, "event": kind or record.event.kind,
+            "stage": stage.name,
+        })  # fmt: skip
 
-    for utc, record in records:
-        code, event = record.get("person"), record["event"]
-        if "members" in record and code is None:
-            begins(record, utc)
-        if code is None:  # the records were erased
-            continue
-        if event in ("visited", VACANT):
-            people[code] = {
-                "participant": code, "simulated": bool(record.get("simulated")), "arrived": record.get("at"),
-                "consented": None, "status": "here", "stage": stages[0].name,
-                "condition": None, "group": None, "completion_code": None, "failed_checks": 0, "excluded": None,
-            }  # fmt: skip
-            at[code] = 0
-        person, stage = people[code], stages[at[code]]
-        if "reached" in record:  # the records of a withdrawal were removed
-            removed[code] = stages[record["reached"]].name
-        if event in EVENTS:
-            found.events.append({
-                "participant": code, "time": record["time"], "utc": utc, "event": event, "stage": person["stage"],
-            })  # fmt: skip
-        person["status"] = "here" if record.get("returned") else record.get("status", person["status"])
-        if event == "excluded":
-            person["excluded"] = record["reason"]
-        if event == ERASED:
-            person["condition"] = record["condition"]
-            person["stage"] = next(one.name for one in stages if one.kind == "task")
-        if event == "onward":
-            where = _where(study, person, stage)
-            rows = list(_answers(study, stage, record.get("answers", {})))
-            found.answers += [where | row for row in rows]
-            person["failed_checks"] += sum(row["passed"] is False for row in rows)
-            if "members" not in record:
-                person["condition"] = record.get("condition", person["condition"])
-            person["consented"] = record["at"] if stage.kind == "consent" and "at" in record else person["consented"]
-            at[code] = study.next_stage(at[code], person["condition"])
-            stage = stages[at[code]]
-            enters(code, stage, record["time"])
-            if stage.kind == "thanks":
-                person["status"], person["completion_code"] = "done", record["completion"]
-        elif event == "acted":
-            row = _where(study, person, stage) | _action(stage, record, steps[code]) | {"utc": utc}
-            steps[code] += 1
-            found.actions.append(row)
-            if code in current:
-                _count(current[code], row, record["seen"]["finished"], record["time"] - began[code])
-        elif event == "expired" and "completion" in record:  # no group in time
-            person["completion_code"] = record["completion"]
-        if "members" in record:
-            begins(record, utc)
-    withdrawn = {code for code, person in people.items() if person["status"] == "withdrew"}
-    most = study.exclude_failed_checks
-    for person in people.values():
-        if person["status"] == "withdrew":
-            person |= {
-                "arrived": None,
-                "consented": None,
-                "completion_code": None,
-                "excluded": None,
-                "failed_checks": 0,
-            }
-            person["stage"] = removed.get(person["participant"], person["stage"])
-        elif most is not None and person["failed_checks"] >= most and person["excluded"] is None:
-            person["excluded"] = f"failed {most} or more attention checks"
-    for name in ("tasks", "actions", "answers", "events"):
-        setattr(found, name, [row for row in getattr(found, name) if row["participant"] not in withdrawn])
-    found.participants = list(people.values())
-    return found
+    def of(self, roll: Roll) -> Tables:
+        """Return the tables, with the participants as they are at the end."""
+        withdrawn = {code for code, person in roll.participants.items() if person.status == WITHDREW}
+        kept = {
+            name: [row for row in getattr(self._tables, name) if row["participant"] not in withdrawn]
+            for name in ("tasks", "actions", "answers", "events")
+        }
+        return Tables([self._participant(person) for person in roll.participants.values()], **kept)
+
+    def _participant(self, person: Participant) -> Row:
+        row: Row = {
+            "participant": person.code, "simulated": person.simulated, "arrived": None, "consented": None,
+            "status": person.status, "stage": self._study.stages[person.at].name, "condition": person.condition,
+            "group": person.group, "completion_code": None, "failed_checks": 0, "excluded": None,
+        }  # fmt: skip
+        if person.status == WITHDREW:
+            return row
+        failed, most, excluded = self._failed[person.code], self._study.exclude_failed_checks, person.excluded
+        if most is not None and failed >= most and excluded is None:
+            excluded = f"failed {most} or more attention checks"
+        return row | {
+            "arrived": person.arrived, "consented": person.consented, "completion_code": person.completion,
+            "failed_checks": failed, "excluded": excluded,
+        }  # fmt: skip
 
 
-def _where(study: UserStudy, person: Row, stage: Stage) -> Row:
+def _where(study: UserStudy, person: Participant, stage: Stage) -> Row:
     """Return the first columns of a row: the participant's code, and the condition and period of a stage."""
-    condition = study.condition_at(stage, person["condition"])
-    return {"participant": person["participant"], "condition": condition, "period": stage.period}
+    return {
+        "participant": person.code, "condition": study.condition_at(stage, person.condition), "period": stage.period
+    }  # fmt: skip
 
 
 def _answers(study: UserStudy, stage: Stage, answers: Mapping[str, Any]) -> Iterator[Row]:
@@ -316,13 +309,14 @@ def _answers(study: UserStudy, stage: Stage, answers: Mapping[str, Any]) -> Iter
             yield row | {"answer": answer, "score": item.score(answer), "passed": item.passed(answer)}
 
 
-def _action(stage: Stage, record: Mapping[str, Any], step: int) -> Row:
-    own, seen = own_action(record["team"], record["person"]), record["seen"]
-    followed = None if seen["suggestion"] is None else own["action"].strip().lower() == seen["suggestion"].lower()
+def _action(stage: Stage, record: StudyRecord, step: int) -> Row:
+    own, seen = own_action(record.team, str(record.event.who)), record.seen
+    assert seen is not None
+    action = own.action or ""
+    followed = None if seen.suggestion is None else action.strip().lower() == seen.suggestion.lower()
     return {
-        "task": stage.what, "step": step, "time": record["time"], "action": own["action"],
-        "suggestion": seen["suggestion"], "followed": followed, "cost_before": seen["cost_before"],
-        "cost_after": seen["cost_after"], "optimal": seen["optimal"],
+        "task": stage.what, "step": step, "time": record.time, "action": action, "suggestion": seen.suggestion,
+        "followed": followed, "cost_before": seen.cost_before, "cost_after": seen.cost_after, "optimal": seen.optimal,
     }  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from planner import LimitError
 from ..live.store import JournalError
 from ..texts.catalogue import catalogue
 from ..texts.refusals import Refusal
-from . import metrics, page_routes, routes, streams
+from . import event_routes, metrics, page_routes, routes, streams
 from .request_limits import Allowance, Guard, Networks
 from .service import Service
 from .task_drawings import Pictures
@@ -63,7 +63,8 @@ def make_app(
     )  # fmt: skip
     app.state.service, app.state.pictures = service, Pictures(str(service.texts.file))
     _says_what_is_wrong(app)
-    for router in (routes.router, metrics.router, streams.router, page_routes.router, *more):
+    events = event_routes.event_routes(service.events, service.shown)
+    for router in (events, routes.router, metrics.router, streams.router, page_routes.router, *more):
         app.include_router(router)
     app.add_middleware(
         Guard, access=service.access, allowance=allowance, trusted=trusted_proxies,

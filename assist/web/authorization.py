@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
 
-from ..live.events import name_of
+from ..live.names import name_of
 from ..texts.refusals import AbsentError, ForbiddenError
 from .schemas import Problem
 from .service import Service
@@ -42,16 +42,16 @@ async def operator(request: Request, _: Annotated[Any, Depends(bearer)] = None) 
     request.app.state.service.heard(None)
 
 
-async def own(request: Request, name: str, _: Annotated[Any, Depends(bearer)] = None) -> str:
+async def own(request: Request, person: str, _: Annotated[Any, Depends(bearer)] = None) -> str:
     """Refuse every caller except the person and the operator."""
     caller: Caller = request.state.caller
-    name = name_of(name)
-    if caller.person not in (None, name):
+    person = name_of(person)
+    if caller.person not in (None, person):
         raise ForbiddenError("another")
-    if name not in request.app.state.service.views:
-        raise AbsentError("unknown", person=repr(name[:80]))
+    if person not in request.app.state.service.views:
+        raise AbsentError("unknown", person=repr(person[:80]))
     request.app.state.service.heard(caller.person)
-    return name
+    return person
 
 
 async def service_of(request: Request) -> Service:

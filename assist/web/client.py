@@ -17,6 +17,9 @@ from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote, unquote, urlencode, urlsplit
 
+from ..live.events import Event, TeamEvent
+from ..live.reports import Reports
+
 AGAIN = {408, 425, 429, 502, 503, 504, 507}
 """Status codes of temporary failures: too many requests, an overloaded service, a full disk, or a proxy that does not
 reach the service.
@@ -41,10 +44,11 @@ class RefusedError(ValueError):
         self.status = status
 
 
-class Client:
+class Client(Reports):
     """Connection to a service with the rights of one link.
 
-    All answers are the service's JSON objects, as dictionaries.
+    It has the verbs of `Reports`, which return the view of the person, or of the robot; `join` also returns the link of
+    the person's page (`join`). All answers are the service's JSON objects, as dictionaries.
 
     Parameters
     ----------
@@ -56,6 +60,11 @@ class Client:
         Seconds between two attempts. Fewer add load to a service that restarts, more add delay.
     silence : float
         Seconds without a sign of life after which a stream counts as lost. The service sends one every 15 s.
+
+    Attributes
+    ----------
+    name : str or None
+        The person of a join link.
     """
 
     def __init__(self, link: str, *, patience: float = 30.0, pause: float = 0.2, silence: float = 40.0) -> None:
@@ -107,43 +116,18 @@ class Client:
         seen: dict[str, Any] = self.ask("GET", self._path(person))
         return seen
 
-    def act(
-        self,
-        action: str | None = None,
-        person: str | None = None,
-        *,
-        followed: bool | None = None,
-        seq: int | None = None,
-        likelihoods: dict[str, float] | None = None,
-        missed: float | None = None,
-    ) -> dict[str, Any]:
-        """Report a person's action, or what is known of it; return the person's new view."""
-        body: dict[str, Any] = {"action": action, "id": uuid.uuid4().hex, "followed": followed, "seq": seq}
-        body |= {name: value for name, value in (("likelihoods", likelihoods), ("missed", missed)) if value is not None}
-        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/actions", body)
-        return seen
+    def report(self, event: TeamEvent) -> dict[str, Any]:
+        """Report an event; return the view of the person, or of the robot.
 
-    def answer(self, answer: str | bool | None, person: str | None = None, *, seq: int | None = None) -> dict[str, Any]:
-        """Answer the robot's question to a person; return the person's new view."""
-        body = {"answer": answer, "id": uuid.uuid4().hex, "seq": seq}
-        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/answer", body)
-        return seen
-
-    def retract(self, person: str | None = None) -> dict[str, Any]:
-        """Take back a person's last answer about the goal; return the person's new view."""
-        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/retract", {"id": uuid.uuid4().hex})
-        return seen
-
-    def undo(self, person: str | None = None) -> dict[str, Any]:
-        """Undo a person's last action; return the person's new view."""
-        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/undo", {"id": uuid.uuid4().hex})
-        return seen
-
-    def begin(self, person: str | None = None, task: str | None = None) -> dict[str, Any]:
-        """Begin the next task, by default the same task again; return the person's new view."""
-        body = {"id": uuid.uuid4().hex, "task": task}
-        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/begin", body)
-        return seen
+        Raises
+        ------
+        ValueError
+            Events of this kind are not reported over HTTP.
+        """
+        if event.id is None and event.method == "POST":
+            event = event.model_copy(update={"id": uuid.uuid4().hex})
+        answer: dict[str, Any] = self.ask(*request_of(event))
+        return answer
 
     def explain(self, person: str | None = None, *, against: str | None = None, language: str = "en") -> dict[str, Any]:
         """Return why a person has this suggestion now, or none.
@@ -166,29 +150,10 @@ class Client:
         errand: dict[str, Any] = self.ask("GET", robot_path(number))
         return errand
 
-    def arrived(self, person: str | None, number: int = 1) -> dict[str, Any]:
-        """Report where a robot is (None: at its base); return the robot's next instruction."""
-        body = {"person": person, "id": uuid.uuid4().hex}
-        errand: dict[str, Any] = self.ask("POST", f"{robot_path(number)}/arrived", body)
-        return errand
-
     def team(self) -> dict[str, Any]:
         """Return the operator's view of the team."""
         team: dict[str, Any] = self.ask("GET", "/api/team")
         return team
-
-    def join(self, person: str, task: str | None = None) -> str:
-        """Add a person to the team; return the person's link."""
-        body = {"person": person, "task": task, "id": uuid.uuid4().hex}
-        return str(self.ask("POST", "/api/team/people", body)["join"])
-
-    def leave(self, person: str) -> None:
-        """Remove a person from the team."""
-        self.ask("DELETE", f"/api/team/people/{quote(person, safe='')}")
-
-    def pause(self, paused: bool = True) -> None:
-        """Pause the robot's suggestions, or resume them."""
-        self.ask("POST", "/api/team/pause", {"paused": paused})
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Return all recorded actions, in the format of `fit`; with `task`, only those in this task."""
@@ -255,6 +220,22 @@ class EventReader:
         if name == "event":
             self._kind = value
         return (self._kind, json.loads(value)) if name == "data" and self._kind != "ping" else None
+
+
+def request_of(event: Event) -> tuple[str, str, dict[str, Any] | None]:
+    """Return the method, the path and the body of the request that reports an event.
+
+    Raises
+    ------
+    ValueError
+        Events of this kind are not reported over HTTP.
+    """
+    if event.path is None:
+        raise ValueError(f"{event.kind}: expected an event that is reported over HTTP")
+    said = json.loads(event.model_dump_json(include={*event.fields()}))
+    inside = {name: str(said.pop(name)) for name in re.findall(r"\{(\w+)\}", event.path)}
+    path = event.path.format(**{name: quote(value, safe="") for name, value in inside.items()})
+    return event.method, path, said if event.method == "POST" else None
 
 
 def robot_path(number: int) -> str:

@@ -26,7 +26,7 @@ ANSWERS: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("/metrics", tags=["operator"], response_class=Response, responses=refusals(403) | ANSWERS)
+@router.get("/metrics", tags=["team"], response_class=Response, responses=refusals(403) | ANSWERS)
 async def metrics(_: Operator, service: Desk) -> Response:
     """Return the service's metrics, as Prometheus reads them; 501 without the extra `metrics`."""
     try:

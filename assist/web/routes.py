@@ -9,30 +9,12 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse
 
-from ..live.events import LONGEST_REASON, Event
+from ..live.names import LONGEST_REASON
 from ..texts.catalogue import languages
 from ..texts.refusals import AbsentError, InvalidError
 from . import cookies
-from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
-from .schemas import (
-    Acted,
-    Answered,
-    Arrived,
-    Begun,
-    Drawn,
-    Erased,
-    Explained,
-    Health,
-    Joined,
-    Me,
-    Once,
-    Paused,
-    Person,
-    Place,
-    Reloaded,
-    Robot,
-    Team,
-)
+from .authorization import READ, Desk, Operator, Own, bearer, refusals
+from .schemas import Drawn, Erased, Explained, Health, Me, Person, Reloaded, Robot, Team
 from .service import Erasure
 from .task_drawings import Pictures
 from .tokens import Caller
@@ -72,32 +54,32 @@ async def session(request: Request, service: Desk) -> Any:
     return answer
 
 
-@router.get("/api/people/{name}", tags=["people"], response_model=Person, responses=READ)
-async def person(name: Own, service: Desk) -> Response:
+@router.get("/api/people/{person}", tags=["people"], response_model=Person, responses=READ)
+async def view(person: Own, service: Desk) -> Response:
     """Return a person's view: the applicable actions, the suggestion and its reasons."""
-    return plain(service.views[name])
+    return plain(service.views[person])
 
 
-@router.get("/api/people/{name}/drawing", tags=["people"], response_model=Drawn, responses=READ | refusals(409, 422))
+@router.get("/api/people/{person}/drawing", tags=["people"], response_model=Drawn, responses=READ | refusals(409, 422))
 async def drawing(
-    name: Own, request: Request, service: Desk, width: Annotated[int, Query(ge=240, le=2000)] = 760
+    person: Own, request: Request, service: Desk, width: Annotated[int, Query(ge=240, le=2000)] = 760
 ) -> Response:
     """Return a drawing of the person's task, about `width` pixels wide; pages also load `/pages/drawing.css`."""
     pictures: Pictures = request.app.state.pictures
 
     def drawn() -> dict[str, Any]:
-        seen = json.loads(service.views[name])  # read before the state: `seq` is then never newer than the drawing
-        task, state = service.session.place(name)
+        seen = json.loads(service.views[person])  # read before the state: `seq` is then never newer than the drawing
+        task, state = service.session.place(person)
         return {**pictures.of(task, state, seen["applicable"], width), "seq": seen["seq"]}
 
     return plain(await asyncio.to_thread(drawn))
 
 
 @router.get(
-    "/api/people/{name}/explanation", tags=["people"], response_model=Explained, responses=READ | refusals(409, 422)
+    "/api/people/{person}/explanation", tags=["people"], response_model=Explained, responses=READ | refusals(409, 422)
 )
 async def explanation(
-    name: Own, request: Request, service: Desk,
+    person: Own, request: Request, service: Desk,
     against: Annotated[str | None, Query(min_length=1, max_length=1000, examples=["(fetch box-b)"])] = None,
     language: Annotated[str | None, Query(max_length=35)] = None,
 ) -> Response:  # fmt: skip
@@ -113,9 +95,9 @@ async def explanation(
     named = request.state.caller.person is None
 
     def explained() -> dict[str, Any]:
-        seq = json.loads(service.views[name])["seq"]  # read before the state, as above
-        task, _ = service.session.place(name)
-        found = service.explain(name, against)
+        seq = json.loads(service.views[person])["seq"]  # read before the state, as above
+        task, _ = service.session.place(person)
+        found = service.explain(person, against)
         found = found.in_words(pictures.words(task, found.actions, spoken))
         if not named:  # a person learns about others what could be gained, not who they are
             found = found.without_names()
@@ -124,103 +106,39 @@ async def explanation(
     return plain(await asyncio.to_thread(explained))
 
 
-@router.post("/api/people/{name}/actions", tags=["people"], response_model=Person, responses=WRITE)
-async def act(name: Own, acted: Acted, service: Desk) -> Response:
-    """Report a person's action, or what is known of it; 409 if it is not applicable, 422 if it does not exist."""
-    event = Event(
-        "acted", name, acted.action, acted.followed, acted.seq, id=acted.id, likelihoods=acted.likelihoods,
-        missed=acted.missed, stage=acted.stage,
-    )  # fmt: skip
-    return plain(await service.report(event))
-
-
-@router.post("/api/people/{name}/answer", tags=["people"], response_model=Person, responses=WRITE)
-async def answer(name: Own, answered: Answered, service: Desk) -> Response:
-    """Answer the open question: true or false, or the last action; null declines. 409 if it is no longer open."""
-    return plain(
-        await service.report(Event("answered", name, answer=answered.answer, seen=answered.seq, id=answered.id))
-    )
-
-
-@router.post("/api/people/{name}/retract", tags=["people"], response_model=Person, responses=WRITE)
-async def retract(name: Own, service: Desk, once: Once | None = None) -> Response:
-    """Take back the last answer about the goal; an open suggestion is withdrawn. 409 if there is no answer."""
-    return plain(await service.report(Event("retracted", name, id=None if once is None else once.id)))
-
-
-@router.post("/api/people/{name}/undo", tags=["people"], response_model=Person, responses=WRITE)
-async def undo(name: Own, service: Desk, once: Once | None = None) -> Response:
-    """Undo the person's last action, as if it had not been observed."""
-    return plain(await service.report(Event("undone", name, id=None if once is None else once.id)))
-
-
-@router.post("/api/people/{name}/begin", tags=["people"], response_model=Person, responses=WRITE)
-async def begin(name: Own, service: Desk, begun: Begun | None = None) -> Response:
-    """Begin the next task, even if the present one is unfinished; the same task again unless named."""
-    begun = begun or Begun(task=None)
-    return plain(await service.report(Event("began", name, task=begun.task, id=begun.id)))
-
-
-@router.get("/api/robots/{number}", tags=["robot"], response_model=Robot, responses=refusals(403, 404, 422))
-async def robot(_: Operator, number: int, service: Desk) -> Response:
+@router.get("/api/robots/{robot}", tags=["robots"], response_model=Robot, responses=refusals(403, 404, 422))
+async def instruction(_: Operator, robot: int, service: Desk) -> Response:
     """Return where a robot, by its number from 1, should go and what it should suggest there."""
     robots = service.outlook.robots
-    if not 1 <= number <= len(robots):
-        raise AbsentError("other", why=f"robot {number}: expected a number from 1 to {len(robots)}")
-    return plain(robots[number - 1])
+    if not 1 <= robot <= len(robots):
+        raise AbsentError("other", why=f"robot {robot}: expected a number from 1 to {len(robots)}")
+    return plain(robots[robot - 1])
 
 
-@router.post("/api/robots/{number}/arrived", tags=["robot"], response_model=Robot, responses=WRITE)
-async def arrived(_: Operator, number: int, where: Arrived, service: Desk) -> Response:
-    """Report the location of a robot."""
-    return plain(await service.report(Event("arrived", where.person, id=where.id, robot=number)))
-
-
-@router.get("/api/team", tags=["operator"], response_model=Team, responses=refusals(403))
+@router.get("/api/team", tags=["team"], response_model=Team, responses=refusals(403))
 async def team(_: Operator, service: Desk) -> Response:
     """Return all people with the beliefs about them, the robots, and the latest events."""
     return plain(await service.team())
 
 
-@router.post("/api/team/people", tags=["operator"], response_model=Place, responses=WRITE)
-async def join(_: Operator, joined: Joined, service: Desk) -> Any:
-    """Add a person to the team, or readmit one; return the address of the person's page."""
-    seen = await service.report(Event("joined", joined.person, task=joined.task, id=joined.id))
-    return plain({**seen, "join": service.access.join_url(seen["person"])})
-
-
-@router.delete("/api/team/people/{name}", tags=["operator"], response_model=Person, responses=WRITE)
-async def leave(_: Operator, name: Own, service: Desk) -> Response:
-    """Remove a person, who may rejoin later."""
-    return plain(await service.report(Event("left", name)))
-
-
 @router.delete(
-    "/api/people/{name}/records", tags=["operator"], response_model=Erased, responses=refusals(403, 404, 422, 503, 507)
+    "/api/people/{person}/records", tags=["team"], response_model=Erased, responses=refusals(403, 404, 422, 503, 507)
 )
 async def erase(
-    _: Operator, name: str, service: Desk, reason: Annotated[str, Query(min_length=1, max_length=LONGEST_REASON)]
+    _: Operator, person: str, service: Desk, reason: Annotated[str, Query(min_length=1, max_length=LONGEST_REASON)]
 ) -> Response:
     """Erase all that is recorded of a person, for good; present or not, they leave first."""
-    return plain(await service.report(Erasure(name, reason)))
+    return plain(await service.report(Erasure(person, reason)))
 
 
-@router.post("/api/team/pause", tags=["operator"], response_model=Robot, responses=WRITE)
-async def pause(_: Operator, paused: Paused, service: Desk) -> Response:
-    """Pause the robot's suggestions, or resume them. People can act in the meantime."""
-    if service.outlook.paused == paused.paused:
-        return plain(service.outlook.robots[0])
-    return plain(await service.report(Event("paused" if paused.paused else "resumed")))
-
-
-@router.post("/api/reload", tags=["operator"], response_model=Reloaded, responses=refusals(403, 409, 422, 503, 507))
+@router.post("/api/reload", tags=["team"], response_model=Reloaded, responses=refusals(403, 409, 422, 503, 507))
 async def reload(_: Operator, service: Desk) -> Any:
     """Read the service's configuration again, and follow changed distances and people's tasks."""
     return {"changes": await service.reload()}
 
 
 @router.get(
-    "/api/log", tags=["operator"], response_class=Response,
+    "/api/log", tags=["team"], response_class=Response,
     responses=refusals(403, 422) | {200: {"content": {"application/x-ndjson": {"schema": {"type": "string"}}}}},
 )  # fmt: skip
 async def log(_: Operator, service: Desk, task: Annotated[str | None, Query(max_length=200)] = None) -> Response:

@@ -1,77 +1,14 @@
-"""Requests and responses of the live assistant's HTTP interface: their fields and allowed values."""
+"""Answers of the live assistant's HTTP interface: their fields. Requests follow from the classes of events."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from ..explain.contrast import Consequence
 from ..explain.explanation import WhyNothing, WhyPerson
 from ..live.advice import Reason
-
-Id = Annotated[
-    str | None,
-    Field(min_length=1, max_length=128, description="Chosen by the client. A repeated id returns the first answer."),
-]
-Action = Annotated[str, Field(min_length=1, max_length=1000, examples=["(fetch box-a)"])]
-
-
-class _Body(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class Acted(_Body):
-    """An action that a person took, or what is known of it: one of `action`, `likelihoods` and `missed`."""
-
-    action: Action | None = None
-    likelihoods: dict[Action, float] | None = Field(
-        None, description="Likelihood of what a sensor has seen under each action, 0 for others; only ratios matter."
-    )
-    missed: float | None = Field(None, description="Probability that an action was missed in this time step.")
-    id: Id = None
-    followed: bool | None = Field(None, description="Whether the suggestion was followed; null if unknown.")
-    seq: int | None = Field(
-        None, ge=0, description="`seq` of the view on which the person acted; later suggestions are taken as unseen."
-    )
-    stage: str | None = Field(
-        None, max_length=120,
-        description="In a user study, the stage of the view; 409 if the participant is at another one by now.",
-    )  # fmt: skip
-
-
-class Answered(_Body):
-    """An answer to the robot's question."""
-
-    answer: bool | Action | None = Field(description="Whether the goal is theirs; the last action; null for no answer.")
-    id: Id = None
-    seq: int | None = Field(
-        None, ge=0, description="`seq` of the view with the question; answers to earlier questions are refused."
-    )
-
-
-class Once(_Body):
-    """A request that is carried out once for each id."""
-
-    id: Id = None
-
-
-class Begun(Once):
-    """A task to begin; the same task again unless named."""
-
-    task: str | None = Field(None, max_length=200)
-
-
-class Joined(Begun):
-    """A person who joins the team, or rejoins it."""
-
-    person: str = Field(min_length=1, max_length=64, examples=["ann"])
-
-
-class Arrived(Once):
-    """The robot's location: a person, or its base (null)."""
-
-    person: str | None = Field(None, max_length=64)
 
 
 class Erased(BaseModel):
@@ -81,12 +18,6 @@ class Erased(BaseModel):
     at: str
     reason: str
     events: int
-
-
-class Paused(_Body):
-    """Whether suggestions are paused."""
-
-    paused: bool
 
 
 class Problem(BaseModel):

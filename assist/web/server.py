@@ -22,7 +22,7 @@ from starlette.types import ASGIApp
 from planner import CostToGo
 from planner.system.errors import ResultsExistError
 
-from ..live.events import Event
+from ..live.events import Acted, Answered, Elapsed, Joined, TeamEvent
 from ..live.people_store import PeopleStore
 from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson
@@ -114,13 +114,13 @@ class SimulatedSeats:
                 if event is None:
                     return
                 try:
-                    if event.kind != "elapsed":
+                    if not isinstance(event, Elapsed):
                         await service.report(event)
                 except InapplicableError:
-                    if event.kind == "answered":  # it contradicts what the robot believes
-                        await service.report(Event("answered", name))
+                    if isinstance(event, Answered):  # it contradicts what the robot believes
+                        await service.report(Answered(person=name))
 
-    def _chosen(self, session: Session, name: str, person: SimulatedPerson) -> Event | None:
+    def _chosen(self, session: Session, name: str, person: SimulatedPerson) -> TeamEvent | None:
         """Let a simulated person answer or act; return the event, or None if they have reached their own goal.
 
         An action that the robot misses is an event of elapsed time.
@@ -135,12 +135,12 @@ class SimulatedSeats:
             if task.is_goal([here])[0]:
                 return None
             if asked is not None and not seen["paused"]:
-                return Event("answered", name, answer=person.answer(every, asked["goal"]))
+                return Answered(person=name, answer=person.answer(every, asked["goal"]))
             suggestion = None if seen["paused"] else seen["suggestion"]
             if self.observation is None:
-                return Event("acted", name, person.act(task, state, seen["applicable"], suggestion))
+                return Acted(person=name, action=person.act(task, state, seen["applicable"], suggestion))
             action = person.act_unseen(task, suggestion, self.observation)
-            return Event("elapsed") if action is None else Event("acted", name, action)
+            return Elapsed() if action is None else Acted(person=name, action=action)
 
 
 class _Server(uvicorn.Server):
@@ -253,7 +253,7 @@ class ServedTeam:
             population=self.population, distance=self.distance, people=people,
         )  # fmt: skip
         if not session.outlook().events:
-            for outcome in session.report([Event("joined", name, task=task) for name, task in self.people.items()]):
+            for outcome in session.report_all([Joined(person=name, task=task) for name, task in self.people.items()]):
                 if isinstance(outcome, Exception):
                     session.close()
                     raise outcome
@@ -293,7 +293,7 @@ Beside = Callable[[str], Bridge]
 
 def serve(
     plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None = None,
-    changed_settings: Callable[[], list[Event]] | None = None,
+    changed_settings: Callable[[], list[TeamEvent]] | None = None,
 ) -> None:  # fmt: skip
     """Serve a session until a signal ends it.
 
@@ -315,7 +315,7 @@ def serve(
 
 async def _serve(
     plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready, beside: Beside | None,
-    changed_settings: Callable[[], list[Event]] | None,
+    changed_settings: Callable[[], list[TeamEvent]] | None,
 ) -> None:  # fmt: skip
     access = AccessTokens.kept(plan.folder / "secret", plan.public_url or address(listening))
     service = Service(session, access, tick=plan.tick, texts=plan.texts)

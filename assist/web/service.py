@@ -22,16 +22,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
-from typing import Any, Protocol, cast
+from typing import Any, ClassVar, Protocol
+
+from pydantic import BaseModel
 
 from ..explain.explanation import Explanation
-from ..live.event_sourced import Explains, Outlook
-from ..live.events import Event
+from ..live.events import Elapsed, Event, TeamEvent
+from ..live.history import Outlook
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
 from ..texts.catalogue import Catalogue, catalogue
 from ..texts.refusals import AbsentError, BusyError, InapplicableError
 from .measures import Measures
+from .schemas import Person, Place, Robot
 from .tokens import AccessTokens
 
 REPORTS = logging.getLogger(f"{__package__}.reports")
@@ -131,7 +134,14 @@ class Service:
         The bridges that work beside the service, by name.
     changed_settings : callable or None
         Reads the service's configuration again, and returns the events by which the session is to follow it.
+    events : type
+        The class of the events that can be reported.
+    shown : mapping of str to type
+        What their reporters get, by `Event.shows`.
     """
+
+    events: ClassVar[type[Event]] = TeamEvent
+    shown: ClassVar[Mapping[str, type[BaseModel]]] = {"person": Person, "place": Place, "robot": Robot}
 
     def __init__(
         self, session: Session, access: AccessTokens, *, tick: float = 2.0, waiting: int = 5000, batch: int = 256,
@@ -150,7 +160,7 @@ class Service:
         self.visited = asyncio.Event()
         self.simulated: frozenset[str] = frozenset()
         self.measures, self.bridges = Measures(), dict[str, Bridge]()
-        self.changed_settings: Callable[[], list[Event]] | None = None
+        self.changed_settings: Callable[[], list[TeamEvent]] | None = None
         self._entries: dict[str, bytes] = {}
         self._outdated = Counter[str]()  # how often a person's entry has become outdated
         self._watchers: dict[str, set[Watcher]] = {}
@@ -204,7 +214,7 @@ class Service:
                     events.append(what)
                     futures.append(future)
             if events:
-                self._carry_out(partial(self.session.report, events), futures)
+                self._carry_out(partial(self.session.report_all, events), futures)
             for erasure, future in erasures:
                 self._carry_out(partial(self._erased, erasure), [future])
 
@@ -289,7 +299,7 @@ class Service:
         """
         future: asyncio.Future[Any] = self._loop.create_future()
         kind = event.kind if isinstance(event, Event) else "erased"
-        before = self.views.get(event.person or "") if self._may_answer(event) else None
+        before = self.views.get(event.who or "") if isinstance(event, Event) and self._may_answer(event) else None
         began, outcome = self._loop.time(), "failed"
         try:
             self._reports.put_nowait((event, future))
@@ -304,16 +314,15 @@ class Service:
             seconds = self._loop.time() - began
             self.measures.add(kind, outcome, seconds)
             REPORTS.info("report", extra={"event": kind, "outcome": outcome, "seconds": round(seconds, 6)})
-        if isinstance(event, Event) and event.action is not None:
-            self.measures.acted(before, event.action, answer)
+        if before is not None:
+            self.measures.acted(before, getattr(event, "action", None), answer)
         return answer
 
-    def _may_answer(self, event: Event | Erasure) -> bool:
+    def _may_answer(self, event: Event) -> bool:
         """Return whether an event is an action of a person who can have seen what was suggested."""
-        if not isinstance(event, Event) or event.kind != "acted":
-            return False
-        since = self._suggested.get(event.person or "", (None, 0))[1]
-        return event.seen is None or event.followed is not None or event.seen >= since
+        action, seq = getattr(event, "action", None), getattr(event, "seq", None)
+        since = self._suggested.get(event.who or "", (None, 0))[1]
+        return action is not None and (seq is None or getattr(event, "followed", None) is not None or seq >= since)
 
     def unready(self) -> list[str]:
         """Return why the service is not ready to do all its work; empty if it is."""
@@ -357,7 +366,7 @@ class Service:
             await asyncio.sleep(max(0.01, self._last + self.tick - self._loop.time()))
             if self._loop.time() >= self._last + self.tick:
                 self._last = self._loop.time()
-                await self.pass_on(Event("elapsed"))
+                await self.pass_on(Elapsed())
 
     def problems(self) -> list[str]:
         """Return everything that keeps events from being stored or delivered, for the operator."""
@@ -480,7 +489,7 @@ class Service:
             As in `Assistant.explain`.
         """
         with self.session.lock:
-            later = cast(Explains, self.session._course).explain_later(person, against)
+            later = self.session.history.explain_later(person, against)
         return later()
 
     def _entries_of(self, people: list[str]) -> dict[str, bytes]:

@@ -118,23 +118,23 @@ def view_stream(service: Service, kind: str, view: Callable[[], Any]) -> EventSt
 
 
 @router.get(
-    "/api/people/{name}/events", tags=["people"], response_class=Response, responses=READ | refusals(429) | DESCRIBED
+    "/api/people/{person}/events", tags=["people"], response_class=Response, responses=READ | refusals(429) | DESCRIBED
 )
-async def person_events(name: Own, service: Desk) -> Response:
+async def person_events(person: Own, service: Desk) -> Response:
     """Stream a person's view (`view`), and what keeps their actions from being saved (`faults`)."""
-    if service.is_crowded(name):
+    if service.is_crowded(person):
         raise ThrottledError("crowded")
-    watcher = service.watch(name)
-    return EventStream(_all(watcher), service.ping, lambda: service.leave(name, watcher))
+    watcher = service.watch(person)
+    return EventStream(_all(watcher), service.ping, lambda: service.leave(person, watcher))
 
 
-@router.get("/api/team/events", tags=["operator"], response_class=Response, responses=refusals(403) | DESCRIBED)
+@router.get("/api/team/events", tags=["team"], response_class=Response, responses=refusals(403) | DESCRIBED)
 async def team_events(_: Operator, service: Desk) -> Response:
     """Stream the operator's view (`team`)."""
     return view_stream(service, "team", service.team)
 
 
-@router.get("/api/team/changes", tags=["operator"], response_class=Response, responses=refusals(403) | DESCRIBED)
+@router.get("/api/team/changes", tags=["team"], response_class=Response, responses=refusals(403) | DESCRIBED)
 async def team_changes(_: Operator, service: Desk) -> Response:
     """Stream who is present (`people`), then each changed person (`view`), departure (`left`) and robot (`robot`)."""
     watcher = service.follow()

@@ -26,7 +26,7 @@ def main(link: str, number: str = "1") -> None:
         errand = service.robot(robot)
         if errand["person"] is not None and not errand["arrived"]:
             drive(errand["person"])
-            errand = service.arrived(errand["person"], robot)
+            errand = service.arrived(errand["person"], robot=robot)
         if errand["suggestion"] is not None and errand["reason"] != said:
             said = errand["reason"]
             print(f"to {errand['person']}: {errand['suggestion']}, which saves {said['saving']:.2f}", flush=True)

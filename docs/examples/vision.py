@@ -28,7 +28,7 @@ def main(link: str, person: str) -> None:
     service = Client(link)
     for action in camera(service, person):
         try:
-            seen = service.act(action, person)
+            seen = service.observe(person, action)
         except RefusedError as error:  # it has seen something that cannot have been
             print(f"{error.status}: {error}", file=sys.stderr)
             continue

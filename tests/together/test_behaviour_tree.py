@@ -35,7 +35,7 @@ def test_a_tree_serves_three_simulated_people_to_the_end(tmp_path: Path, capsys:
 
     asyncio.run(run(here.app, listening, lambda: None, work(), ends=True))
     events = stored(tmp_path / "session" / "journal.sqlite")[1]
-    kinds = [record["event"] for _, record in events]
+    kinds = [record["event"]["kind"] for _, record in events]
     said = capsys.readouterr().out.splitlines()
     assert kinds.count("acted") >= 3 * 4
     ways = sum(line.startswith("going to") for line in said)

@@ -19,7 +19,8 @@ from test_mqtt import SETTINGS, Broker, Here, broker, settings_file
 from assist.bridges.mqtt_settings import MqttSettings
 from assist.bridges.ordering import FAR, InOrder
 from assist.live import Assistant, Session
-from assist.live.events import Event, is_name, name_of
+from assist.live.events import Acted, Elapsed
+from assist.live.names import is_name, name_of
 from assist.live.store import JournalError
 from assist.people.action_names import in_pddl
 from assist.team.settings import Setting
@@ -229,5 +230,5 @@ def test_a_session_goes_on_with_as_many_people_as_it_began_with(tiny: Table, tmp
 
 
 def test_an_event_carries_a_persons_name_in_one_form() -> None:
-    assert Event("acted", " Zoe\u0308 ").person == Event("acted", "Zo\u00eb").person == "Zo\u00eb"
-    assert Event("elapsed").person is None
+    assert Acted(person=" Zoe\u0308 ").person == Acted(person="Zo\u00eb").person == "Zo\u00eb"
+    assert Elapsed().person is None

@@ -21,7 +21,7 @@ from test_userstudy_pages import PATIENCE, Web
 from userstudies import PLAN, Part, written
 
 from assist.cli import main
-from assist.live import Event, Session
+from assist.live import Acted, Joined, Session
 from assist.live.store import JournalError, stored
 from assist.team.settings import Setting
 from assist.userstudy.plan_file import read
@@ -43,13 +43,13 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 def test_events_of_a_team_are_refused_while_the_disk_is_full_and_none_is_lost(tiny: Table, disk: Path) -> None:
     """Whatever was acknowledged is there after a restart; what was refused had no effect, and can be sent again."""
     session = Session({"tiny": tiny}, disk / "data" / "journal.sqlite")
-    session.report([Event("joined", name) for name in ("ann", "bob")])
+    session.report_all([Joined(person=name) for name in ("ann", "bob")])
     done, refused = 0, 0
     with full(disk):
         for number in range(60):
-            event = Event("acted", "ann", action=("(fetch box-a)", "(return box-a)")[done % 2], id=f"{number}")
+            event = Acted(person="ann", action=("(fetch box-a)", "(return box-a)")[done % 2], id=f"{number}")
             try:
-                (outcome,) = session.report([event])
+                (outcome,) = session.report_all([event])
             except JournalError as error:
                 outcome = error
             done, refused = done + isinstance(outcome, dict), refused + isinstance(outcome, JournalError)

@@ -29,8 +29,9 @@ from assist.learning.log import Log, LogError
 from assist.learning.maximum_likelihood import Method
 from assist.live.advice import Advice
 from assist.live.assistant import Assistant
-from assist.live.course import Course
-from assist.live.events import Event
+from assist.live.events import Elapsed, Joined, Left, TeamEvent
+from assist.live.record import TeamRecord
+from assist.live.team import Team
 from assist.people import user_code
 from assist.people.action_names import Matcher, UnmatchedError
 from assist.people.choice_model import ChoiceModelError, boltzmann, value
@@ -113,10 +114,10 @@ def learned(table: Any, rows: list[dict[str, Any]], **options: Any) -> Any:
     return fit(table, log_of(rows), **options)
 
 
-def happen(table: Table, *events: Event) -> None:
-    course = Course({"tiny": table})
+def happen(table: Table, *events: TeamEvent) -> None:
+    team = Team({"tiny": table})
     for event in events:
-        course.happen(event, 0.0)
+        team.happen(event, 0.0)
 
 
 def in_bytes(folder: Path, content: bytes) -> None:
@@ -265,7 +266,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     ),
     # The live assistant.
     "back to another task by an event": (
-        lambda g: happen(g.table, Event("joined", "ann"), Event("left", "ann"), Event("joined", "ann", task="tiny")),
+        lambda g: happen(g.table, Joined(person="ann"), Left(person="ann"), Joined(person="ann", task="tiny")),
         InapplicableError, "ann returns to the task that they left",
     ),
     "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), FramesError, "the trace is empty"),
@@ -277,14 +278,14 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda _: Questionnaire("text", "text", "", "", (Item("why", "Why?", "text"),)).check({"why": "x" * 100_000}),
         ValueError, "answers.why: expected a text of 1 to",
     ),
-    "no task": (lambda _: Course({}), ValueError, "there is no task; expected one or more"),
+    "no task": (lambda _: Team({}), ValueError, "there is no task; expected one or more"),
     "secret": (
         lambda g: AccessTokens.kept(says("short", g.folder), "http://x"),
         OSError, "bytes of the session's secret;",
     ),
     "advice": (
-        lambda _: Advice.of({"reason": None, "arrived": "yes", "person": None, "suggestion": None}),
-        ValueError, "advice {'reason': None, 'arrived': 'yes'",
+        lambda _: TeamRecord(n=1, event=Elapsed(), step=1, advices=(Advice(None, "(go)", None, arrived=True),)),
+        ValueError, "advices: advice for nobody",
     ),
     "format of a team": (saved_by_another, ValueError, "no saved team that can be restored: format 0; expected"),
     "an own policy": (saved_with_an_own_policy, ValueError, "the policy was a function; expected it as `policy`"),

@@ -40,7 +40,7 @@ from .travel import travel_of, travel_options
 if TYPE_CHECKING:
     from planner import CostToGo
 
-    from ...live.events import Event
+    from ...live.events import TeamEvent
     from ...live.session import Session
     from ...people.goals import Goals
     from ...web.server import ServedTeam
@@ -186,7 +186,7 @@ def plan_of(
     )  # fmt: skip
 
 
-def changed_settings(config: Path, context: click.Context, session: Session) -> Callable[[], list[Event]]:
+def changed_settings(config: Path, context: click.Context, session: Session) -> Callable[[], list[TeamEvent]]:
     """Return a function that reads a configuration again, and returns the events by which a session follows it.
 
     It raises ValueError if the configuration is faulty. Distances that the environment or the command line sets are
@@ -194,12 +194,12 @@ def changed_settings(config: Path, context: click.Context, session: Session) -> 
     """
     import numpy as np
 
-    from ...live.events import Event
+    from ...live.events import Began, Rearranged
 
     command, before = context.command, context.params["distances"]
     fixed = context.get_parameter_source("distances") in {ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT}
 
-    def read() -> list[Event]:
+    def read() -> list[TeamEvent]:
         try:
             settings = read_config(config, command.params, ("tasks",))
             file = before if fixed or "distances" not in settings else Path(settings["distances"])
@@ -207,16 +207,16 @@ def changed_settings(config: Path, context: click.Context, session: Session) -> 
             _require_known(settings.get("tasks", {}), tasks, session.tasks)
         except click.UsageError as error:
             raise ValueError(error.format_message()) from None
-        events = []
+        events: list[TeamEvent] = []
         if file is not None:
             try:
                 distance = json.loads(file.read_text(encoding="utf-8"))
                 if np.asarray(distance, dtype=float).tolist() != session.distance:
-                    events.append(Event("rearranged", distance=tuple(map(tuple, distance))))
+                    events.append(Rearranged(distance=distance))
             except (OSError, TypeError, ValueError) as error:
                 raise ValueError(f"distances {file}: {error}") from None
         chosen = settings.get("tasks", {}).items()
-        return events + [Event("began", name, task=task) for name, task in chosen if tasks[name] != task]
+        return events + [Began(person=name, task=task) for name, task in chosen if tasks[name] != task]
 
     return read
 

@@ -111,7 +111,7 @@ function answerOf({ person }, { goal, yes }) {
     `Said: the goal is ${yes ? "" : "not "}${goal}. `,
     element("button", {
       type: "button", "data-key": `retract ${person}`, "aria-label": `Take back the answer of ${person}`,
-      click: () => tell(pathOf(person, "/retract"), { method: "POST", body: { id: newId() } }, `The answer of ${person} is taken back.`),
+      click: () => tell(pathOf(person, "/undo"), { method: "POST", body: { of: "answered", id: newId() } }, `The answer of ${person} is taken back.`),
     }, "Take back"));
 }
 

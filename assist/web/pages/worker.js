@@ -430,7 +430,7 @@ at("reasons").addEventListener("toggle", explain);
 at("against").addEventListener("change", compare);
 at("retract").addEventListener("click", single(() => {
   complain(null);
-  if (outbox.send(pathOf(person, "/retract"), {})) show();
+  if (outbox.send(pathOf(person, "/undo"), { of: "answered" })) show();
   at("choices-title").focus({ preventScroll: true });
 }));
 at("undo").addEventListener("click", single(() => {

@@ -104,7 +104,7 @@ class SimulatedParticipant:
             names = [task.task.actions[number] for number in rows.actions]
             if action in names:
                 self._state = int(rows.targets[names.index(action)])
-        return self._client.act(action, seq=seen["seq"])
+        return self._client.observe(self._name, action, seq=seen["seq"])
 
     def _answer(self, item: Item) -> Answer:
         """Return an answer: workload and trust as the module says, attention checks right, and others at random."""

@@ -10,22 +10,19 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Request, Response
-from pydantic import BaseModel, Field, WithJsonSchema
 
-from ...live.events import LONGEST_REASON
 from ...texts.catalogue import catalogue
 from ...texts.refusals import ForbiddenError, ThrottledError
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
 from ...userstudy.questionnaires import Item
-from ...userstudy.study_events import StudyEvent
 from .. import cookies
 from ..authorization import READ, WRITE, Operator, Own, refusals
 from ..page_routes import page, piece
 from ..routes import plain
-from ..schemas import Once, Person
 from ..streams import DESCRIBED, view_stream
 from ..tokens import VISITOR
+from .schemas import Done, Identified, Links, Seat, Visit, Withdrawal, Withdrawn
 from .service import StudyService
 
 PAGES = Path(__file__).parent / "pages"
@@ -33,118 +30,6 @@ SEAT = "seat"
 """Names the cookie by which a browser is recognised that has joined."""
 
 router = APIRouter()
-
-
-class Visit(Once):
-    """A visitor who joins the study."""
-
-    id: str = Field(
-        min_length=1,
-        max_length=128,
-        description="Chosen by the visitor's browser. A repeated id returns the same participant.",
-    )
-    key: str | None = Field(
-        None, min_length=16, max_length=128,
-        description="Drawn by the browser; required for an id 'participant ID' without a signature.",
-    )  # fmt: skip
-    signature: str | None = Field(None, max_length=128, description="Signature of the id, from a signed link.")
-    simulated: bool = Field(False, description="Whether this is a rehearsal's simulated participant.")
-
-
-class Identified(BaseModel):
-    """Ids of participants in another system."""
-
-    participants: list[Annotated[str, Field(min_length=1, max_length=100)]] = Field(max_length=1000)
-
-
-class Links(BaseModel):
-    """A signed join link for each participant, valid on any device."""
-
-    links: dict[str, str]
-
-
-class Withdrawal(BaseModel):
-    """A participant's withdrawal code, the address at which it is entered, and the last day for it."""
-
-    code: str
-    address: str
-    until: str | None
-
-
-class Withdrawn(BaseModel):
-    """A withdrawal code."""
-
-    code: str = Field(min_length=1, max_length=64, examples=["P-2B4C6D-23456789"])
-
-
-class Done(BaseModel):
-    """The request has been carried out."""
-
-    done: bool
-
-
-class Excluded(BaseModel):
-    """Why a participant is excluded from the report; null: no longer."""
-
-    reason: str | None = Field(min_length=1, max_length=LONGEST_REASON)
-
-
-# The questionnaire checks answers, with clearer messages than those of a type that is a union.
-GivenAnswer = Annotated[
-    Any,
-    WithJsonSchema({
-        "anyOf": [
-            {"type": "number"}, {"type": "string"}, {"type": "array", "items": {"type": "string"}}, {"type": "null"},
-        ]
-    }),
-]  # fmt: skip
-
-
-class Onward(Once):
-    """Request to complete a stage and proceed to the next one."""
-
-    stage: str = Field(min_length=1, max_length=120, description="The stage that is completed.")
-    answers: dict[str, GivenAnswer] | None = Field(
-        None, description="Answers, if the stage is a questionnaire; a list for several choices, null for none."
-    )
-
-
-class Waiting(BaseModel):
-    """How many participants wait for a group, and how many a group has."""
-
-    here: int
-    of: int
-
-
-class Progress(BaseModel):
-    """A participant's progress: the present task or questionnaire (`what`), with its questions in their order.
-
-    `over` is whether the task is over.
-    """
-
-    kind: str
-    stage: str
-    what: str
-    number: int
-    of: int
-    over: bool
-    completion: str | None
-    items: list[str]
-    waiting: Waiting | None = Field(None, description="While the participant waits for a group.")
-
-
-class Participant(Person):
-    """A participant's view: the task, if there is one, and the progress."""
-
-    study: Progress
-
-
-class Seat(BaseModel):
-    """An admitted participant, and the path of the participant's page within the service."""
-
-    person: str
-    part: str
-    study: Progress
 
 
 async def study_of(request: Request) -> StudyService:
@@ -224,25 +109,12 @@ async def form(request: Request, study: Study) -> Response:
     return plain(request.app.state.form)
 
 
-@router.post("/api/study/participants/{name}/onward", tags=["study"], response_model=Participant, responses=WRITE)
-async def onward(name: Own, going: Onward, study: Study) -> Response:
-    """Proceed to the next stage; 409 if the participant is at another stage than the named one."""
-    event = StudyEvent("onward", name, id=going.id, stage=going.stage, answers=going.answers)
-    return plain(await study.report(event))
-
-
-@router.post("/api/study/participants/{name}/withdraw", tags=["study"], response_model=Participant, responses=WRITE)
-async def withdraw(name: Own, study: Study, once: Once | None = None) -> Response:
-    """Withdraw from the study for good. At the consent stage, this declines consent."""
-    return plain(await study.report(StudyEvent("withdrew", name, id=once.id if once else None)))
-
-
-@router.get("/api/study/participants/{name}/withdrawal", tags=["study"], response_model=Withdrawal, responses=READ)
-async def withdrawal(name: Own, study: Study) -> Any:
+@router.get("/api/study/participants/{person}/withdrawal", tags=["study"], response_model=Withdrawal, responses=READ)
+async def withdrawal(person: Own, study: Study) -> Any:
     """Return how the participant's data can be withdrawn later, without this page."""
     until = study.study.withdraw_until
     return plain({
-        "code": study.withdrawal_code(name), "address": study.withdrawal_url(),
+        "code": study.withdrawal_code(person), "address": study.withdrawal_url(),
         "until": None if until is None else until.isoformat(),
     })  # fmt: skip
 
@@ -255,20 +127,6 @@ async def withdraw_by_code(request: Request, given: Withdrawn, study: Study) -> 
     _throttled(study.guesses.wait(request.state.address), "guesses")
     await study.withdraw(given.code)
     return plain({"done": True})
-
-
-@router.post("/api/study/participants/{name}/exclude", tags=["study"], response_model=Done, responses=WRITE)
-async def exclude(_: Operator, name: Own, study: Study, given: Excluded) -> Any:
-    """Exclude a participant from the report, which states the reason; with null, include them again."""
-    await study.report(StudyEvent("excluded", name, reason=given.reason))
-    return plain({"done": True})
-
-
-@router.post("/api/study/participants/{name}/return", tags=["study"], response_model=Participant, responses=WRITE)
-async def come_back(name: Own, study: Study, once: Once | None = None) -> Response:
-    """Rejoin after an absence, if the study is not full."""
-    study.heard(name)  # also if somebody else asks for it
-    return plain(await study.report(StudyEvent("returned", name, id=once.id if once else None)))
 
 
 @router.get("/api/study", tags=["study"], responses=refusals(403))

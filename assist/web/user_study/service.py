@@ -6,22 +6,27 @@ import asyncio
 import hashlib
 import hmac
 import json
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlencode
+
+from pydantic import BaseModel
 
 from ...live.events import Event
 from ...texts.refusals import AbsentError, ForbiddenError, FullError, InapplicableError, InvalidError, ThrottledError
 from ...userstudy.codes import identifier, spelled
 from ...userstudy.cohort import Cohort
+from ...userstudy.events import Elapsed, Expired, Left, Returned, StudyEvent, Visited, Withdrew
 from ...userstudy.participants import HERE
 from ...userstudy.plan import WAITING
 from ...userstudy.session import StudySession
-from ...userstudy.study_events import StudyEvent
 from ..request_limits import Allowance
+from ..schemas import Robot
 from ..service import Erasure, Service, Watcher
 from ..tokens import VISITOR, AccessTokens, secret_in
+from .schemas import Participant
 
 PARTICIPANT = "participant "
 """Begins the ids of participants whom another system, such as a recruiting service, identifies."""
@@ -65,6 +70,9 @@ class StudyService(Service):
         As in `Service`.
     """
 
+    events: ClassVar[type[Event]] = StudyEvent
+    shown: ClassVar[Mapping[str, type[BaseModel]]] = {"person": Participant, "robot": Robot}
+
     def __init__(
         self,
         session: StudySession,
@@ -90,13 +98,12 @@ class StudyService(Service):
         self._look_every = look_every
         self.guesses = Allowance(rate=1 / 30, burst=20)  # withdrawal codes that each network address may try
         self.arrivals = Allowance(rate=0.1, burst=300)  # new participants of each address, such as a waiting room
-        self.events = Allowance(rate=1.0, burst=1000)  # what each participant does, all of which is saved
+        self.often = Allowance(rate=1.0, burst=1000)  # what each participant does, all of which is saved
         self._came_from: dict[str, str] = {}  # network addresses of participants, since the service began
         self._arriving = asyncio.Lock()
         self._heard: dict[str, float] = {}  # when a participant who is not connected was last heard of
         access.token(VISITOR)
-        # Studies that began with an earlier version have no file for this key.
-        self._codes_key = access.operator.encode() if session.was_imported else secret_in(self.folder / CODES_KEY)
+        self._codes_key = secret_in(self.folder / CODES_KEY)
 
     def start(self) -> None:
         """Start the service in the running event loop."""
@@ -142,7 +149,7 @@ class StudyService(Service):
         if not hmac.compare_digest(real.encode(), withdrawal.strip().upper().encode()) or code not in self.views:
             raise AbsentError("code")
         if json.loads(self.views[code])["study"]["kind"] not in ("withdrew", "declined"):
-            await self.report(StudyEvent("withdrew", code))
+            await self.report(Withdrew(person=code))
 
     def code_of(self, visit: str) -> str:
         """Return the participant code for an id as a visitor gives it; errors as in `visit`."""
@@ -221,7 +228,7 @@ class StudyService(Service):
                 raise ForbiddenError("unsigned")
             once = f"{visit} {key}"
         self._came_from[code] = "" if simulated or signature is not None else address
-        event = StudyEvent("visited", code, id=_digest(self._codes_key, once)[8:].hex(), simulated=simulated)
+        event = Visited(person=code, id=_digest(self._codes_key, once)[8:].hex(), simulated=simulated)
         try:
             return await self.report(event)
         except FullError:
@@ -239,14 +246,16 @@ class StudyService(Service):
         ThrottledError
             The participant has done more for a long time than anybody does by hand. Whoever wants to withdraw can.
         """
-        theirs = isinstance(event, Event) and event.kind in ("visited", "onward", "acted", "returned")
-        if theirs and not self.rehearsal and self.events.wait(str(event.person)):
+        if not isinstance(event, StudyEvent):
+            return await super().report(event)
+        if isinstance(event, Returned):
+            self.heard(event.person)  # also if somebody else asks for it
+        if event.by_hand and not self.rehearsal and self.often.wait(event.person):
             raise ThrottledError("many")
-        arrives = isinstance(event, Event) and event.kind in ("visited", "returned", "onward")
-        if self.study.per_address is None or not arrives:
+        if self.study.per_address is None or not event.takes_place:
             return await super().report(event)
         async with self._arriving:  # one after the other, so that no two take the last place
-            await asyncio.to_thread(self._held.see, partial(self._require_room, str(event.person)))
+            await asyncio.to_thread(self._held.see, partial(self._require_room, event.person))
             return await super().report(event)
 
     def _require_room(self, code: str, cohort: Cohort) -> None:
@@ -283,9 +292,9 @@ class StudyService(Service):
             for event in await asyncio.to_thread(self._held.see, self._due):
                 await self.pass_on(event)
 
-    def _due(self, cohort: Cohort) -> list[Event]:
+    def _due(self, cohort: Cohort) -> list[StudyEvent]:
         now, session_now, study = self._loop.time(), self.session.now(), self.study
-        found: list[Event] = []
+        found: list[StudyEvent] = []
         idle: set[tuple[str | None, int]] = set()  # groups whose robot decides again, once for all members
         for code, person in list(cohort.participants.items()):
             if person.status != HERE:
@@ -295,21 +304,21 @@ class StudyService(Service):
             holds = study.participants is not None and person.condition is None and stage.kind != WAITING
             forgotten = holds and session_now - person.acted > 180 * study.away  # a tab that is open, and left alone
             if forgotten or away > 60 * self._patience(stage.kind):
-                found.append(Event("left", code))
+                found.append(Left(person=code))
             elif study.group is not None and stage.kind == WAITING:
                 late = session_now - person.entered > 60 * study.group.wait
                 if late or (person.group is not None and cohort.groups.is_complete(person)):  # the others have left
-                    found.append(Event("expired", code))
+                    found.append(Expired(person=code))
             elif stage.kind == "task":
                 late = study.minutes is not None and session_now - person.entered > 60 * study.minutes
                 if late and not person.expired:
-                    found.append(Event("expired", code))
+                    found.append(Expired(person=code))
                 elif (
                     self.ticks and session_now - person.acted > study.tick and self.connected(code)
                     and (person.group is None or not ((person.group, stage.period) in idle or cohort.is_over(person)))
                 ):  # fmt: skip
                     idle.add((person.group, stage.period))
-                    found.append(Event("elapsed", code))
+                    found.append(Elapsed(person=code))
         return found
 
     def _patience(self, kind: str) -> float:

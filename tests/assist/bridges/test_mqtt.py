@@ -36,7 +36,7 @@ from assist.bridges.ordering import Acknowledgements, InOrder
 from assist.bridges.ros2_settings import Ros2Settings
 from assist.cli import main
 from assist.cli.options.live import bridge_of
-from assist.live import Event, Session
+from assist.live import Joined, Left, Session
 from assist.team.settings import Setting
 from assist.web.app import make_app
 from assist.web.server import listen, run
@@ -144,7 +144,7 @@ class Here:
         folder.mkdir(exist_ok=True)
         setting = setting or Setting(c_suggest=0.1)
         self.session = Session({"tiny": kit("tiny")}, folder / "journal.sqlite", setting=setting)
-        self.session.report([Event("joined", name) for name in people])
+        self.session.report_all([Joined(person=name) for name in people])
         # No decisions by the clock: what a session does then follows from its events alone.
         self.service = Service(self.session, AccessTokens.kept(folder / "secret", "http://testserver"), tick=3600.0)
         self.app = make_app(self.service)
@@ -301,8 +301,8 @@ def test_each_action_happens_once_although_messages_and_the_broker_are_lost(brok
         for name, body in events_of(stations, walks):
             assert client.post(f"/api/people/{name}/actions", json=body).status_code == 200
     for one in (here, there):
-        assert done_of(one.session._course.log(), walks) == walks
-    assert here.session._course.beliefs() == there.session._course.beliefs()
+        assert done_of(one.session.history.log(), walks) == walks
+    assert here.session.history.beliefs() == there.session.history.beliefs()
 
 
 @pytest.mark.slow
@@ -508,7 +508,7 @@ def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path
             await client.publish("next/ann", b'{"id": "again"}', qos=1)
             await until(lambda: "again" in answers)
             assert json.loads(here.service.views["ann"])["steps"] == 0
-            await here.service.report(Event("left", "bob"))
+            await here.service.report(Left(person="bob"))
             await until(lambda: advice["advice/bob"] == b"")
 
     here.run(file, work)
@@ -519,7 +519,7 @@ def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path
     assert "4712" in details["s2"]
     assert "'eve' is not in the team" in details["s3"]
     assert details["without"] == "there is no field 'action'; expected action"
-    assert done_of(here.session._course.log(), {"ann": [], "bob": []}) == {
+    assert done_of(here.session.history.log(), {"ann": [], "bob": []}) == {
         "ann": ["(fetch box-b)"], "bob": ["(fetch box-a)"],
     }  # fmt: skip
 

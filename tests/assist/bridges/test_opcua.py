@@ -26,7 +26,7 @@ from test_mqtt import Here, done_of, free_port, plans
 
 from assist.cli import main
 from assist.cli.options.live import bridge_of
-from assist.live import Event
+from assist.live import Left
 from assist.team.settings import Setting
 
 asyncua = pytest.importorskip("asyncua")
@@ -162,8 +162,8 @@ def test_each_action_happens_once_although_the_server_is_killed(plant: Plant, tm
         assert client.post("/api/people/person-2/begin").status_code == 200
     expected = {"person-1": walk, "person-2": ["(fetch box-b)"]}
     for one in (here, there):
-        assert done_of(one.session._course.log(), expected) == expected
-    assert here.session._course.beliefs() == there.session._course.beliefs()
+        assert done_of(one.session.history.log(), expected) == expected
+    assert here.session.history.beliefs() == there.session.history.beliefs()
 
 
 def test_a_server_may_ask_for_a_password(
@@ -285,7 +285,7 @@ def test_systems_that_poll_have_a_server(tmp_path: Path) -> None:
                     await poll.node(path).write_value("mine")
             with pytest.raises(ua.UaError):
                 await client.nodes.objects.add_object(2, "mine")
-            await here.service.report(Event("left", "bob"))
+            await here.service.report(Left(person="bob"))
             while True:
                 try:
                     await poll.read("People/bob/Suggestion")
@@ -307,8 +307,8 @@ def test_systems_that_poll_have_a_server(tmp_path: Path) -> None:
         assert client.delete("/api/team/people/bob").status_code == 200
     expected = {"ann": walk, "bob": ["(fetch box-b)"]}
     for one in (here, there):
-        assert done_of(one.session._course.log(), expected) == expected
-    assert here.session._course.beliefs() == there.session._course.beliefs()
+        assert done_of(one.session.history.log(), expected) == expected
+    assert here.session.history.beliefs() == there.session.history.beliefs()
     assert here.bridge.counts == {"values": 9, "calls": 3, "recorded": 10, "refused": 1}
 
 

@@ -19,7 +19,7 @@ from test_mqtt import Here, done_of, free_port, plans
 from assist.bridges import Ros2Settings
 from assist.bridges.messages import MessageError
 from assist.cli import main
-from assist.live import Event
+from assist.live import Acted, Left
 from assist.live.store import stored
 from assist.team.settings import Setting
 from planner.system.errors import InputFileError
@@ -76,7 +76,7 @@ def test_two_robots_drive_by_an_action_each(tmp_path: Path) -> None:
     async def work(_: Rosbridge) -> None:
         for name in ("person-1", "person-2"):
             for action in ("(fetch box-a)", "(place hammer slot-2 box-a)"):
-                await here.service.report(Event("acted", name, action))
+                await here.service.report(Acted(person=name, action=action))
         while {one["location"] for one in here.session.outlook().robots if one["arrived"]} != {"person-1", "person-2"}:
             await asyncio.sleep(0.05)
 
@@ -98,7 +98,8 @@ def test_three_people_act_and_the_robot_drives_although_the_connection_is_lost(t
 
     def arrived() -> list[str]:
         events = stored(tmp_path / "session" / "journal.sqlite")[1]
-        return [record["person"] for _, record in events if record["event"] == "arrived"]
+        found = [record["event"] for _, record in events]
+        return [event["person"] for event in found if event["kind"] == "arrived"]
 
     async def work(ros: Rosbridge) -> None:
         async def station(name: str) -> None:
@@ -119,7 +120,7 @@ def test_three_people_act_and_the_robot_drives_although_the_connection_is_lost(t
             await asyncio.sleep(0.05)
 
     ros = converse(here, tmp_path, SETTINGS, work)
-    assert done_of(here.session._course.log(), walks) == walks
+    assert done_of(here.session.history.log(), walks) == walks
     assert here.bridge.counts["connections"] == 2
     assert set(arrived()) <= {goal["name"] for goal in ros.arrivals}
     goal = ros.arrivals[0]
@@ -177,7 +178,7 @@ def test_refusals_types_of_messages_and_people_who_leave(tmp_path: Path) -> None
         await ros.until(lambda: ros.goals)
         (to,) = [one["args"]["name"] for one in ros.heard if one["op"] == "send_action_goal"][-1:]
         ros.drive = 0.01
-        await here.service.report(Event("left", to))  # the goal is cancelled, and the robot goes to the other one
+        await here.service.report(Left(person=to))  # the goal is cancelled, and the robot goes to the other one
         await ros.until(lambda: {"name": "bob" if to == "ann" else "ann"} in ros.arrivals)
 
     ros = converse(here, tmp_path, settings, work)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import KITTING, ROOT, invoke
 
-from assist.live.events import Event
+from assist.live.events import Paused
 from assist.live.session import Session
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
@@ -271,4 +271,4 @@ def test_the_service_says_which_seats_are_simulated(begun: Begun, tmp_path: Path
         for task, count in (("paper", 1), ("tiny", 0)):
             assert len(client.get("/api/log", headers=headers, params={"task": task}).text.splitlines()) == count
         assert client.get("/api/log", headers=headers, params={"task": "none"}).status_code == 422
-        session.report([Event("paused")])
+        session.report_all([Paused()])

@@ -25,7 +25,7 @@ from assist.explain import (
 )
 from assist.explain.contrast import Consequence
 from assist.explain.explanation import Cause
-from assist.live import Advice, Assistant, TraceReasons
+from assist.live import Advice, Assistant, Elapsed, TeamRecord, TraceReasons
 from assist.live.live_task import LiveTask
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
@@ -531,9 +531,10 @@ def test_advice_stays_what_it_was() -> None:
     assert advice.explanation
     assert set(asdict(advice)) == {"person", "suggestion", "reason", "arrived", "question"}
     assert pickle.loads(pickle.dumps(advice)) == advice
-    assert Advice.of(asdict(advice)) == advice
+    record = TeamRecord.of(TeamRecord(n=1, event=Elapsed(), step=1, advices=(advice,)).text())
+    assert record.advices == (advice,)
     with pytest.raises(ValueError, match="from a record"):
-        _ = Advice.of(asdict(advice)).explanation
+        _ = record.advices[0].explanation
 
 
 # Texts.

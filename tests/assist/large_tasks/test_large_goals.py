@@ -125,7 +125,7 @@ def test_a_live_robot_infers_goals_of_a_large_task(monkeypatch: pytest.MonkeyPat
             found.append(seen.belief.tobytes())
             desk.observe("ann", action)
         said.append(found)
-        parts.append(isinstance(desk.person("ann") and desk._team.records[0].problem.policy, TruncatedPolicy))
+        parts.append(isinstance(desk.person("ann") and desk.roster.records[0].problem.policy, TruncatedPolicy))
     assert parts == [False, True]
     assert said[0] == said[1]
 

@@ -112,9 +112,9 @@ def test_what_is_believed_does_not_depend_on_where_regions_end(tiny: Table, monk
         assert told.to_json() == parts.to_json()
         # The same suggestions, followed through the whole table.
         replayed = Assistant(tiny, ["ann"], setting=Setting(c_suggest=0.05))
-        record = replayed._team.by_name["ann"]
+        record = replayed.roster.by_name["ann"]
         for step, action in enumerate(MANY_MISTAKES):
-            replayed._team.suggest(record, silent[step])
+            replayed.roster.suggest(record, silent[step])
             replayed.observe("ann", action)
         for desk in (parts, told):
             assert (desk.person("ann").belief == replayed.person("ann").belief).all()
@@ -331,7 +331,7 @@ def test_people_come_and_go(tiny: Table, fixed: Table) -> None:
     assert [row["episode"] for row in desk.log() if row["person"] == "ann"] == ["1"] * 6 + ["2"]
     restored = Assistant.from_json(desk.to_json(), fixed, tiny)
     assert (restored.person("ann").belief == desk.person("ann").belief).all()
-    with pytest.raises(ValueError, match="the task of ann is not among the 1"):
+    with pytest.raises(ValueError, match="the task 'task 1' is not among the 1"):
         Assistant.from_json(desk.to_json(), fixed)
 
 
@@ -350,7 +350,7 @@ def test_a_team_is_not_restored_with_people_who_choose_otherwise(tiny: Table) ->
     restored = Assistant.from_json(desk.to_json(), *reversed(solved.values()))
     for name in solved:
         assert (restored.person(name).belief == desk.person(name).belief).all()
-    with pytest.raises(ValueError, match="the task of bob is not among the 1"):
+    with pytest.raises(ValueError, match="the task 'task 2' is not among the 1"):
         Assistant.from_json(desk.to_json(), solved["ann"])
     own = Assistant(tiny, ["ann"], population=Population(chooses=lambda *known: boltzmann(*known)))
     with pytest.raises(ValueError, match="a function that is not saved"):
@@ -385,33 +385,36 @@ def test_the_robot_is_where_it_says(tiny: Table) -> None:
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda desk: desk.observe("anne", "(fetch box-a)"), "'anne' is not in the team; present: ann, bob"),
-        (lambda desk: desk.observe("ann", "(fetch box-c)"), "box-c\\) is no action of the task; nearest of the 2"),
-        (lambda desk: desk.observe("ann", "(return box-a)"), r"not applicable here; nearest of the 2.*\(fetch box-a\)"),
-        (lambda desk: desk.undo("ann"), "ann has done nothing yet"),
-        (lambda desk: desk.join("ann"), "ann is there already"),
-        (lambda desk: desk.join(" "), "expected a name"),
-        (lambda desk: Assistant(desk._task, "ann"), "expected a list of names"),
-        (lambda desk: Assistant(desk._task, policy="atention"), "unknown policy 'atention'; did you mean 'attention'"),
-        (lambda _: Assistant(None, ["ann"]), "there is no task"),
-        (lambda desk: Assistant(desk._task, ["ann"], setting=Setting(execute=True)), "expected a robot that suggests"),
-        (lambda desk: Assistant.from_json("{}", desk._task), "no saved team"),
-        (lambda desk: Assistant.from_json(desk.to_json()[:-9], desk._task), "no saved team"),
+        (lambda desk, _: desk.observe("anne", "(fetch box-a)"), "'anne' is not in the team; present: ann, bob"),
+        (lambda desk, _: desk.observe("ann", "(fetch box-c)"), "box-c\\) is no action of the task; nearest of the 2"),
         (
-            lambda desk: Assistant.from_json(json.dumps({**json.loads(desk.to_json()), "population": []}), desk._task),
-            "no saved team",
+            lambda desk, _: desk.observe("ann", "(return box-a)"),
+            r"not applicable here; nearest of the 2.*\(fetch box-a\)",
         ),
-        (lambda desk: Assistant(desk._task, ["a", "b"], distance=np.zeros((2, 2))), "b: there is a place for 1 people"),
+        (lambda desk, _: desk.observe("ann", "(fetch box-a)", id=""), "id '': expected 1 to 128 characters"),
+        (lambda desk, _: desk.undo("ann"), "ann has done nothing yet"),
+        (lambda desk, _: desk.undo("ann", of="left"), "ann has done nothing of the kind 'left'"),
+        (lambda desk, _: desk.join("ann"), "ann is there already"),
+        (lambda desk, _: desk.join(" "), "expected a name"),
+        (lambda _, task: Assistant(task, "ann"), "expected a list of names"),
+        (lambda _, task: Assistant(task, policy="atention"), "unknown policy 'atention'; did you mean 'attention'"),
+        (lambda *_: Assistant(None, ["ann"]), "there is no task"),
+        (lambda _, task: Assistant(task, ["ann"], setting=Setting(execute=True)), "expected a robot that suggests"),
+        (lambda _, task: Assistant.from_json("{}", task), "no saved team"),
+        (lambda desk, task: Assistant.from_json(desk.to_json()[:-9], task), "no saved team"),
+        (lambda desk, task: Assistant.from_json(json.dumps({**json.loads(desk.to_json()), "population": []}), task),
+         "no saved team"),
+        (lambda _, task: Assistant(task, ["a", "b"], distance=np.zeros((2, 2))), "b: there is a place for 1 people"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(tiny: Table, call: Any, says: str) -> None:
     desk = Assistant(tiny, ["ann", "bob"])
     before = desk.to_json()
     with pytest.raises((TypeError, ValueError), match=says) as error:
-        call(desk)
+        call(desk, tiny)
     assert "\n" not in str(error.value)
     assert desk.to_json() == before
-    assert json.loads(before)["people"][0]["person"] == "ann"
+    assert json.loads(before)["records"][0]["event"]["person"] == "ann"
 
 
 @pytest.mark.parametrize("reports", [False, True])

@@ -17,12 +17,13 @@ from typing import Any
 
 import pytest
 from hypothesis import given, settings
-from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, former, happen
+from sessions import EASY, HAPPENS, SETTING, all_of, happen
 from store_faults import Failing, schedule
 from userstudies import PLAN, Part, written
 
-from assist.live.events import Event
+from assist.live.events import Acted, Joined
 from assist.live.live_task import LiveTask
+from assist.live.record import TeamRecord
 from assist.live.session import Session
 from assist.live.store import EventStore, JournalError, stored
 from assist.team.settings import Setting
@@ -84,7 +85,7 @@ def test_an_erased_person_changes_nothing_for_the_others(
 
 
 def test_nothing_of_an_erased_person_is_in_the_folder(tiny: Table, fixed: Table, tmp_path: Path) -> None:
-    session = Session({"tiny": tiny, "fixed": fixed}, tmp_path / "journal.jsonl", setting=SETTING, population=EASY)
+    session = Session({"tiny": tiny, "fixed": fixed}, tmp_path / "journal.sqlite", setting=SETTING, population=EASY)
     session.join("ann")
     session.join("Bartholomew", "fixed", id="come-2718")
     for number in range(3):
@@ -111,7 +112,7 @@ def test_nothing_of_an_erased_person_is_in_the_folder(tiny: Table, fixed: Table,
         assert session.observe("ann", "(fetch box-a)", id="anns")["steps"] == 1
         assert session.tombstones() == [stone]
         session.close()
-        session = Session({"tiny": tiny, "fixed": fixed}, tmp_path / "journal.jsonl", setting=SETTING, population=EASY)
+        session = Session({"tiny": tiny, "fixed": fixed}, tmp_path / "journal.sqlite", setting=SETTING, population=EASY)
     assert session.join("Bartholomew")["steps"] == 0  # somebody new
     session.erase("Bartholomew", "again")
     assert [stone.label for stone in session.tombstones()] == ["(erased 1)", "(erased 2)"]
@@ -205,8 +206,8 @@ def test_a_fault_after_an_event_was_applied_leaves_nothing_unsaved(
 ) -> None:
     """Errors of the planner that look like refusals count, too: the event is applied when its view is made."""
     session = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING, population=EASY)
-    session.report([Event("joined", name) for name in ("ann", "bob")])
-    calls, view = [0], type(session._course).person
+    session.report_all([Joined(person=name) for name in ("ann", "bob")])
+    calls, view = [0], type(session.history).person
 
     def breaks(self: Any, person: str) -> Any:
         calls[0] += 1
@@ -215,8 +216,8 @@ def test_a_fault_after_an_event_was_applied_leaves_nothing_unsaved(
         return view(self, person)
 
     with monkeypatch.context() as patch:
-        patch.setattr(type(session._course), "person", breaks)
-        outcomes = session.report([Event("acted", name, "(fetch box-a)", id=name) for name in ("ann", "bob")])
+        patch.setattr(type(session.history), "person", breaks)
+        outcomes = session.report_all([Acted(person=name, action="(fetch box-a)", id=name) for name in ("ann", "bob")])
     assert isinstance(outcomes[0], dict)
     assert outcomes[1] is error
     assert [session.person(name)["steps"] for name in ("ann", "bob")] == [1, 0]
@@ -269,8 +270,8 @@ def test_a_killed_process_loses_nothing_that_was_acknowledged(tiny: Table, tmp_p
         with forked(acts, tiny, file) as hears:
             for _ in range(rng.randint(1, 60)):
                 acknowledged = hears.recv() + 1
-        records = [record for _, record in stored(file)[1] if record["event"] == "acted"]
-        assert [record["id"] for record in records] == [str(number) for number in range(len(records))]
+        records = [record for _, record in stored(file)[1] if record["event"]["kind"] == "acted"]
+        assert [record["event"]["id"] for record in records] == [str(number) for number in range(len(records))]
         assert len(records) >= acknowledged
     session = Session(tiny, file)
     assert len(session.log()) == len(records)
@@ -288,10 +289,12 @@ def erases(task: Table, file: Path, says: Connection) -> None:
 def test_a_process_that_is_killed_while_it_erases_has_erased_everything_or_nothing(tiny: Table, tmp_path: Path) -> None:
     sound, rng = tmp_path / "sound.sqlite", random.Random(4)
     session = Session(tiny, sound)
-    session.report([Event("joined", "Bartholomew"), Event("joined", "ann")])
+    session.report_all([Joined(person="Bartholomew"), Joined(person="ann")])
     for number in range(200):
         action = ("(fetch box-a)", "(return box-a)")[number % 2]
-        session.report([Event("acted", name, action, id=f"{name}-{number}") for name in ("Bartholomew", "ann")])
+        session.report_all(
+            [Acted(person=name, action=action, id=f"{name}-{number}") for name in ("Bartholomew", "ann")]
+        )
     belief = session.beliefs()["ann"]
     session.close()
     for attempt in range(6):
@@ -318,29 +321,6 @@ def test_a_process_that_is_killed_while_it_erases_has_erased_everything_or_nothi
 # Files.
 
 
-def test_a_journal_of_the_former_format_is_imported_once(tiny: Table, tmp_path: Path) -> None:
-    session = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING, population=EASY, clock=lambda: 0.0)
-    session.report([Event("joined", "Bartholomew"), Event("joined", "ann")])
-    answer = session.observe("ann", "(fetch box-a)", id="1")
-    session.observe("ann", WRONG)
-    before = all_of(session)
-    session.close()
-    old = former(tmp_path / "journal.sqlite")
-    with old.open("a") as stream:
-        stream.write('{"n":5,"time":1.0,"ev')  # never acknowledged
-    for _ in range(2):
-        session = Session(tiny, old, setting=SETTING, population=EASY, clock=lambda: 0.0)
-        assert all_of(session) == before
-        assert session.observe("ann", "(fetch box-a)", id="1") == answer
-        assert not old.exists()
-        session.close()
-    assert b"Bartholomew" in (tmp_path / "journal-imported.jsonl").read_bytes()
-    session = Session(tiny, old, setting=SETTING, population=EASY)
-    session.erase("Bartholomew", "as asked")
-    session.close()
-    assert b"Bartholomew" not in content(tmp_path)
-
-
 def test_events_have_the_time_and_files_are_the_owners(tiny: Table, tmp_path: Path) -> None:
     session = Session(tiny, tmp_path / "session" / "journal.sqlite")
     begin = datetime.now(UTC)
@@ -353,7 +333,7 @@ def test_events_have_the_time_and_files_are_the_owners(tiny: Table, tmp_path: Pa
     assert {file.suffix for file in files} >= {".sqlite", ".sqlite-wal", ".lock"}
     assert [file.name for file in files if file.stat().st_mode & 0o077] == []
     with pytest.raises(ResultsExistError, match="the folder is in use by a running session; expected another folder"):
-        EventStore(tmp_path / "session" / "journal.sqlite")
+        EventStore(tmp_path / "session" / "journal.sqlite", TeamRecord)
     session.close()
 
 
@@ -364,5 +344,5 @@ def test_a_session_on_a_medium_that_cannot_be_written_can_be_read(
     session.join("ann")
     session.close()
     monkeypatch.setattr(os, "access", lambda *_: False)
-    assert [record["person"] for _, record in stored(tmp_path / "journal.sqlite")[1]] == ["ann"]
+    assert [record["event"]["person"] for _, record in stored(tmp_path / "journal.sqlite")[1]] == ["ann"]
     assert sorted(file.name for file in tmp_path.iterdir()) == ["journal.lock", "journal.sqlite"]

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from test_uncertain_actions import NOISY
 from test_unknown_goals import LAPSE, SMALL, TASKS, Steps, by_enumeration
 
-from assist.live import Assistant, Event, Question, Session
+from assist.live import Acted, Answered, Assistant, Began, Question, Session, Undone
 from assist.people import Goals
 from assist.person import ObservationModel
 from assist.team import Setting
@@ -72,7 +72,7 @@ def test_the_belief_after_answers_is_that_of_enumerated_histories(name: str) -> 
     goals, error, rng = TASKS[name], 0.1, np.random.default_rng(3)
     setting = replace(ASKS, c_ask=0.0, ask_error=error, lapse=LAPSE)
     team = Assistant(goals, ["ann"], setting=setting, population=SMALL)
-    pomdp = team._team.known("ann").problem.policy.pomdp
+    pomdp = team.roster.known("ann").problem.policy.pomdp
     steps, told, share = Steps(), 0, np.ones(len(goals.tables))
     for _ in range(4):
         question = team.recommend().question
@@ -176,14 +176,14 @@ def test_an_answer_that_is_taken_back_leaves_no_trace(setting: Setting) -> None:
     for one in (team, silent):
         one.observe("ann", action)
     team.recommend()
-    assert team.retract("ann") is True
+    assert team.undo("ann", of="answered") is True
     seen = team.person("ann")
     np.testing.assert_array_equal(seen.belief, silent.person("ann").belief)
     assert (seen.answered, seen.suggestion, seen.question, len(team.log())) == (None, None, None, 1)
     assert (seen.state, seen.states) == (silent.person("ann").state, silent.person("ann").states)
     assert team.recommend().question == silent.recommend().question is not None
     with pytest.raises(InapplicableError, match="ann has given no answer about the goal that could be taken back"):
-        team.retract("ann")
+        team.undo("ann", of="answered")
 
 
 def test_who_has_named_another_goal_by_mistake_can_finish_their_own() -> None:
@@ -193,7 +193,7 @@ def test_who_has_named_another_goal_by_mistake_can_finish_their_own() -> None:
     for action in TINY.tables[wrong].optimal_plan():
         team.observe("ann", action)
     assert (team.finished, team.person("ann").applicable) == (True, ())
-    team.retract("ann")
+    team.undo("ann", of="answered")
     assert team.person("ann").applicable
 
 
@@ -203,7 +203,7 @@ def test_an_impossible_answer_changes_nothing() -> None:
         asked(team)
         team.answer("ann", False)
         team.observe("ann", team.person("ann").applicable[0])
-    record = team._team.known("ann")
+    record = team.roster.known("ann")
     left = max(team.person("ann").goals, key=lambda name: team.person("ann").goals[name])
     record.question = Question("ann", left, (), 1.0)
     before = team.to_json()
@@ -248,13 +248,14 @@ def test_a_session_of_doubtful_actions_and_answers_resumes_to_the_bit(tmp_path_f
         seen = session.person("ann")
         option = seen["applicable"][number % len(seen["applicable"])] if seen["applicable"] else "(fetch box-a)"
         event = {
-            "a": Event("acted", "ann", option), "d": Event("acted", "ann", likelihoods={option: share, "(wait)": 0.1}),
-            "l": Event("acted", "ann", likelihoods=dict.fromkeys(seen["applicable"], 1.0 + share)),
-            "m": Event("acted", "ann", missed=share), "u": Event("undone", "ann"),
-            "q": Event("answered", "ann", answer=option), "n": Event("answered", "ann", answer=share > 0.5),
-            "b": Event("began", "ann"), "r": Event("retracted", "ann"),
+            "a": Acted(person="ann", action=option),
+            "d": Acted(person="ann", likelihoods={option: share, "(wait)": 0.1}),
+            "l": Acted(person="ann", likelihoods=dict.fromkeys(seen["applicable"], 1.0 + share)),
+            "m": Acted(person="ann", missed=share), "u": Undone(person="ann"),
+            "q": Answered(person="ann", answer=option), "n": Answered(person="ann", answer=share > 0.5),
+            "b": Began(person="ann"), "r": Undone(person="ann", of="answered"),
         }[kind]  # fmt: skip
-        session.report([event])
+        session.report_all([event])
     before = session.beliefs(), session.entry("ann"), session.entry("bob"), session.log(), session.outlook()
     session.close()
     again = Session(TINY, journal, setting=BOTH)
@@ -272,20 +273,18 @@ def test_malformed_reports_are_refused_in_one_sentence_and_change_nothing(tmp_pa
     for wrong, kind, message in (
         ({}, InvalidError, "expected an action, its likelihoods, or the probability"),
         ({"action": first, "likelihoods": {first: 1.0}}, InvalidError, "expected an action, its likelihoods"),
-        ({"missed": nan}, InvalidError, "missed nan: expected a probability"),
+        ({"missed": nan}, InvalidError, "missed nan: expected a number"),
         ({"missed": -0.1}, InvalidError, "missed -0.1: expected a probability"),
         ({"likelihoods": {}}, InvalidError, "likelihoods: expected finite numbers of 0 or more, one of them positive"),
         ({"likelihoods": {first: 0.0}}, InvalidError, "one of them positive"),
-        ({"likelihoods": {first: 1.0, "(fetch box-b)": nan}}, InvalidError, "expected finite numbers"),
+        ({"likelihoods": {first: 1.0, "(fetch box-b)": nan}}, InvalidError, "nan: expected a number"),
         ({"likelihoods": {first: -1.0}}, InvalidError, "expected finite numbers"),
-        ({"likelihoods": {first: "much"}}, InvalidError, "likelihood of .*: expected a number"),
+        ({"likelihoods": {first: "much"}}, InvalidError, "likelihoods.* 'much': expected a number"),
         ({"likelihoods": {"(fly)": 1.0}}, ValueError, "fly"),
         ({"likelihoods": {first: 1.0}, "followed": True}, InvalidError, "followed: expected an action that was seen"),
     ):
-        outcome = session.report([Event("acted", "ann", **wrong)])[0]
-        assert isinstance(outcome, kind), outcome
         with pytest.raises(kind, match=message):
-            raise outcome
+            session.observe("ann", **wrong)  # type: ignore[arg-type]
     for answer, message in ((True, "no open question"), (first, "has done nothing yet"), (1, "expected an action")):
         with pytest.raises(ValueError, match=message):
             session.answer("ann", answer)  # type: ignore[arg-type]
@@ -307,9 +306,9 @@ def test_an_answer_to_an_earlier_question_is_refused(tmp_path: Path) -> None:
     later = session.observe("ann", seen["applicable"][0])
     assert "question" in later
     with pytest.raises(InapplicableError, match="there is a later question; expected an answer to that"):
-        session.answer("ann", True, seen=seen["seq"])
+        session.answer("ann", True, seq=seen["seq"])
     assert session.outlook().robots[0]["questions"] == [later["question"]]
-    assert "question" not in session.answer("ann", True, seen=later["seq"])
+    assert "question" not in session.answer("ann", True, seq=later["seq"])
     assert "questions" not in session.outlook().robots[0]
     session.close()
 
@@ -351,7 +350,7 @@ def test_a_journal_with_an_answer_to_an_unrecorded_question_is_opened(tmp_path: 
     session.join("ann")
     believed = session.beliefs()
     session.answer("ann", True)
-    session.retract("ann")
+    session.undo("ann", of="answered")
     last = session.answer("ann", None)["seq"]
     session.close()
     with closing(sqlite3.connect(tmp_path / "journal.sqlite")) as db, db:

@@ -16,12 +16,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, former, happen
+from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, happen
 
 from assist.live.assistant import Assistant
-from assist.live.events import Event
+from assist.live.desk import Desk
+from assist.live.events import Acted, Began, Event, Joined, TeamEvent, kinds
 from assist.live.session import Session
-from assist.live.store import JournalError, database, stored
+from assist.live.store import JournalError, stored
+from assist.live.team import Team
 from assist.team.settings import Setting
 from assist.texts import AbsentError, InapplicableError, InvalidError
 from planner import Table
@@ -33,7 +35,7 @@ def opened(tiny: Table, fixed: Table, tmp_path: Path) -> Callable[..., Session]:
     """Open the session of this test's folder, after its last process ended."""
     held: list[Session] = []
 
-    def open_it(file: Path = tmp_path / "journal.jsonl", **more: Any) -> Session:
+    def open_it(file: Path = tmp_path / "journal.sqlite", **more: Any) -> Session:
         for session in held:
             session.close()
         held[:] = [Session({"tiny": tiny, "fixed": fixed}, file, **({"setting": SETTING, "population": EASY} | more))]
@@ -49,7 +51,7 @@ def opened(tiny: Table, fixed: Table, tmp_path: Path) -> Callable[..., Session]:
 def test_a_session_that_goes_on_is_the_same_to_the_bit(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any, far: bool
 ) -> None:
-    file = tmp_path_factory.mktemp("session") / "journal.jsonl"
+    file = tmp_path_factory.mktemp("session") / "journal.sqlite"
     setting = Setting(c_suggest=0.02, c_move=0.01, travel_time=float(far))
     session = Session(tiny, file, setting=setting)
     for name in "abc":
@@ -115,12 +117,12 @@ def test_the_same_id_is_answered_as_the_first_and_happens_once(opened: Callable[
     first = session.observe("ann", "(fetch box-a)", id="1")
     session.observe("ann", WRONG, id="2")
     assert session.observe("ann", "(fetch box-a)", id="1") == first
-    together = [Event("acted", "ann", "(return box-a)", id="3")] * 2
-    answers = session.report(together)
+    together = [Acted(person="ann", action="(return box-a)", id="3")] * 2
+    answers = session.report_all(together)
     assert answers[0] == answers[1]
     session = opened()
     assert session.observe("ann", "(fetch box-a)", id="1") == first
-    assert session.report(together) == answers
+    assert session.report_all(together) == answers
     assert len(session.log()) == 3
     with pytest.raises(InapplicableError, match="the id '1' belongs to another event"):
         session.undo("ann", id="1")
@@ -146,8 +148,9 @@ def test_old_answers_and_old_tasks_are_those_of_before(opened: Callable[..., Ses
             kind = "undone"
         else:
             action = seen["suggestion"] or seen["applicable"][int(rng.integers(len(seen["applicable"])))]
-        event = Event(kind, name, action, task=task, id=str(number))
-        (answers[event],) = session.report([event])
+        fields = {"acted": {"action": action}, "began": {"task": task}}.get(kind, {})
+        event = kinds(TeamEvent)[kind](person=name, id=str(number), **fields)
+        (answers[event],) = session.report_all([event])
         if kind == "undone":
             assert isinstance(answers[event], InapplicableError) == (not rows), "nobody goes back into an old task"
             del rows[-1:]
@@ -165,7 +168,7 @@ def test_old_answers_and_old_tasks_are_those_of_before(opened: Callable[..., Ses
         assert kept.log("fixed") == [row for row in expected if row["task"] == "fixed"]
         for event, answer in answers.items():
             if not isinstance(answer, Exception):
-                assert kept.report([event]) == [answer]
+                assert kept.report(event) == answer
 
 
 @pytest.mark.slow
@@ -179,9 +182,9 @@ def test_a_long_session_takes_no_more_memory(opened: Callable[..., Session]) -> 
         """Repeat the actions many times; return the bytes in use afterwards."""
         events = []
         for number in range(first, last):
-            events += [Event("acted", "ann", action, id=f"{number}-{step}") for step, action in enumerate(way)]
-            events.append(Event("began", "ann", task="tiny", id=str(number)))
-        assert not any(isinstance(outcome, Exception) for outcome in session.report(events))
+            events += [Acted(person="ann", action=action, id=f"{number}-{step}") for step, action in enumerate(way)]
+            events.append(Began(person="ann", task="tiny", id=str(number)))
+        assert not any(isinstance(outcome, Exception) for outcome in session.report_all(events))
         del events
         gc.collect()
         return tracemalloc.get_traced_memory()[0]
@@ -207,10 +210,14 @@ def test_a_full_disk_is_said_and_nothing_half_remains(
     before, content, db = all_of(session), stored(tmp_path / "journal.sqlite"), session._store._db
     pages = db.execute("PRAGMA page_count").fetchone()[0]
     db.execute(f"PRAGMA max_page_count={pages + room}")
-    events = [Event("acted", "ann", WRONG), Event("acted", "bob", "(fetch box-b)"), Event("acted", "bob", "(fly)")]
-    events += [Event("began", "bob", id=f"{number:060}") for number in range(60)]
+    events = [
+        Acted(person="ann", action=WRONG),
+        Acted(person="bob", action="(fetch box-b)"),
+        Acted(person="bob", action="(fly)"),
+    ]
+    events += [Began(person="bob", id=f"{number:060}") for number in range(60)]
     for _ in range(2):
-        answers = session.report(events)
+        answers = session.report_all(events)
         assert [type(answer) for answer in answers][:2] == [JournalError] * 2
         assert "No space left on device" in str(answers[0])
         assert stored(tmp_path / "journal.sqlite") == content
@@ -258,13 +265,13 @@ def test_a_suggestion_that_came_too_late_was_not_heard(opened: Callable[..., Ses
     seen = session.observe("ann", "(fetch box-a)")
     seen = session.observe("ann", WRONG)
     assert seen["suggestion"] == "(remove hammer slot-2 box-a)"
-    session.observe("ann", seen["suggestion"], seen=seen["seq"] - 1)
+    session.observe("ann", seen["suggestion"], seq=seen["seq"] - 1)
     assert session.log()[-1]["suggestion"] is None
     assert session.undo("ann")["suggestion"] == seen["suggestion"]
     assert session.person("ann")["reason"] == seen["reason"]
     with pytest.raises(InapplicableError, match="followed is true and the action"):
         session.observe("ann", "(return box-a)", followed=True)
-    session.observe("ann", seen["suggestion"], followed=True, seen=seen["seq"])
+    session.observe("ann", seen["suggestion"], followed=True, seq=seen["seq"])
     assert session.log()[-1]["suggestion"] == seen["suggestion"]
 
 
@@ -272,7 +279,7 @@ def test_whoever_waits_is_served_when_time_elapses(opened: Callable[..., Session
     """The robot acts once at each decision; without actions of people there is none, unless time elapses."""
     session = opened()
     names = ["ann", "bob", "cleo"]
-    session.report([Event("joined", name) for name in names])
+    session.report_all([Joined(person=name) for name in names])
     session.pause()
     for name in names:
         for action in ("(fetch box-a)", WRONG):
@@ -316,7 +323,7 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
     opened: Callable[..., Session], fixed: Table, tmp_path: Path
 ) -> None:
     session = opened()
-    file = tmp_path / "journal.jsonl"
+    file = tmp_path / "journal.sqlite"
     with pytest.raises(ResultsExistError, match="in use by a running session"):
         Session(fixed, file)
     session.join("ann")
@@ -326,7 +333,7 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
         Session({"other": fixed}, file, setting=SETTING, population=EASY)
     with pytest.raises(ResultsExistError, match=r"has setting c_suggest 0\.02, not 1\.0"):
         opened(setting=Setting())
-    with closing(sqlite3.connect(database(file))) as db, db:
+    with closing(sqlite3.connect(file)) as db, db:
         db.execute("""UPDATE header SET document = json_set(document, '$.tasks.tiny', 'another')""")
     with pytest.raises(ResultsExistError, match=r"the task tiny is another than when the session began; expected the"):
         opened()
@@ -335,7 +342,10 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (b"UPDATE events SET record = 'half a li' WHERE n = 1", "event 1 is not an event of a session"),
+        (
+            b"UPDATE events SET record = 'half a li' WHERE n = 1",
+            "event 1 cannot have happened: 'half a li': expected",
+        ),
         (b"UPDATE events SET record = '{}' WHERE n = 1", "event 1 cannot have happened"),
         (b"DELETE FROM events WHERE n = 1", "event 1 cannot have happened: event 2; expected 1"),
         (b"DROP TABLE events", "event 1 cannot have happened"),
@@ -362,37 +372,53 @@ def test_a_damaged_database_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("place", "value"),
     [
-        ("event", "flew"), ("event", None), ("time", "soon"), ("time", float("nan")), ("id", [1]), ("answer", None),
-        ("id", "come"), ("id", "\ud800"),
-        ("person", None), ("action", "(fly)"), ("step", True), ("n", 9), ("more", 1), ("advices", {}),
+        ("event.kind", "flew"), ("event.kind", None), ("time", "soon"), ("event.id", [1]), ("event.person", None),
+        ("event.action", "(fly)"), ("event.action", None), ("step", True), ("n", 9), ("more", 1), ("advices", {}),
+        ("event.of", "acted"),
         ("advices", [{"person": None, "suggestion": "(return box-a)", "reason": None, "arrived": True}]),
-        ("advices", [{"person": "ann", "suggestion": None, "reason": {"saving": float("inf")}, "arrived": True}]),
+        ("advices", [{"person": "ann", "suggestion": None, "reason": {"saving": "a lot"}, "arrived": True}]),
     ],
 )  # fmt: skip
-def test_a_journal_with_what_cannot_have_happened_is_refused_with_its_line(
-    opened: Callable[..., Session], tmp_path: Path, name: str, value: Any
+def test_a_journal_with_what_cannot_have_happened_is_refused_with_its_event(
+    opened: Callable[..., Session], tmp_path: Path, place: str, value: Any
 ) -> None:
-    """The journal is of the former format."""
     session = opened()
     session.join("ann", id="come")
     session.observe("ann", "(fetch box-a)", id="1")
     session.close()
-    file = former(tmp_path / "journal.sqlite")
-    *before, last = map(json.loads, file.read_text().splitlines())
-    last = {key: one for key, one in (last | {name: value}).items() if one is not None}
-    content = "".join(json.dumps(record) + "\n" for record in (*before, last))
-    file.write_text(content)
-    with pytest.raises(DamagedFileError, match=r"journal\.jsonl:3: "):
+    file = tmp_path / "journal.sqlite"
+    changed = f"json_remove(record, '$.{place}')" if value is None else f"json_set(record, '$.{place}', json(?))"
+    given = () if value is None else (json.dumps(value),)
+    with closing(sqlite3.connect(file)) as db, db:
+        db.execute(f"UPDATE events SET record = {changed} WHERE n = 2", given)
+        kept = db.execute("SELECT * FROM events").fetchall()
+    with pytest.raises(DamagedFileError, match=r"journal\.sqlite: event 2 cannot have happened: ") as error:
         opened()
-    assert file.read_text() == content
+    assert "\n" not in str(error.value)
+    with closing(sqlite3.connect(file)) as db:
+        assert db.execute("SELECT * FROM events").fetchall() == kept
+
+
+def test_a_folder_of_an_earlier_version_is_refused_in_one_line_that_names_it(
+    opened: Callable[..., Session], tmp_path: Path
+) -> None:
+    opened().close()
+    with closing(sqlite3.connect(tmp_path / "journal.sqlite")) as db, db:
+        db.execute(
+            """UPDATE header SET document =
+            json_remove(json_set(document, '$.format', 'kitassist session 1'), '$.version')"""
+        )
+    with pytest.raises(ResultsExistError, match=r"recorded by kitassist 1\.0, and only that version reads it") as error:
+        opened()
+    assert "\n" not in str(error.value)
 
 
 def test_many_threads_report_and_everything_happens_once(opened: Callable[..., Session], tmp_path: Path) -> None:
     session = opened()
     names = [f"p{number}" for number in range(8)]
-    session.report([Event("joined", name) for name in names])
+    session.report_all([Joined(person=name) for name in names])
 
     def work(name: str) -> None:
         for number in range(10):
@@ -415,11 +441,10 @@ def test_a_fault_of_the_program_undoes_its_event_only(
     session = opened()
     for name in ("ann", "bob", "cid"):
         session.join(name)
-    assistant, course = session._course.desk, session._course  # type: ignore[attr-defined]
     whole: dict[str, Any] = {
-        "before the belief changes": (type(assistant), "observe"),
-        "after it has changed": (type(assistant), "recommend"),
-        "while the view is made": (type(course), "person"),
+        "before the belief changes": (Desk, "acted"),
+        "after it has changed": (Desk, "recommend_all"),
+        "while the view is made": (Team, "person"),
     }
     kind, method = whole[place]
     calls, work = [0], getattr(kind, method)
@@ -430,10 +455,10 @@ def test_a_fault_of_the_program_undoes_its_event_only(
             raise MemoryError("no memory")
         return work(self, *given, **options)
 
-    batch = [Event("acted", name, "(fetch box-a)", id=name) for name in ("ann", "bob", "cid")]
+    batch = [Acted(person=name, action="(fetch box-a)", id=name) for name in ("ann", "bob", "cid")]
     with monkeypatch.context() as patch:
         patch.setattr(kind, method, breaks)
-        outcomes = session.report(batch)
+        outcomes = session.report_all(batch)
     failed = [isinstance(outcome, MemoryError) for outcome in outcomes]
     if place == "after it has changed":  # a policy that fails stops nobody
         assert failed == [False, False, False]
@@ -446,7 +471,7 @@ def test_a_fault_of_the_program_undoes_its_event_only(
     assert repr(again.beliefs()) in before
     assert {name: again.person(name)["steps"] for name in steps} == steps
     # The failed event can be reported again under its id; the others are not applied twice.
-    assert all(isinstance(outcome, dict) for outcome in again.report(batch))
+    assert all(isinstance(outcome, dict) for outcome in again.report_all(batch))
     assert {name: again.person(name)["steps"] for name in steps} == dict.fromkeys(steps, 1)
 
 

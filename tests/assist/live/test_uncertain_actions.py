@@ -120,7 +120,7 @@ def test_a_question_is_worth_something_where_the_answer_changes_what_the_robot_d
 def test_answers_are_as_probable_as_the_actions_were() -> None:
     team = desk()
     walk(team, 3, 2)
-    record = team._team.known("ann")
+    record = team.roster.known("ann")
     after = after_answers(record, NOISY.observation)
     assert record.joint is not None
     assert sum(one.evidence for one in after.values()) == pytest.approx(record.joint.evidence, rel=1e-5)

@@ -23,7 +23,7 @@ from assist.live.session import Session
 from assist.live.store import JournalError
 from assist.reports.userstudy_report import write_report
 from assist.texts import InapplicableError
-from assist.userstudy import cohort
+from assist.userstudy import events
 from assist.userstudy.export import archive
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import JOURNAL, StudySession
@@ -102,17 +102,17 @@ def cuts(name: str) -> Callable[[Path, Table], Any]:
 FAULTS: dict[str, tuple[Callable[[Path, Table], Any], type[Exception], str]] = {
     "a journal that is a text": (damaged(lambda d: as_text(d / JOURNAL)), DamagedFileError, "is damaged"),
     "half a journal": (damaged(lambda d: cut(d / JOURNAL)), DamagedFileError, "is damaged"),
-    "an event that is no JSON": (damaged(lambda d: record(d / JOURNAL, "{")), DamagedFileError, "event 2 is not an"),
+    "an event that is no JSON": (damaged(lambda d: record(d / JOURNAL, "{")), DamagedFileError, "event 2 cannot have"),
     "an event of another kind": (
-        damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":0,"event":"flew","person":"eve"}')),
-        DamagedFileError, "event 2 cannot have happened: not an event of a study",
+        damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":0,"event":{"kind":"flew","person":"eve"}}')),
+        DamagedFileError, "event 2 cannot have happened: event: 'flew' is no kind of event; expected one of acted,",
     ),
     "an event at no time": (
-        damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":"noon","event":"onward","person":"eve"}')),
+        damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":"noon","event":{"kind":"left","person":"eve"}}')),
         DamagedFileError, "event 2 cannot have happened",
     ),
     "an event of nobody": (
-        damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":0,"event":"onward","person":"nobody"}')),
+        damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":0,"event":{"kind":"left","person":"nobody"}}')),
         DamagedFileError, "event 2 cannot have happened: 'nobody' is not in the study",
     ),
     "an event that is gone": (damaged(lambda d: gone(d / JOURNAL)), DamagedFileError, "event 4; expected 3"),
@@ -231,7 +231,7 @@ def test_a_clock_that_is_set_back_changes_no_order_and_no_result(
     begun: Path, tiny: Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     back = type("Clock", (datetime,), {"now": classmethod(lambda *_: datetime(1999, 1, 1, tzinfo=UTC))})
-    monkeypatch.setattr(cohort, "datetime", back)
+    monkeypatch.setattr(events, "datetime", back)
     session = opened(tiny, begun)
     late = Part(session, "late")
     late.come()
@@ -264,7 +264,7 @@ def test_the_last_day_for_withdrawals_is_a_day_where_the_service_is(
         def astimezone(self, tz: Any = None) -> Any:
             return datetime.fromtimestamp(self.timestamp(), tz or zone)
 
-    monkeypatch.setattr(cohort, "datetime", Clock)
+    monkeypatch.setattr(events, "datetime", Clock)
     midnight = datetime(2027, 4, 1, tzinfo=UTC) + timedelta(hours=ends)
     instant = midnight - timedelta(minutes=1)
     assert parts[0].report("withdrew")["study"]["kind"] == "withdrew"

@@ -15,7 +15,6 @@ from test_event_store import content, forked
 from userstudies import PLAN, SCORES, Open, Part, opened, written
 
 from assist.cli.user_study import _report
-from assist.live.events import ERASED
 from assist.live.store import JournalError, stored
 from assist.reports.html_page import html_page
 from assist.reports.userstudy_report import write_report
@@ -23,9 +22,9 @@ from assist.reports.userstudy_summary import summarise
 from assist.texts import AbsentError, InapplicableError
 from assist.texts.refusals import BusyError
 from assist.userstudy.cohort import Cohort
+from assist.userstudy.events import Withdrew
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import JOURNAL, REPORT, StudySession
-from assist.userstudy.study_events import StudyEvent
 from assist.userstudy.tables import tables
 from planner import Table
 
@@ -75,7 +74,9 @@ def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool
     (folder / "report" / ".unfinished-1-summary.json").write_bytes(content(folder))
     place, before = session.people.index(own), of_others(session, own)
     traces = [f"words of {own}"] if late else ["(fetch", '"cost_before"']
-    kept = {n: record for n, (_, record) in enumerate(stored(folder / JOURNAL)[1]) if record.get("person") == own}
+    kept = {
+        n: record for n, (_, record) in enumerate(stored(folder / JOURNAL)[1]) if record["event"].get("person") == own
+    }
     assert all(trace.encode() in content(folder) for trace in traces)
     status = session.cohort.participants[own]
     at, condition = status.at, status.condition
@@ -85,8 +86,9 @@ def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool
     for n, (utc, record) in enumerate(stored(folder / JOURNAL)[1]):
         if n in kept:
             assert utc is None
-            assert set(record) <= {"n", "time", "event", "person", "status", "reached", "id", "condition", "simulated"}
-            assert record["event"] in ("visited", ERASED)
+            assert set(record) <= {"n", "time", "event", "status", "condition"}
+            assert set(record["event"]) <= {"kind", "person", "reached", "id", "simulated"}
+            assert record["event"]["kind"] in ("visited", "erased")
             assert record["time"] <= kept[n]["time"]
     assert sorted(file.name for file in folder.rglob("*") if file.is_file()) == sorted(
         ["journal.lock", "journal.sqlite", "journal.sqlite-shm", "journal.sqlite-wal", "study.toml"]
@@ -140,8 +142,8 @@ def test_what_a_member_of_a_group_withdraws_is_gone_and_the_others_go_on(opened:
         assert {**view, "seq": 0, "suggestion": None} == {**views[name], "seq": 0, "suggestion": None}
     assert eve.kind == "withdrew"
     records = [record for _, record in stored(session.folder / JOURNAL)[1]]
-    own = [sub for record in records for sub in record.get("team", ()) if sub.get("person") == eve.name]
-    assert {sub["event"] for sub in own} <= {"vacant"}
+    every = [sub["event"] for record in records for sub in record.get("team", ())]
+    assert {event["kind"] for event in every if event.get("person") == eve.name} <= {"vacant"}
     session.close()
     session = opened(GROUPED)
     assert {part.name: session.person(part.name) for part in others} == after
@@ -179,7 +181,7 @@ def test_a_withdrawal_whose_data_cannot_be_removed_says_so_and_is_completed(
     eve = Part(session, "eve")
     eve.come()
     answers(eve)
-    session.report([])
+    session.report_all([])
     removing = [False]
 
     def breaks(sql: str) -> bool:
@@ -329,7 +331,7 @@ def test_a_flood_of_withdrawals_leaves_others_their_turn_and_all_are_removed(
         return now[0]
 
     monkeypatch.setattr(session, "_clock", ticks)
-    outcomes = session.report([StudyEvent("withdrew", part.name, id="asked") for part in parts[:3]])
+    outcomes = session.report_all([Withdrew(person=part.name, id="asked") for part in parts[:3]])
     assert [isinstance(one, BusyError) for one in outcomes] == [False, True, True]
     assert b"words of P-EVE234" not in content(session.folder)
     assert session.fault() is not None
@@ -353,7 +355,7 @@ def test_withdrawals_that_wait_are_removed_when_the_study_is_opened(
         part.come()
         answers(part)
     monkeypatch.setattr(session, "_clock", lambda: now.append(now[-1] + 4.0) or now[-1])
-    session.report([StudyEvent("withdrew", part.name) for part in parts])
+    session.report_all([Withdrew(person=part.name) for part in parts])
     assert b"words of P-EVE237" in content(session.folder)
     session.close()
     monkeypatch.setattr("assist.userstudy.session.LONG", -1.0)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
+import sqlite3
 import tomllib
 from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import fields, replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -19,18 +21,18 @@ from conftest import KITTING, ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
-from sessions import former
 from userstudies import PLAN, SCORES, Open, Part, opened, written
 
+from assist.live.events import kinds
 from assist.live.store import stored
 from assist.reports.userstudy_summary import summarise
 from assist.texts import FullError, InapplicableError
-from assist.userstudy import cohort
+from assist.userstudy import events
 from assist.userstudy.assignment import balanced_orders
 from assist.userstudy.cohort import Cohort
+from assist.userstudy.events import StudyEvent
 from assist.userstudy.plan_file import FileTable, read
 from assist.userstudy.session import JOURNAL, StudySession
-from assist.userstudy.study_events import StudyEvent
 from assist.userstudy.tables import tables
 from planner import Instance, Table
 from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError
@@ -74,11 +76,7 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
     ("right", "wrong", "message"),
     [
         ("seed = 3", "tick = 0", "tick: 0; expected a number of seconds above 0"),
-        (
-            "seed = 3",
-            "population = {beta = [2, 1]}",
-            r"population.beta: \[2, 1\]; expected two numbers",
-        ),
+        ("seed = 3", "population = {beta = [2, 1]}", r"population.beta: \[2, 1\]; expected two numbers"),
         ("c_move = 0.01", "execute = true", "setting.execute: true; expected a robot that suggests"),
         ('policy = "attention"', 'policy = "own.py:mine"', r"conditions\[2\].policy: .*own.py: no such file"),
         ('name = "trust"', 'name = "1st"', r"questionnaires\[2\].name: '1st'; expected a letter"),
@@ -115,7 +113,7 @@ def cohort_of(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Callable
     study, tasks = read(written(folder / "study.toml", four)), {"tiny": tiny, "practice": tiny}
     session = StudySession(study, tasks, folder / "data")
     session.close()
-    return lambda again: Cohort(replace(study, replace=again), tasks, session._course_of)
+    return lambda again: Cohort(replace(study, replace=again), tasks, session._team_of)
 
 
 @settings(max_examples=30, deadline=None)
@@ -139,14 +137,15 @@ def test_conditions_stay_balanced_whoever_comes_and_goes(
             )
             for name in ("none", "attention", "c", "d")
         }
-        event = StudyEvent(kind, f"p{who}", stage=stage.name if stage else None, answers=answers)
+        more = {"stage": stage.name if stage else "none", "answers": answers} if kind == "onward" else {}
+        event = kinds(StudyEvent)[kind](person=f"p{who}", **more)
         try:
             record = cohort.happen(event, float(number))
         except (FullError, InapplicableError, ValueError):
             continue
-        if record is not None and "condition" in record:
-            given_to.append(record["condition"])
-            assert before[record["condition"]] == min(before.values())
+        if record is not None and record.condition is not None:
+            given_to.append(record.condition)
+            assert before[record.condition] == min(before.values())
         taken = [
             one
             for one in cohort.participants.values()
@@ -168,10 +167,9 @@ def copied(journal: Path) -> dict[str, bytes]:
 def done_together(journal: Path) -> list[list[str]]:
     """Return the actions in the task of ann and the simulated people of her team."""
     records = [record for _, record in stored(journal)[1]]
-    own = [
-        one for one in records if one["person"] == "ann" and one.get("stage") == "task tiny" and "answers" not in one
-    ]
-    return [[sub.get("action", sub["event"]) for sub in one["team"]] for one in own if one["event"] == "acted"]
+    own = [one for one in records if (one["event"]["person"], one["event"].get("stage")) == ("ann", "task tiny")]
+    acted = [[sub["event"] for sub in one["team"]] for one in own if one["event"]["kind"] == "acted"]
+    return [[event.get("action", event["kind"]) for event in team] for team in acted]
 
 
 def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: Path) -> None:
@@ -278,23 +276,24 @@ def test_within_participants_all_conditions_are_compared(opened: Open) -> None:
     assert ({name: again.person(name) for name in again.people}, again.log(), again.beliefs()) == before
 
 
-def test_a_journal_that_cannot_have_been_is_refused_with_its_line(opened: Open, tmp_path: Path) -> None:
+def test_a_journal_that_cannot_have_been_is_refused_with_its_event(opened: Open, tmp_path: Path) -> None:
     session = opened()
     ann = Part(session, "ann")
     ann.come()
     ann.to("questionnaire trust")
     session.close()
-    lines = former(tmp_path / "data" / JOURNAL).read_text().splitlines()
+    lines = [json.dumps(record, separators=(",", ":")) for _, record in stored(tmp_path / "data" / JOURNAL)[1]]
     for number, (old, new) in enumerate([
-        ('"event":"onward"', '"event":"onwards"'), ('"stage":"instructions"', '"stage":"thanks"'),
+        ('"kind":"onward"', '"kind":"onwards"'), ('"stage":"instructions"', '"stage":"thanks"'),
         ('"person":"ann"', '"person":"bob"'), ('"time":', '"time":"x","was":'), ('"action":"(', '"action":"(un'),
     ]):  # fmt: skip
-        line = next(n for n, one in enumerate(lines) if old in one and n > 1)
+        line = next(n for n, one in enumerate(lines) if old in one and n > 0)
         folder = tmp_path / f"broken-{number}"
-        folder.mkdir()
-        broken = [*lines[:line], lines[line].replace(old, new, 1), *lines[line + 1 :]]
-        (folder / JOURNAL).with_suffix(".jsonl").write_text("\n".join(broken) + "\n")
-        with pytest.raises(DamagedFileError, match=rf"journal.jsonl:{line + 1}: cannot have happened"):
+        shutil.copytree(tmp_path / "data", folder)
+        with closing(sqlite3.connect(folder / JOURNAL)) as db, db:
+            broken = lines[line].replace(old, new, 1)
+            db.execute("UPDATE events SET record = ? WHERE n = ?", (broken, line + 1))
+        with pytest.raises(DamagedFileError, match=rf"journal.sqlite: event {line + 1} cannot have happened"):
             opened(folder=folder)
 
 
@@ -365,7 +364,7 @@ def test_data_can_be_withdrawn_until_the_studys_date_and_the_report_counts_every
         if name not in ("eve", "fay"):
             part.to("thanks")
     parts["eve"].to("task tiny")
-    with pytest.raises(ValueError, match="reason: expected 1 to 200 characters; found 0"):
+    with pytest.raises(ValueError, match="reason '': expected 1 to 200 characters"):
         parts["cid"].report("excluded", reason="")
     parts["cid"].report("excluded", reason="did another study")
     parts["dora"].report("excluded", reason="by mistake")
@@ -374,7 +373,7 @@ def test_data_can_be_withdrawn_until_the_studys_date_and_the_report_counts_every
 
     def it_is(now: datetime) -> None:
         clock = type("Clock", (datetime,), {"now": classmethod(lambda *_: now)})
-        monkeypatch.setattr(cohort, "datetime", clock)
+        monkeypatch.setattr(events, "datetime", clock)
 
     it_is(datetime(2027, 3, 31, 23, 59, tzinfo=UTC))
     parts["ann"].report("withdrew")
@@ -471,8 +470,8 @@ def test_simulated_people_act_in_step_and_share_the_robot(opened: Open) -> None:
     for _ in range(4):
         ann.errs()
     lines = [record for _, record in stored(session.folder / JOURNAL)[1]]
-    acted = [line for line in lines if line["event"] == "acted" and line["stage"] == "task tiny"]
-    assert [[sub["person"] for sub in line["team"]] for line in acted] == [["ann", "ann-1", "ann-2"]] * 4
+    acted = [line for line in lines if line["event"]["kind"] == "acted" and line["event"]["stage"] == "task tiny"]
+    assert [[sub["event"]["person"] for sub in line["team"]] for line in acted] == [["ann", "ann-1", "ann-2"]] * 4
     assert {row["person"] for row in session.log()} == {"ann"}
 
 

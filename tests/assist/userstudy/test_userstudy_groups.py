@@ -69,7 +69,7 @@ def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> Non
             told |= set(asked)
     assert told == {"ann", "bob", "cyd"}  # the robot attends to one after the other
     (group,) = session.cohort.groups.begun.values()
-    assert {advice.person for advice in group.teams[1].course.advices} <= {"ann", "bob", "cyd", None}
+    assert {advice.person for advice in group.teams[1].team.advices} <= {"ann", "bob", "cyd", None}
     assert all(session.person(name)["steps"] == 3 for name in who)
 
 
@@ -82,7 +82,7 @@ def test_a_member_who_leaves_does_not_stop_the_others(opened: Open, goes: str) -
     for part in (ann, cyd):
         for _ in range(2):
             part.errs()
-            assert session.cohort.groups.begun["G1"].teams[1].course.advices[0].person in (ann.name, cyd.name, None)
+            assert session.cohort.groups.begun["G1"].teams[1].team.advices[0].person in (ann.name, cyd.name, None)
         part.finish()
     views = {part.name: session.person(part.name) for part in (ann, bob, cyd)}
     session.close()
@@ -129,7 +129,7 @@ def test_after_the_time_a_smaller_group_may_start(opened: Open) -> None:
     cyd.report("expired")
     assert cyd.stage == "task tiny"  # alone
     cyd.errs()
-    assert session.cohort.groups.begun["G2"].teams[1].course.advices[0].person in ("cyd", None)
+    assert session.cohort.groups.begun["G2"].teams[1].team.advices[0].person in ("cyd", None)
     before = {name: session.person(name) for name in ("ann", "bob", "cyd")}
     session.close()
     again = opened(EAGER)
@@ -235,8 +235,8 @@ def test_within_participants_a_group_waits_again_and_has_another_robot(opened: O
     assert session.person("cyd")["steps"] == 1
     cyd.to("task tiny 2")  # the others have begun, so that there is nobody to wait for
     (group,) = session.cohort.groups.begun.values()
-    assert set(group.teams[2].course.people) == {"ann", "bob", "cyd"}
-    assert group.teams[1].course is not group.teams[2].course
+    assert set(group.teams[2].team.people) == {"ann", "bob", "cyd"}
+    assert group.teams[1].team is not group.teams[2].team
     for part in parts:
         part.to("thanks")
     found = tables(session.study, session.folder / JOURNAL)

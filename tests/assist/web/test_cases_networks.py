@@ -17,7 +17,7 @@ import pytest
 from networks import NGINX, Wire, free_port, proxy, running
 from test_live_pages import CHROMIUM, chromium, violations
 
-from assist.live.events import Event
+from assist.live.events import Joined
 from assist.live.session import Session
 from assist.team.settings import Setting
 from assist.web.app import make_app
@@ -45,7 +45,7 @@ class Line:
             {"tiny": table}, folder / "journal.sqlite", setting=Setting(suggestions="all", c_suggest=0.02)
         )
         if not self.session.people:
-            self.session.report([Event("joined", name) for name in ("ann", "bob")])
+            self.session.report_all([Joined(person=name) for name in ("ann", "bob")])
         self.access = AccessTokens.kept(folder / "secret", base)
         self.service = Service(self.session, self.access, tick=60.0, ping=ping, check=0.1)
         self.app = make_app(self.service)
@@ -64,7 +64,7 @@ class Line:
     def acts(self, action: str, person: str = "ann") -> None:
         """Report an action by another way than the page."""
         if self.behind is not None:
-            Client(f"{self.behind}{self.path}/operator#{self.access.operator}").act(action, person)
+            Client(f"{self.behind}{self.path}/operator#{self.access.operator}").observe(person, action)
 
     behind: str | None = None
     path = ""

@@ -56,7 +56,7 @@ def proxy(request: pytest.FixtureRequest) -> Iterator[Proxy]:
 
 @pytest.mark.parametrize("proxy", [(502, 504, 503)], indirect=True)
 def test_a_report_is_sent_until_the_proxy_reaches_the_service(proxy: Proxy) -> None:
-    assert Client(proxy.link, pause=0.01).act("(fetch box-a)") == {"steps": 1}
+    assert Client(proxy.link, pause=0.01).observe("ann", "(fetch box-a)") == {"steps": 1}
     assert len(proxy.ids) == 4
     assert len(set(proxy.ids)) == 1
 
@@ -64,7 +64,7 @@ def test_a_report_is_sent_until_the_proxy_reaches_the_service(proxy: Proxy) -> N
 @pytest.mark.parametrize("proxy", [(404,)], indirect=True)
 def test_a_refusal_without_json_is_one_sentence(proxy: Proxy) -> None:
     with pytest.raises(RefusedError, match="404 Not Found"):
-        Client(proxy.link).act("(fetch box-a)")
+        Client(proxy.link).observe("ann", "(fetch box-a)")
 
 
 STREAM = b'event: ping\ndata: {"seconds": 15}\n\nevent: view\ndata: {"seq": %d}\n\n'

@@ -44,15 +44,15 @@ def test_the_client_says_what_was_refused_and_tries_again_what_passes() -> None:
         ann = Client(service.links["person-1"])
         watched = ann.watch()
         assert next(watched)["steps"] == 0
-        assert ann.act("(fetch box-a)")["steps"] == next(watched)["steps"] == 1
+        assert ann.observe("ann", "(fetch box-a)")["steps"] == next(watched)["steps"] == 1
         with pytest.raises(RefusedError, match="not applicable here") as refused:
-            ann.act("(fetch box-b)")
+            ann.observe("ann", "(fetch box-b)")
         assert refused.value.status == 409
         with pytest.raises(RefusedError, match="only the operator may do this"):
             ann.team()
         operator = Client(service.operator)
-        bob = Client(operator.join("bob"))
-        assert bob.begin()["steps"] == 0
+        bob = Client(operator.join("bob")["join"])
+        assert bob.begin("bob")["steps"] == 0
         operator.pause()
         assert bob.see()["paused"]
         operator.leave("bob")

@@ -276,7 +276,8 @@ def follows_one_suggestion_and_ignores_another(clicked: Seat) -> None:
 
 def acted_since_the_first_of(person: str, journal: Path) -> list[str]:
     """Return who acted, action by action, from the person's first action on."""
-    people = [record["person"] for _, record in stored(journal)[1] if record["event"] == "acted"]
+    events = [record["event"] for _, record in stored(journal)[1]]
+    people = [event["person"] for event in events if event["kind"] == "acted"]
     return people[people.index(person) :]
 
 

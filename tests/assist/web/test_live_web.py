@@ -17,7 +17,7 @@ import pytest
 from starlette.testclient import TestClient
 from streams import EndedError, Stream, opened
 
-from assist.live.events import Event
+from assist.live.events import Acted, Joined
 from assist.live.session import Session
 from assist.live.store import JournalError
 from assist.people.human import Population
@@ -44,7 +44,7 @@ class Web:
         setting = Setting(c_suggest=0.02, c_move=0.01, trust="paper")
         session = Session({"tiny": table}, folder / "journal.sqlite", setting=setting, population=Population())
         if not session.people:
-            session.report([Event("joined", name) for name in ("ann", "bob")])
+            session.report_all([Joined(person=name) for name in ("ann", "bob")])
         self.folder = folder
         self.access = AccessTokens.kept(folder / "secret", "http://testserver")
         self.service = Service(session, self.access, tick=60.0, ping=ping, check=check)
@@ -365,7 +365,7 @@ def test_the_operator_sees_what_changes_while_the_view_is_computed(tiny: Table, 
         web.service._entries_of = late  # type: ignore[method-assign]
         first = asyncio.create_task(web.service.team())
         await asyncio.to_thread(read.wait, 60)
-        await web.service.report(Event("acted", "ann", "(fetch box-a)"))
+        await web.service.report(Acted(person="ann", action="(fetch box-a)"))
         web.service.watch("bob")
         changed.set()
         views = [await first, await web.service.team()]
@@ -383,7 +383,8 @@ def test_who_does_not_read_costs_no_memory_and_nobody_waits(tiny: Table, tmp_pat
         web.service.start()
         slow, everything = web.service.watch("ann"), web.service.follow()
         for number in range(70):
-            await web.service.report(Event("acted", "ann", ("(fetch box-a)", "(return box-a)")[number % 2]))
+            action = ("(fetch box-a)", "(return box-a)")[number % 2]
+            await web.service.report(Acted(person="ann", action=action))
         view = json.loads((await slow.take())[-1].decode().partition("data: ")[2])
         events = len(await everything.take())
         await web.service.stop()
@@ -417,7 +418,7 @@ def test_a_connection_that_is_not_read_is_given_back_soon(
             await asyncio.sleep(0.01)
         for number in range(3000):
             action = "(fetch box-a)" if number % 2 == 0 else "(return box-a)"
-            await web.service.report(Event("acted", "ann", action))
+            await web.service.report(Acted(person="ann", action=action))
             if not serving.server_state.connections:
                 break
             await asyncio.sleep(0.002)
@@ -555,11 +556,11 @@ def test_links_are_those_of_before(tiny: Table, tmp_path: Path) -> None:
 def test_the_interface_is_described(web: Web) -> None:
     described = web.client.get("/openapi.json").json()["paths"]
     assert set(described) >= {
-        "/api/health", "/api/people/{name}", "/api/people/{name}/actions", "/api/people/{name}/undo",
-        "/api/robots/{number}", "/api/robots/{number}/arrived", "/api/team", "/api/team/people",
-        "/api/team/people/{name}", "/api/log",
+        "/api/health", "/api/people/{person}", "/api/people/{person}/actions", "/api/people/{person}/undo",
+        "/api/robots/{robot}", "/api/robots/{robot}/arrived", "/api/team", "/api/team/people",
+        "/api/team/people/{person}", "/api/log",
     }  # fmt: skip
     page = web.client.get("/docs").text
-    assert "<code>POST /api/people/{name}/actions</code>" in page
+    assert "<code>POST /api/people/{person}/actions</code>" in page
     assert "<code>followed</code>, optional: boolean or null" in page
     assert re.findall(r"(?:src|href)=\"([^\"]*)\"", page) == ["data:,", "pages/live.css", "openapi.json"]

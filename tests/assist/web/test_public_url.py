@@ -21,7 +21,7 @@ from streams import opened
 from test_live_pages import CHROMIUM, chromium
 from userstudies import PLAN, written
 
-from assist.live.events import Event
+from assist.live.events import Joined
 from assist.live.session import Session
 from assist.team.settings import Setting
 from assist.userstudy.plan_file import read
@@ -58,7 +58,7 @@ class Proxy:
 
 def team(table: Table, folder: Path, base: str) -> Service:
     session = Session({"tiny": table}, folder / "journal.sqlite", setting=Setting(c_suggest=0.02, c_move=0.01))
-    session.report([Event("joined", name) for name in ("ann", "bob")])
+    session.report_all([Joined(person=name) for name in ("ann", "bob")])
     return Service(session, AccessTokens.kept(folder / "secret", base), tick=60.0)
 
 
@@ -150,11 +150,11 @@ def test_a_client_takes_links_with_a_path(strips: bool, tiny: Table, tmp_path: P
 
     with running(make, strips=strips) as service:
         operator, ann = Client(service.access.operator_url()), Client(service.access.join_url("ann"))
-        assert ann.act("(fetch box-a)")["steps"] == 1
+        assert ann.observe("ann", "(fetch box-a)")["steps"] == 1
         watched = ann.watch()
         assert next(watched)["steps"] == 1
         watched.close()  # type: ignore[attr-defined]
-        assert Client(operator.join("operator")).see()["person"] == "operator"
+        assert Client(operator.join("operator")["join"]).see()["person"] == "operator"
         assert [person["person"] for person in operator.team()["people"]] == ["ann", "bob", "operator"]
         assert [row["action"] for row in operator.log()] == ["(fetch box-a)"]
         with pytest.raises(RefusedError, match="another person"):

@@ -1,0 +1,176 @@
+"""State that follows from a list of events, and its views: what a `Session` saves, serves and restores."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from planner import CostToGo
+
+from ..explain.explanation import Explanation
+from ..people.goals import Goals
+from .advice import Advice
+from .events import Event
+from .record import Record
+
+R = TypeVar("R", bound=Record)
+
+Change = Callable[[Any, Any], tuple[Any, Any]]
+"""Returns a record and its answer as they are to be stored, without what is to be erased."""
+
+
+class History(ABC, Generic[R]):
+    """State that follows from a list of events: of a team, or of a study.
+
+    Attributes
+    ----------
+    count : int
+        Number of events.
+    fault : str or None
+        Error of the policy after the last event; the robots then do nothing, and people continue to act.
+    recent : deque of dict
+        The latest events, as the operator's page lists them.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.fault: str | None = None
+        self.recent: deque[dict[str, Any]] = deque(maxlen=50)
+
+    @abstractmethod
+    def happen(self, event: Event, time: float) -> R | None:
+        """Apply an event at a time in seconds, and return its record; None if nothing has changed.
+
+        Raises
+        ------
+        InvalidError, AbsentError, InapplicableError
+            The event is not possible. Nothing has changed.
+        """
+
+    @abstractmethod
+    def again(self, record: R) -> None:
+        """Apply a recorded event.
+
+        Raises
+        ------
+        ValueError
+            The record is not possible here.
+        """
+
+    @abstractmethod
+    def farewell(self, person: str) -> Event | None:
+        """Return the event by which a person leaves for good; None if they have left.
+
+        Raises
+        ------
+        AbsentError
+            Nothing is recorded of this person.
+        """
+
+    @abstractmethod
+    def without(self, person: str, label: str) -> Change:
+        """Return a function that removes what is recorded of a person; called for all records in order.
+
+        The records without it lead to the same states of the others. The label stands for the person.
+        """
+
+    @abstractmethod
+    def touched(self, record: R) -> set[str]:
+        """Return the people whose view the last event has changed."""
+
+    @property
+    def paused(self) -> bool:
+        """Whether the robots make no suggestions."""
+        return False
+
+    # Views.
+
+    @abstractmethod
+    def require(self, person: str) -> None:
+        """Check that a person is present.
+
+        Raises
+        ------
+        AbsentError
+            The person is not present.
+        """
+
+    @property
+    @abstractmethod
+    def people(self) -> tuple[str, ...]:
+        """The people who are present, in the order of their first arrival."""
+
+    @property
+    @abstractmethod
+    def advices(self) -> tuple[Advice, ...]:
+        """The decision after the last event, of each robot."""
+
+    @abstractmethod
+    def person(self, person: str) -> dict[str, Any]:
+        """Return a person's view, as JSON."""
+
+    @abstractmethod
+    def entry(self, person: str) -> dict[str, Any]:
+        """Return the operator's view of a person, as JSON."""
+
+    @abstractmethod
+    def place(self, person: str) -> tuple[CostToGo | Goals, int]:
+        """Return a person's task, and the number of its present state."""
+
+    @abstractmethod
+    def robot(self, number: int = 1) -> dict[str, Any]:
+        """Return where a robot should be, and its suggestion there, as JSON; robots are numbered from 1."""
+
+    @abstractmethod
+    def beliefs(self) -> dict[str, bytes]:
+        """Return the belief about each present person, as the bytes of its array."""
+
+    @abstractmethod
+    def log(self, task: str | None = None) -> list[dict[str, Any]]:
+        """Return all actions as `fit` reads them, with their times in seconds; or only those in one task.
+
+        Raises
+        ------
+        InvalidError
+            There is no such task.
+        """
+
+    @abstractmethod
+    def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
+        """Return a function that explains a person's suggestion, or why there is none, by the present beliefs.
+
+        The function may be called from another thread.
+        """
+
+    def outlook(self) -> Outlook:
+        """Return the team's part of the operator's view."""
+        robots = tuple(self.robot(number) for number in range(1, 1 + len(self.advices)))
+        return Outlook(self.count, self.paused, list(self.recent), self.fault, robots)
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """The team's part of the operator's view; `History.entry` has that of each person.
+
+    Attributes
+    ----------
+    events : int
+        Number of events.
+    paused : bool
+        Whether the robot makes no suggestions.
+    recent : list of dict
+        The latest events, the oldest first.
+    fault : str or None
+        Error of the policy after the last event, if there was one; the robot then does nothing.
+    robots : tuple of dict
+        Where each robot is to be, and its suggestion there.
+    """
+
+    events: int
+    paused: bool
+    recent: list[dict[str, Any]]
+    fault: str | None
+    robots: tuple[dict[str, Any], ...]

@@ -1,0 +1,299 @@
+"""A live team whose robots decide after every event, and what pages show of its people and robots.
+
+Timing. A decision follows every event: an action, an undo, a person who joins, leaves or begins a task, the robot's
+arrival. Idle people cause no events, and the robot does one thing per decision. So a person who needs help while no one
+acts would wait without end. Therefore elapsed time is an event, too (`Elapsed`), if the robot then does something new.
+An action counts as the answer to a suggestion only if the person can have seen it.
+
+The record of each event includes the advice. `Team.again` applies a record, and leads to the same beliefs, bit for bit,
+without computing a decision again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from planner import CostToGo
+
+from ..explain.explanation import Explanation, WhyNothing
+from ..people.decision import Floats
+from ..people.goals import Goals
+from ..people.human import Population
+from ..team.settings import Setting
+from ..team.state import TeamPolicy
+from ..texts.refusals import AbsentError, InvalidError
+from .advice import Advice, PersonState, Reason
+from .desk import IDLE, Desk
+from .events import Elapsed, Event, Left, TeamEvent, kinds
+from .history import Change, History
+from .live_task import require_usable
+from .names import is_name
+from .record import TeamRecord, without_in_view
+
+
+class Team(History[TeamRecord]):
+    """The state of a team after its events.
+
+    Parameters
+    ----------
+    tasks : mapping of str to CostToGo or Goals
+        Tasks by name; the first is the default.
+    policy, setting, population, distance
+        As in `Assistant`.
+
+    Attributes
+    ----------
+    desk : Desk
+        What the robots know.
+    """
+
+    def __init__(
+        self,
+        tasks: Mapping[str, CostToGo | Goals],
+        *,
+        policy: str | TeamPolicy = "attention",
+        setting: Setting | None = None,
+        population: Population | None = None,
+        distance: ArrayLike | None = None,
+    ) -> None:
+        super().__init__()
+        if not tasks:
+            raise ValueError("there is no task; expected one or more")
+        self.tasks = dict(tasks)
+        self.desk = Desk(self.tasks, policy=policy, setting=setting, population=population, distance=distance)
+        for task in self.tasks.values():
+            require_usable(task, self.desk.setting, self.desk.population)
+        self._nothing = (IDLE,) * len(self.desk.setting.robots)
+        self._advices = self._nothing
+        self._known: dict[str, PersonState] = {}
+
+    # Events.
+
+    def happen(self, event: Event, time: float) -> TeamRecord | None:
+        """Apply an event, decide what the robots do then, and return the record.
+
+        The record is None if nothing has changed, such as after elapsed time if the robots do nothing new.
+        """
+        if not isinstance(event, TeamEvent):
+            raise InvalidError(
+                "other", why=f"event {event.kind!r}: expected one of {', '.join(sorted(kinds(TeamEvent)))}"
+            )
+        found = event.recorded(self.desk)
+        if found is None:
+            return None
+        step, time = self.desk.step, round(time, 3)
+        self.desk.take(found, time)
+        advices = self._decided()
+        self._known.clear()
+        if isinstance(event, Elapsed) and advices == self.advices:
+            if not self.paused:
+                self.desk.follow(advices, step)
+            return None
+        changed = any(advice.person is not None for advice in advices) or advices != self.advices
+        record = TeamRecord(
+            n=self.count + 1, time=time, event=found, step=self.desk.step, advices=advices if changed else ()
+        )  # fmt: skip
+        self._note(record, advices)
+        return record
+
+    def _decided(self) -> tuple[Advice, ...]:
+        self.fault = None
+        try:
+            return self.desk.recommend_all()
+        except Exception as error:  # noqa: BLE001 an action is a fact, even if the policy fails
+            self.fault = " ".join(str(error).split()) or type(error).__name__
+            return self._nothing
+
+    def again(self, record: TeamRecord) -> None:
+        """Apply a recorded event, including the robots' decision."""
+        self.desk.take(record.event, record.time)
+        advices = record.advices or self.advices
+        if len(advices) != self.robots:
+            raise ValueError(f"advice of {len(advices)} robots; expected {self.robots}")
+        if not self.paused:
+            self.desk.follow(advices, record.step)
+        self._known.clear()
+        self._note(record, advices)
+
+    def _note(self, record: TeamRecord, advices: tuple[Advice, ...]) -> None:
+        """Update what the views show of people, and the list of recent events, after an event."""
+        self.count, self._advices = record.n, advices
+        for name in self.touched(record):
+            self.desk.entry(name).seq = self.count
+        for advice in advices:
+            if advice.question is not None:
+                self.desk.entry(advice.question.person).asked_at = self.count
+            if advice.person is not None and advice.suggestion is not None:
+                self.desk.entry(advice.person).suggested = self.count
+        self.recent.extend(record.entries(advices))
+
+    def touched(self, record: TeamRecord) -> set[str]:
+        """Return the people whose view an event has changed."""
+        return record.touched() | (set(self.people) if record.event.concerns_all else set())
+
+    @property
+    def paused(self) -> bool:
+        """Whether the robots make no suggestions."""
+        return self.desk.paused
+
+    @property
+    def advices(self) -> tuple[Advice, ...]:
+        """The advice of each robot after the last event."""
+        return self._advices
+
+    @property
+    def people(self) -> tuple[str, ...]:
+        """The people who are present, in the order of their first arrival."""
+        return self.desk.people
+
+    def require(self, person: str) -> None:
+        """Check that a person is present."""
+        self.desk.require(person)
+
+    # Erasing.
+
+    def farewell(self, person: str) -> Event | None:
+        """Return the event by which a person leaves; None if they have left."""
+        if not self.desk.has_met(person) or not is_name(person):
+            raise AbsentError("no_records", person=repr(person[:80]))
+        return Left(person=person) if self.desk.is_present(person) else None
+
+    def without(self, person: str, label: str) -> Change:
+        """Return a function that removes what is recorded of a person from a record and its answer.
+
+        The robots' course remains: where they went, and what they suggested to others. The person's place has the
+        label.
+        """
+        before = 0.0
+
+        def removed(record: TeamRecord, answer: Any) -> tuple[TeamRecord, Any]:
+            nonlocal before
+            kept = record.without(person, label, before)
+            if record.event.who == person:
+                return kept, None
+            before = record.time
+            return kept, None if answer is None else without_in_view(answer, person, label)
+
+        return removed
+
+    # Views.
+
+    def place(self, person: str) -> tuple[CostToGo | Goals, int]:
+        """Return a person's task, and the number of its present state."""
+        return self.tasks[self.desk.entry(person).tasks[-1]], self._state(person).state
+
+    def person(self, person: str) -> dict[str, Any]:
+        """Return a person's view, as JSON."""
+        return self._seen(self._state(person))
+
+    def _state(self, person: str) -> PersonState:
+        """Return the person's state after the last event; it is cached, as several views show it."""
+        if person not in self._known:
+            self._known[person] = self.desk.person(person)
+        return self._known[person]
+
+    def _seen(self, known: PersonState) -> dict[str, Any]:
+        entry = self.desk.entry(known.person)
+        return {
+            "person": known.person, "task": entry.tasks[-1], "present": known.present, "paused": self.paused,
+            "applicable": list(known.applicable), "suggestion": known.suggestion,
+            "reason": _plain(entry.reason) if known.suggestion is not None else None,
+            "cost_to_go": _finite(known.cost_to_go), "steps": known.steps, "finished": known.finished,
+            "explained": True, "seq": entry.seq,
+            **({} if known.question is None else {"question": known.question.as_dict()}),
+            **({} if known.answered is None else {"answered": dict(zip(("goal", "yes"), known.answered, strict=True))}),
+        }  # fmt: skip
+
+    def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
+        """Return a function that explains a person's suggestion, or why there is none, by the present beliefs.
+
+        The function may be called from another thread, and then raises the errors of `Assistant.explain`.
+        """
+        known = self._state(person)
+        if self.paused and known.suggestion is None and against is None:
+            paused = WhyNothing("paused", "", about=person)
+            return lambda: Explanation(nothing=paused)
+        return self.desk.explain_later(person, against=against)
+
+    def entry(self, person: str) -> dict[str, Any]:
+        """Return the operator's view of a person, as JSON."""
+        known = self._state(person)
+        return self._seen(known) | {
+            "history": [[time, _finite(cost)] for time, cost in self.desk.entry(person).history],
+            "beta": [known.beta.low, known.beta.mean, known.beta.high],
+            "theta": [known.theta.low, known.theta.mean, known.theta.high],
+            "grid": {"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
+            "belief": known.hidden.with_theta(known.belief, "beta").tolist(),
+            **({"goals": dict(known.goals)} if known.goals else {}),
+        }
+
+    def learned(self, person: str) -> Floats | None:
+        """Return the belief about a person, shape (B, T), present or not; None if no action was observed.
+
+        It is the same for all goals that the person may pursue, as a later task has goals of its own.
+        """
+        if not self.desk.has_met(person) or not self.desk.entry(person).times:
+            return None
+        known = self._state(person)
+        return known.hidden.of_people(known.belief)
+
+    def beliefs(self) -> dict[str, bytes]:
+        """Return the belief about each present person, as the bytes of its array."""
+        return {person: self.desk.person(person).belief.tobytes() for person in self.desk.people}
+
+    @property
+    def distance(self) -> list[list[float]] | None:
+        """The distances in force; None if all are 1."""
+        return self.desk.distance
+
+    @property
+    def robots(self) -> int:
+        """The number of robots."""
+        return len(self._nothing)
+
+    def robot(self, number: int = 1) -> dict[str, Any]:
+        """Return where a robot should be and what it suggests there, as JSON; robots are numbered from 1.
+
+        A suggestion remains until it is answered or replaced by another one. Of several robots with the person, the one
+        that was sent makes it, or else the first.
+        """
+        self.desk.require_robot(number)
+        here, advice = self.desk.robots[number - 1], self.advices[number - 1]
+        errand: dict[str, Any] = {"person": None, "suggestion": None, "reason": None, "arrived": True}
+        if not self.paused and advice.person is not None:
+            errand = advice.as_dict() | {"reason": _plain(advice.reason)}
+        elif not self.paused and here is not None and self.desk.is_present(here) and self._attends(here) == number - 1:
+            known = self.person(here)
+            if known["suggestion"] is not None:
+                errand |= {"person": here, "suggestion": known["suggestion"], "reason": known["reason"]}
+        errand.pop("question", None)  # which may have been asked some events ago
+        asked = (
+            [one.as_dict() for one in self.desk.questions if self.desk.is_present(one.person)] if number == 1 else []
+        )
+        return {**errand, "location": here, "seq": self.count, **({"questions": asked} if asked else {})}
+
+    def _attends(self, person: str) -> int:
+        """Return the index of the robot that attends to a person with whom one or more robots are."""
+        there = [m for m, where in enumerate(self.desk.robots) if where == person and self.advices[m].arrived]
+        return next((m for m in there if self.advices[m].person == person), min(there, default=0))
+
+    def log(self, task: str | None = None) -> list[dict[str, Any]]:
+        """Return all actions as `fit` reads them, with their tasks and times; or only those in one task."""
+        if task is not None:
+            self.desk.require_task(task)
+        return [row for row in self.desk.log() if task in (None, row["task"])]
+
+
+def _plain(reason: Reason | None) -> dict[str, Any] | None:
+    """Return a reason in the types that JSON has."""
+    if reason is None:
+        return None
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in reason.as_dict().items()}
+
+
+def _finite(cost: float) -> float | None:
+    return cost if math.isfinite(cost) else None

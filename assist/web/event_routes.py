@@ -1,0 +1,80 @@
+"""Requests that report events. Each follows from the class of the event: its path, its fields, and what is answered."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, create_model
+
+from ..live.events import Event, Recorded, kinds
+from .authorization import WRITE, Desk, Operator, Own
+
+
+def event_routes(base: type[Event], views: Mapping[str, type[BaseModel]]) -> APIRouter:
+    """Return the requests that report the events below a class.
+
+    Parameters
+    ----------
+    base : type
+        `TeamEvent`, or the events of a study.
+    views : mapping of str to type
+        What is answered, by `Event.shows`.
+    """
+    router = APIRouter()
+    for kind in kinds(base).values():
+        if kind.path is not None:
+            _add(router, kind, views[kind.shows])
+    return router
+
+
+def body_of(kind: type[Event]) -> type[BaseModel] | None:
+    """Return the class of the body of a request: the fields that are not in the path; None if there is no body."""
+    inside = inside_path(kind)
+    fields: dict[str, Any] = {
+        name: (kind.model_fields[name].annotation, kind.model_fields[name])
+        for name in kind.fields()
+        if name not in inside
+    }
+    if kind.method == "DELETE":
+        return None
+    return create_model(kind.__name__, __base__=Recorded, __doc__=kind.__doc__, **fields)
+
+
+def inside_path(kind: type[Event]) -> list[str]:
+    """Return the fields that are in the path of an event."""
+    return re.findall(r"\{(\w+)\}", kind.path or "")
+
+
+def _add(router: APIRouter, kind: type[Event], view: type[BaseModel]) -> None:
+    inside, body = inside_path(kind), body_of(kind)
+
+    async def take(service: Any, body: Any = None, **given: Any) -> Response:
+        named = {name: given[name] for name in inside}
+        said = {} if body is None else {name: getattr(body, name) for name in body.model_fields_set}
+        answer = await service.report(kind(**named, **said))
+        if kind.shows == "place":
+            answer = {**answer, "join": service.access.join_url(answer["person"])}
+        return Response(json.dumps(answer), media_type="application/json")
+
+    parameter = inspect.Parameter
+    known = {"person": Own, "robot": int}
+    needed = [("service", Desk), *((name, known[name]) for name in inside)]
+    if kind.by_operator:
+        needed.append(("_", Operator))
+    parameters = [parameter(name, parameter.KEYWORD_ONLY, annotation=one) for name, one in needed]
+    if body is not None:
+        required = any(field.is_required() for field in body.model_fields.values())
+        whole = {} if required else {"default": None}
+        annotation: Any = body if required else body | None
+        parameters.append(parameter("body", parameter.KEYWORD_ONLY, annotation=annotation, **whole))
+    take.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    take.__name__, take.__doc__ = kind.kind_name(), kind.__doc__
+    path = str(kind.path)
+    router.add_api_route(
+        path, take, methods=[kind.method], tags=[path.split("/")[2]], response_model=view, responses=WRITE
+    )
