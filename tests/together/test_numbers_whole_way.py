@@ -363,7 +363,7 @@ def test_two_and_a_half_and_five_halves_are_one_number(tmp_path: Path) -> None:
             assert equal(run(pools[0], policy, 3, 5, 1), run(pool, policy, 3, 5, 1))
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @given(st.integers(1, 400), st.sampled_from([1, 2, 4, 8, 5, 10, 100]))
 def test_a_decimal_cost_gives_the_people_of_its_fraction(tmp_path_factory: Any, over: int, under: int) -> None:
     folder = tmp_path_factory.mktemp("costs")

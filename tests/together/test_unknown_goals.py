@@ -109,7 +109,7 @@ def by_enumeration(goals: Goals, pomdp: AssistPOMDP, steps: Steps, *, seen_going
 
 
 @pytest.mark.parametrize("name", TASKS)
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=2)
 @given(seed=st.integers(0, 2**31))
 def test_the_belief_is_that_of_enumerated_histories(name: str, seed: int) -> None:
     """Through suggestions, trust, lapses, and the knowledge that a person goes on."""

@@ -59,7 +59,7 @@ def test_a_visitor_who_is_too_dear_never_comes(pool: Pool) -> None:
     assert root(AttentionSubproblem.of(alone, 0.0, 3, np.full(100, 1000.0))) == pytest.approx(value, abs=1e-2)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.data())
 def test_what_makes_visits_dearer_or_slower_makes_them_worth_less(pool: Pool, data: st.DataObject) -> None:
     alone = pool.policies[data.draw(st.integers(0, 2))].pomdp

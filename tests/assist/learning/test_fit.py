@@ -119,7 +119,7 @@ def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations], 
 
 
 @given(st.integers(0, 10_000), st.floats(0.1, 3.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_laws_of_estimates(seed: int, beta: float) -> None:
     table = TINY
     rows = people_at_work(TINY_CHOICES, [beta], np.random.default_rng(seed), suggest=0.3, episodes=2)
@@ -284,7 +284,7 @@ def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_the_marginal_likelihood_is_laplaces_with_the_whole_matrix(seed: int) -> None:
     """The mode is where the gradient is 0, and the determinant that of the matrix of second derivatives."""
     rng = np.random.default_rng(seed)

@@ -96,7 +96,7 @@ def by_enumeration(goals: dict[str, Table], episodes: list[list[int]]) -> list[l
 
 
 @pytest.mark.parametrize("name", TABLES)
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 2**31), lengths=st.lists(st.integers(1, 4), min_size=2, max_size=3))
 def test_the_posterior_is_that_of_enumerated_histories(name: str, seed: int, lengths: list[int]) -> None:
     goals, rng = TABLES[name], np.random.default_rng(seed)

@@ -61,7 +61,7 @@ def test_a_broken_line_costs_its_episode_and_no_other(tmp_path: Path, line: int,
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_broken_line_makes_a_mistake(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
     """Whichever lines of a log are cut, joined, lost or damaged, people who follow the plan never appear to err."""
     rows = [row for k in range(3) for row in lines(*PAPER_PLAN, person=f"p{k % 2}", episode=str(k))]
@@ -337,7 +337,7 @@ WHOLE = "".join(f"{line}\n" for line in text_of([*lines(FETCH, RIGHT, told={1: W
 
 
 @given(st.sampled_from([WHOLE, CSV]), st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_whatever_a_file_has_is_read_or_a_fault(
     tmp_path_factory: pytest.TempPathFactory, tiny: Table, text: str, data: st.DataObject
 ) -> None:

@@ -42,7 +42,7 @@ Floats = NDArray[np.float64]
 
 WEIGHTS = {"goals": 0.4, "arguments": 2.0, "name": 0.6, "back": -1.5}
 RANGES = {name: (weight, weight) for name, weight in WEIGHTS.items()}
-some = settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
+some = settings(max_examples=20, suppress_health_check=list(HealthCheck))
 costs = st.lists(st.one_of(st.floats(0, 30), st.just(float("inf"))), min_size=1, max_size=5)
 edges = st.tuples(st.integers(1, 4), st.integers(0, 4), st.sampled_from([0, 1, 1, 2]))
 graphs = st.lists(edges, min_size=2, max_size=9)

@@ -89,7 +89,7 @@ def by_enumeration(pomdp: AssistPOMDP, steps: Steps, *, works: bool = True) -> n
     return found
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.data(), st.booleans())
 def test_the_joint_belief_equals_the_enumeration_of_histories(data: st.DataObject, several: bool) -> None:
     pomdp = PROBLEMS[several]

@@ -76,7 +76,7 @@ def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndar
     return travel, np.array([at]), np.array([free]), np.array([worth])
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(situations())
 def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray]) -> None:
     travel, location, free, worth = found
