@@ -82,7 +82,7 @@ $(VENV)/.warm: $(VENV)/.test tests/warm.py $(wildcard planner/*.py planner/*/*.p
 	@folder=$$(mktemp -d) && tiny=domains/kitting/tiny.pddl && run="env PYTHONPATH=bench $(BIN)/python tests/warm.py" && \
 		$(BIN)/kitassist solve $$tiny >$$folder/solved 2>$$folder/said && { \
 		{ $(BIN)/kitassist policy $$tiny --gap 0.1 && \
-		$(BIN)/kitassist bound $$tiny --humans 2 --policy none --episodes 20 --paths 2 && \
+		$(BIN)/kitassist bound $$tiny --humans 2 --policy none --episodes 20 --samples 2 && \
 		$$run people && \
 		$(BIN)/python -m pytest --collect-only --quiet --quiet; } >$$folder/people 2>&1 & half=$$!; \
 		{ $(BIN)/kitassist simulate $$tiny --humans 2 --policy priority --episodes 2 --trace $$folder/log.jsonl && \

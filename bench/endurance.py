@@ -372,7 +372,7 @@ LINES: dict[str, Callable[..., Line]] = {"mqtt": MqttLine, "opcua": OpcUaLine}
 def serving(instance: Path, people: int, *options: str) -> Iterator[Client]:
     """Run a service that makes no decisions by the clock: all then follows from the events."""
     with tempfile.TemporaryDirectory() as folder:
-        service = Service(instance, people, Path(folder) / "data", "--tick", "3600", *options)
+        service = Service(instance, people, Path(folder) / "data", "--set", "tick=3600", *options)
         try:
             yield Client(service.start()["operator"], patience=120.0)
         finally:
@@ -417,7 +417,7 @@ def endure(through: str, instance: Path, count: int, minutes: float, kills: int,
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "bridge.toml"
         file.touch()
-        service = Service(instance, count, Path(folder) / "data", "--tick", "3600", "--bridge", str(file))
+        service = Service(instance, count, Path(folder) / "data", "--set", "tick=3600", "--bridge", str(file))
         port = service.port + 1 if service.port < 65535 else service.port - 1
         people = [Person(f"person-{number}", table, np.random.default_rng(number)) for number in range(1, count + 1)]
         line = LINES[through](people, port, rng)

@@ -411,7 +411,7 @@ def run(instance: Path, log: Path, out: Path, kill_after: float | None = None) -
     """Run the command; return its seconds and the number of states in its cache."""
     command = [str(Path(sys.executable).with_name("kitassist")), "fit", str(instance), str(log), "--jobs", "2"]
     command += ["--out", str(out / "people.jsonl"), "--population", str(out / "population.json")]
-    command += ["--figures", str(out / "figures"), "--cache", str(out / "cache")]
+    command += ["--figures", str(out / "figures"), "--set", f"cache={out / 'cache'}"]
     start = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:

@@ -220,7 +220,11 @@ async def run(
     noise: ObservationModel = PERFECT,
 ) -> Seen:  # fmt: skip
     """Let people work, and kill the service `kills` times; check the saved data."""
-    errors = [] if noise.is_perfect else ["--miss", str(noise.miss), "--confusion", str(noise.confusion)]
+    errors = (
+        []
+        if noise.is_perfect
+        else ["--set", f"observation.miss={noise.miss}", "--set", f"observation.confusion={noise.confusion}"]
+    )
     seen, service = Seen(), Service(instance, people, data, *errors)
     said = await asyncio.to_thread(service.start)
     seen.ready = time.monotonic()

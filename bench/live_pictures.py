@@ -30,7 +30,7 @@ from tables import ROOT
 from assist.web.client import Client
 from planner import Table, cost_to_go, load
 
-OPTIONS = ("--simulate", "2", "--pace", "3", "--c-move", "0.05", "--beta", "0.1", "2.0")
+OPTIONS = ("--simulate", "2", "--set", "pace=3", "--c-move", "0.05", "--set", "population.beta=[0.1, 2]")
 MISTAKES = ("(fetch box-a)", "(place pliers slot-1 box-a)", *("(return box-a)", "(fetch box-a)") * 6)
 SIZES = {"desk": (1280, 800), "phone": (390, 844), "tablet": (820, 1000)}
 COLOURS = 160

@@ -33,7 +33,7 @@ from typing import Any
 import click
 import pytest
 from _pytest.main import pytest_runtestloop as all_tests
-from hypothesis import HealthCheck, Phase, settings
+from hypothesis import Phase, settings
 from tables import ROOT, Columns, cell, more_option, record_option, write_record
 
 TESTS = {
@@ -383,8 +383,7 @@ def main(
     """Run the mutants of modules, and print those that survive."""
     os.chdir(ROOT)
     phases = [Phase.explicit, Phase.generate]
-    patient = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
-    settings.register_profile("mutants", phases=phases, database=None, max_examples=30, **patient)
+    settings.register_profile("mutants", phases=phases, database=None, deadline=None, max_examples=30)
     rows = []
     for module in modules or TESTS:
         found = forked(

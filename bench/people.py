@@ -352,7 +352,15 @@ def huge(instance: str, people: int, actions: int) -> None:
         log = Path(folder) / "log.jsonl"
         with log.open("w") as lines:
             lines.writelines(json.dumps(e) + "\n" for e in record_with_terms(table, beta, weights, actions, rng))
-        command = [Path(sys.executable).parent / "kitassist", "compare", "models", file, log, "--cache", folder]
+        command = [
+            Path(sys.executable).parent / "kitassist",
+            "compare",
+            "models",
+            file,
+            log,
+            "--set",
+            f"cache={folder}",
+        ]
         start = time.perf_counter()
         done = subprocess.run([str(word) for word in command], check=True, capture_output=True, text=True)
         click.echo(done.stdout)

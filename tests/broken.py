@@ -51,7 +51,8 @@ def quiet(team):
 ARGUMENTS: dict[str, list[str]] = {
     "solve": ["problem.pddl", "--verify", "1", "--out", "out", "--json"],
     "simulate": [
-        "problem.pddl", "--humans", "2", "--pool", "2", "--episodes", "2", "--max-steps", "40", "--policy", "attention",
+        "problem.pddl", "--humans", "2", "--pool", "2", "--episodes", "2", "--set", "max_steps=40",
+            "--policy", "attention",
         "--out", "episodes.jsonl", "--trace", "trace.jsonl", "--json",
     ],
     "policy": ["problem.pddl", "--time-limit", "0.3", "--gap", "0.1", "--out", "policy.npz", "--json"],
@@ -272,7 +273,8 @@ class Fuzzer:
                 row[key] = self._one(rows)[key]
 
     def _json(self, folder: Path) -> Input:
-        name, option = self._one([("population.json", "--population"), ("distances.json", "--distances")])
+        field = self._one(["population", "distances"])
+        name = f"{field}.json"
         file = folder / name
         broken = False
         if self.rng.random() < 0.4:
@@ -283,7 +285,7 @@ class Fuzzer:
             file.write_text(json.dumps(document))
         takers = ("simulate", "bound", "serve", *(("policy", "export") if name == "population.json" else ()))
         command = self._one([taker for taker in takers if taker in self.commands])
-        return Input("JSON", command, (command, *ARGUMENTS[command], option, name), broken)
+        return Input("JSON", command, (command, *ARGUMENTS[command], "--set", f"{field}={name}"), broken)
 
     def _spoil_value(self, document: Any) -> None:
         """Change, remove or repeat something within a document."""

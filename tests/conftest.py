@@ -14,7 +14,6 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import fields
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -23,7 +22,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 from graphs import graph_task as graph_task
-from hypothesis import HealthCheck, settings
+from hypothesis import settings
 from numba.core import event
 
 from assist.cli import main
@@ -36,7 +35,6 @@ from assist.study.protocol import read
 from assist.study.study import Study
 from assist.team.settings import Setting
 from planner import Instance, Limits, Table, find_instances, load, sweep
-from planner.batch.solve_record import SolveOptions
 from planner.grounding import fast_downward
 from planner.pddl import reader, writer
 from planner.pddl.instances import PDDLError
@@ -62,10 +60,8 @@ SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]
 
 
 # Examples of each law, where it does not say how many itself: as many as find a fault within a few runs, and many.
-# No clock decides: on a machine that is busy, any example may take long.
-PATIENT: Any = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
-settings.register_profile("quick", max_examples=30, **PATIENT)
-settings.register_profile("thorough", max_examples=100, **PATIENT)
+settings.register_profile("quick", max_examples=30)
+settings.register_profile("thorough", max_examples=100)
 
 # A shell starts what runs in the background with Ctrl-C ignored, which processes that tests start would inherit.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -129,12 +125,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def thinned(values: Iterable[Any], every: int = 2) -> list[Any]:
-    """Return parameters of a test: `make test` runs the first and every `every`-th after it; the others are `slow`.
-
-    A tuple has the values of several parameters.
-    """
-    several = [value if type(value) is tuple else (value,) for value in values]
-    return [pytest.param(*each, marks=[pytest.mark.slow] * (k % every > 0)) for k, each in enumerate(several)]
+    """Return parameters of a test: `make test` runs the first and every `every`-th after it; the others are `slow`."""
+    return [pytest.param(value, marks=[pytest.mark.slow] * (k % every > 0)) for k, value in enumerate(values)]
 
 
 @cache
@@ -159,8 +151,6 @@ def named(instance: Instance) -> str:
 def no_line_comes_between() -> None:
     """Make the output of commands in this process independent of their speed and of compiled code."""
     progress.BETWEEN_LINES = 1e6  # seconds
-    defaults = {one.name: one.default for one in fields(SolveOptions)} | {"first_answer_after": 600.0}  # seconds
-    SolveOptions.__init__.__defaults__ = tuple(defaults.values())
     task.compiling_line = solve_progress.compiling_line = lambda: lambda: None
 
 

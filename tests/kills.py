@@ -119,7 +119,7 @@ def fit(log: Path) -> Case:
     """Return a case of `fit` with states on demand, so that Fast Downward runs for every state and fills the cache."""
     people = ["simulate", str(TINY), "--humans", "2", "--pool", "2", "--episodes", "2", "--seed", "1"]
     subprocess.run([COMMAND, *people, "--trace", str(log)], check=True, capture_output=True)
-    arguments = ["fit", str(TINY), str(log), "--max-states", "1", "--jobs", "2"]
+    arguments = ["fit", str(TINY), str(log), "--set", "max_states=1", "--jobs", "2"]
 
     def outcome(folder: Path) -> dict[str, object]:
         return {name: (folder / name).read_bytes() for name in ("people.jsonl", "population.json")}
@@ -127,7 +127,7 @@ def fit(log: Path) -> Case:
     return Case(
         "fit",
         lambda folder, _: [
-            *arguments, "--cache", str(folder / "cache"), "--out", str(folder / "people.jsonl"),
+            *arguments, "--set", f"cache={folder / 'cache'}", "--out", str(folder / "people.jsonl"),
             "--population", str(folder / "population.json"),
         ],
         lambda folder: outcome(folder) if (folder / "population.json").exists() else {},

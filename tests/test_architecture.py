@@ -34,7 +34,7 @@ ROOMS = {
         verification first_answer sweep goals orbit_table table_file on_demand portfolio""",
     "planner.batch": "solve_record solve_instance results_folder solve_batch",
     "planner": "engine",
-    "assist.declare": "declared tables",
+    "assist.declare": "declared tables options",
     "assist.texts": "catalogue refusals",
     "assist.people": """arguments state_keys hidden_type choices misconception decision goals terms memory choice_model
         weighted_choice user_code human real_people spread belief influence_kernels type_kernels trust_rules
@@ -43,10 +43,11 @@ ROOMS = {
         problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics joint_belief beliefs
         rounding action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
         memory_needed further_beliefs solver""",
-    "assist.learning": """log_steps log_json log_files log comparison intervals advice_log advice_rules advice_model
-        advice_fit replay observations joint_states evidence likelihood choosing profiles maximum_likelihood
-        logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit goals model_comparison
-        rule_families trust_log posterior_sample influence_population rule_search trust_fit rule_comparison""",
+    "assist.learning": """method log_steps log_json log_files log comparison intervals advice_log advice_rules
+        advice_model advice_fit replay observations joint_states evidence likelihood choosing profiles
+        maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit
+        goals model_comparison rule_families trust_log posterior_sample influence_population rule_search trust_fit
+        rule_comparison""",
     "assist.team": """policy_names by_policy robots travel state action_check settings
         assignment attention attention_never questions robots_at_work engine time_expansion
         subproblem_frontier attention_subproblem priority whittle rollout policies""",
@@ -79,11 +80,12 @@ ROOMS = {
     "assist.bridges": """messages ordering session_client tasks team_watch mqtt_settings mqtt opcua_settings opcua
         opcua_server ros2_settings ros2""",
     "assist.cli.terminal": "interrupts console",
-    "assist.cli.options": "common config task population person travel team policies help goals live log trust",
+    "assist.cli.options": """common config settings task population person travel team policies help goals live log
+        trust""",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
         people_estimates trust_estimates comparisons goal_posteriors""",
     "assist.cli": """domains check solve simulate policy bound export draw fit compare infer study user_study
-        serve study_prepare study_report command_group""",
+        serve settings study_prepare study_report command_group""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict
-from typing import Any
 
 import click
 from rich.table import Column, Table
@@ -12,10 +11,12 @@ from rich.table import Column, Table
 from planner.batch.solve_record import versions
 from planner.system.progress import stages
 
+from ..declare.options import Given
 from .options.common import JOBS, gap_option, instance_argument, json_option, seconds_option
-from .options.goals import goal_list_options, several_goals
+from .options.goals import check_questions, goals_option, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
+from .options.settings import TeamSetting
 from .options.team import team_of, team_options
 from .terminal.console import end_after_showing, kept_if_interrupted, print_json, print_table
 
@@ -37,11 +38,12 @@ from .terminal.console import end_after_showing, kept_if_interrupted, print_json
     "--jobs", type=JOBS, help="Number of problems solved at the same time. One for each processor unless given."
 )
 @team_options
-@goal_list_options
+@goals_option
 @json_option
 def bound(
     instance: str, names: tuple[str, ...], episodes: int, gap: float, time_limit: float, samples: int, jobs: int | None,
-    as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...], **team: Any,
+    as_json: bool, problems: tuple[str, ...], humans: int, seed: int, domain: str | None, setting: TeamSetting,
+    given: Given[TeamSetting],
 ) -> None:  # fmt: skip
     """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
     from ..certify.comparison import Comparison
@@ -51,19 +53,21 @@ def bound(
     from .output.person_bounds import show_samples
 
     start = time.perf_counter()
+    check_questions(setting, given, problems)
+    given.refuse(("goal_knowledge", "max_steps", "observation", "c_ask", "ask_error"), "on a bound")
     if samples and problems:
         raise click.UsageError("--samples with --goals: expected people whose goal is known")
     with policy_errors():
         policies = policies_of(names)
-        goals = several_goals(instance, problems, goal_prior, domain=team["domain"], max_states=team["max_states"])
-        made = team_of(instance, size=team["humans"], goals=goals, **team)
+        goals = several_goals(instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states)
+        made = team_of(instance, setting, given, humans=humans, size=humans, seed=seed, domain=domain, goals=goals)
         try:
             with stages() as show:
                 compared = Comparison.of(
                     made.pool, {name: made.prepared(policy) for name, policy in policies.items()}, progress=show,
                     time_limit=max(1e-3, start + time_limit - time.perf_counter()), episodes=episodes,
-                    seed=team["seed"], travel=made.travel, gap=gap, paths=samples, jobs=jobs,
-                    memory_limit_mb=team["memory_limit"],
+                    seed=seed, travel=made.travel, gap=gap, paths=samples, jobs=jobs,
+                    memory_limit_mb=setting.memory_limit,
                 )  # fmt: skip
                 with kept_if_interrupted(lambda: True):
                     compared.simulate(show)
@@ -84,7 +88,7 @@ def bound(
             "upper_proven": found.proven, "sampled": found.sampled and asdict(found.sampled),
             "confidence": CONFIDENCE if found.sampled and found.sampled.enough else 1.0,
             "price": found.price.tolist(), "seconds": found.seconds, "setting": plain(made.pool.setting),
-            "population": plain(made.population), "seed": team["seed"], "versions": versions(),
+            "population": plain(made.population), "seed": seed, "versions": versions(),
         })  # fmt: skip
         return
     figures = [Column(name, justify="right") for name in ("value", "upper bound", "gap at most")]

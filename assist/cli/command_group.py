@@ -20,6 +20,7 @@ COMMANDS = {
     "infer": "Infer which goal people pursue from a LOG of their actions.",
     "policy": "Solve the POMDP of assisting one person, with a lower and an upper bound on the optimal value.",
     "serve": "Run the live assistant: a web service that receives people's actions and returns suggestions.",
+    "settings": "Print all fields of a command's setting with their sentences and defaults, as a file for `--setting`.",
     "simulate": "Simulate a team of people and a robot that assists them, and compare policies.",
     "solve": "Solve PDDL instances: the exact cost-to-go of every state, and an optimal plan.",
     "study": "Run a simulation study over pools of people, teams, policies and conditions, and write its report.",

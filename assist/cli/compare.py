@@ -8,11 +8,13 @@ from typing import Any
 
 import click
 
+from ..declare.options import Given, setting_options
 from .options.common import INPUT_FILE, OUTPUT_FILE, OUTPUT_FOLDER, domain_option, separate_files
 from .options.help import command
-from .options.log import ReadingOptions, folds_option, method_of, method_options, reading_options, with_task
+from .options.log import ReadingOptions, folds_option, method_of, reading_options, with_task
+from .options.settings import EstimateSetting
 from .options.task import one_instance
-from .options.trust import Confidence, advice_of, advice_options
+from .options.trust import advice_of, advice_options
 from .output.comparisons import models_compared, rules_compared, show_comparison
 from .terminal.console import ExitCode, one_line_errors
 
@@ -29,18 +31,20 @@ def compare() -> None:
 @click.option("--out", type=OUTPUT_FILE, help="Write one record per person (JSON Lines).")
 @click.option("--figures", type=OUTPUT_FOLDER, help="Folder for figures.")
 @domain_option
-@method_options
 @reading_options
+@setting_options(EstimateSetting)
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as one JSON document.")
 def models(
     instance: str, domain: str | None, file: Path, folds: int, out: Path | None, figures: Path | None, as_json: bool,
-    **options: Any,
+    setting: EstimateSetting, given: Given[EstimateSetting], **options: Any,
 ) -> None:  # fmt: skip
     """Compare choice models: cost alone, and cost with one or all terms, on a LOG of people's actions."""
     from ..plots import style
 
-    reading = ReadingOptions.taken(options)
-    method = method_of(**options)
+    given.refuse(
+        ("goal_prior", "seed", "theta_per_episode", "confidence", "chooses"), "on a comparison of choice models"
+    )
+    reading, method = ReadingOptions.of(setting, options), method_of(setting)
     with one_line_errors("interrupted; states evaluated on demand are saved"):
         found = one_instance(instance, domain)
         separate_files({"--out": out}, {"INSTANCE": found.problem, "its domain": found.domain, "LOG": file})
@@ -59,21 +63,22 @@ def models(
 @advice_options
 @click.option("--out", type=OUTPUT_FILE, help="Write one record per person (JSON Lines).")
 @domain_option
-@method_options
 @reading_options
+@setting_options(EstimateSetting)
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as one JSON document.")
 def rules(
     instance: str | None, domain: str | None, file: Path | None, folds: int, out: Path | None, as_json: bool,
-    theta_per_episode: bool, advice: Path | None, confidence: Confidence, rows: tuple[str, ...], **options: Any,
+    advice: Path | None, rows: tuple[str, ...], setting: EstimateSetting, given: Given[EstimateSetting],
+    **options: Any,
 ) -> None:  # fmt: skip
     """Compare trust rules on a LOG of people's actions, or on judgements with --advice.
 
     Of --advice, base rates, a theta that all people share, and rules of given steps are compared, too.
     """
-    reading = ReadingOptions.taken(options)
-    method = method_of(**options)
+    given.refuse(("goal_prior", "seed", "chooses"), "on a comparison of trust rules")
+    reading, method = ReadingOptions.of(setting, options), method_of(setting)
     with one_line_errors("interrupted; states evaluated on demand are saved"):
-        judgements = advice_of(advice, confidence, rows, {"folds", "level"})
+        judgements = advice_of(advice, rows, setting, given, {"folds", "level"})
         if judgements is not None:
             separate_files({"--out": out}, {"--advice": advice})
             found = rules_compared(judgements, str(advice), method, folds, carry=True)
@@ -84,7 +89,7 @@ def rules(
         task = one_instance(instance, domain)
         separate_files({"--out": out}, {"INSTANCE": task.problem, "its domain": task.domain, "LOG": file})
         seen = with_task(task, file, reading)
-        found = rules_compared(seen.observations(), seen.log.name, method, folds, carry=not theta_per_episode)
+        found = rules_compared(seen.observations(), seen.log.name, method, folds, carry=not setting.theta_per_episode)
         show_comparison(found, out, None, as_json=as_json)
     if not seen.complete:
         sys.exit(ExitCode.FAILED)

@@ -13,7 +13,7 @@ import planner
 from planner.system.files import each_record
 
 from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option
-from .options.goals import goal_list_options, several_goals
+from .options.goals import goal_prior_option, goals_option, prior_of, several_goals
 from .options.help import command
 from .options.task import one_instance
 from .terminal.console import ExitCode, fail, print_json
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 @click.option("--plan", type=INPUT_FILE, help="Plan to draw: one action per line, as written by `solve --out`.")
 @click.option("--trace", type=INPUT_FILE, help="Trace to draw (JSON Lines), as written by `simulate --trace`.")
 @click.option("--episode", metavar="E", help="Episode of the trace. The first unless given.")
-@goal_list_options
+@goals_option
+@goal_prior_option
 @click.option(
     "--width", type=click.IntRange(200, 4000), default=760, show_default=True, help="Approximate width in pixels."
 )
@@ -64,7 +65,7 @@ def draw(
     separate_files({"--out": out}, {"--state": state, "--plan": plan, "--trace": trace})
     require(out.suffix)
     found = one_instance(instance, domain)
-    goals = several_goals(instance, problems, goal_prior, domain=domain)
+    goals = several_goals(instance, problems, prior_of(goal_prior) or {}, domain=domain)
     try:
         artist = Artist(planner.load(found), goal=goals is None)
         if plan:

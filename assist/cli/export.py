@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 import planner
 
-from .options.common import MEGABYTES, OUTPUT_FILE, instance_argument, is_given
+from ..declare.options import Given
+from .options.common import MEGABYTES, OUTPUT_FILE, instance_argument
 from .options.help import command
 from .options.person import person_options, person_problem
+from .options.settings import PersonSetting
 from .options.task import table_of
 from .terminal.console import ExitCode, fail, one_line_errors, print_json
 
@@ -31,7 +32,10 @@ FORMATS = ("pomdpx", "pomdp")
 )  # fmt: skip
 @person_options
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
-def export(instance: str, form: str | None, out: Path, size_limit: float, as_json: bool, **person: Any) -> None:
+def export(
+    instance: str, form: str | None, out: Path, size_limit: float, as_json: bool, seed: int, domain: str | None,
+    setting: PersonSetting, given: Given[PersonSetting],
+) -> None:  # fmt: skip
     """Write the POMDP of assisting one person to a file for other solvers."""
     from ..interop import pomdp as flat
     from ..interop import pomdpx as mixed
@@ -40,11 +44,12 @@ def export(instance: str, form: str | None, out: Path, size_limit: float, as_jso
     named = out.suffix.removeprefix(".")
     if named not in ((form,) if form else FORMATS):  # solvers choose the parser by the suffix
         raise click.UsageError(f"--out {out}: expected a name that ends in .{form or ' or .'.join(FORMATS)}")
+    given.refuse(("goal_prior", "max_states", "region_states", "memory_limit"), "on an export")
     with one_line_errors():
-        found, problem = person_problem(instance, table_of, states=None, **person)
+        found, problem = person_problem(instance, table_of, setting, given, states=None, domain=domain, seed=seed)
         pomdp = problem.pomdp
         if pomdp.followed_low is not None:
-            whose = "--trust" if is_given("trust") else f"--population {person['population_file']}"
+            whose = "--trust" if "trust" in given else f"--population {given.values['population']}"
             raise click.UsageError(
                 f"{whose}: a file has no trust that depends on whether advice is followed; expected --trust paper or "
                 "constant"

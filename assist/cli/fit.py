@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..declare.options import Given, setting_options
 from .options.common import (
     INPUT_FILE,
     OUTPUT_FILE,
     OUTPUT_FOLDER,
-    SEED,
     apart,
     domain_option,
-    refuse_unused,
     separate_files,
 )
-from .options.goals import goal_list_options, prior_of
+from .options.goals import goals_option
 from .options.help import command
-from .options.log import ReadingOptions, method_of, method_options, reading_options, with_goals, with_task
+from .options.log import ReadingOptions, method_of, reading_options, with_goals, with_task
 from .options.person import TRUST
-from .options.population import choice_model_of, people_option, refuse_unused_rates
+from .options.population import RATES, choice_model_of
+from .options.settings import EstimateSetting
 from .options.task import one_instance
-from .options.trust import Confidence, advice_of, advice_options
+from .options.trust import advice_of, advice_options
 from .output.people_estimates import learned, show_people
 from .output.trust_estimates import show_advice, show_influence
 from .terminal.console import ExitCode, one_line_errors
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     help="Also estimate misconceptions: their size (sigma) and the perceived cost-to-go.",
 )  # fmt: skip
 @click.option("--terms", is_flag=True, help="Fit preferences besides cost (hierarchical model).")
-@people_option
 @click.option(
     "--trust", type=click.Choice(TRUST),
     help="Estimate influence (theta) under this trust rule, carried from episode to episode (hierarchical model).",
@@ -58,16 +57,15 @@ if TYPE_CHECKING:
 @advice_options
 @click.option("--figures", type=OUTPUT_FOLDER, help="Folder for figures.")
 @domain_option
-@goal_list_options
-@method_options
+@goals_option
 @reading_options
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the model check.")
+@setting_options(EstimateSetting)
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def fit(
     instance: str | None, domain: str | None, file: Path | None, out: Path | None, population: Path | None,
-    family: str | None, figures: Path | None, misconceptions: bool, terms: bool, people: str | None, seed: int,
-    as_json: bool, trust: str | None, theta_per_episode: bool, advice: Path | None, confidence: Confidence,
-    rows: tuple[str, ...], problems: tuple[str, ...], goal_prior: tuple[str, ...], **options: Any,
+    family: str | None, figures: Path | None, misconceptions: bool, terms: bool, as_json: bool,
+    trust: str | None, advice: Path | None, rows: tuple[str, ...], problems: tuple[str, ...], setting: EstimateSetting,
+    given: Given[EstimateSetting], **options: Any,
 ) -> None:  # fmt: skip
     """Estimate people's expertise, influence and trust from a LOG of their actions.
 
@@ -79,53 +77,56 @@ def fit(
     if family and as_json and not population:
         raise click.UsageError("--family: expected --population, since with --json it has no effect otherwise")
     kinds = {
-        "--goals": problems, "--misconception": misconceptions, "--terms": terms, "--people": people, "--trust": trust,
+        "--goals": problems, "--misconception": misconceptions, "--terms": terms, "chooses": setting.chooses,
+        "--trust": trust,
     }  # fmt: skip
     apart(kinds)
-    for name in ("--goals", "--people", "--trust"):
+    for name in ("--goals", "chooses", "--trust"):
         if kinds[name]:
-            refuse_unused(["seed"], f"with {name}")
-    for name, given in {"--family": family, "--figures": figures}.items():
-        apart({name: given, "--trust": trust})
-    refuse_unused_rates(trust)
-    if theta_per_episode and not trust:
-        raise click.UsageError("--theta-per-episode: expected --trust as well")
+            given.refuse(["seed"], f"with {name}")
+    for name, value in {"--family": family, "--figures": figures}.items():
+        apart({name: value, "--trust": trust})
+    if trust not in (None, "paper"):
+        given.refuse(RATES, f"with --trust {trust}")
+    if not trust:
+        given.refuse(["theta_per_episode"], "without --trust")
     if advice and not trust:
         raise click.UsageError("--advice: expected --trust as well")
     with one_line_errors("interrupted; nothing was estimated"):
-        judgements = advice_of(advice, confidence, rows, {"trust"})
+        judgements = advice_of(advice, rows, setting, given, {"trust"})
         if judgements is not None and trust is not None:
             separate_files({"--out": out}, {"--advice": advice})
             show_advice(judgements, str(advice), trust, out, as_json=as_json)
             return
     if instance is None or file is None:
         raise click.UsageError("expected INSTANCE and LOG, or --advice")
-    if population and people:
-        raise click.UsageError("--population and --people: a population file has no functions; expected one of them")
+    if population and setting.chooses:
+        raise click.UsageError("--population and chooses: a population file has no functions; expected one of them")
     apart({"--family": family, "--terms": terms})
     apart({"--goals": problems, "--figures": figures})
-    if goal_prior and not problems:
-        raise click.UsageError("--goal-prior: expected --goals, too")
-    reading = ReadingOptions.taken(options)
-    method, prior = method_of(**options), prior_of(goal_prior, "--goal-prior")
+    if not problems:
+        given.refuse(["goal_prior"], "without --goals")
+    reading, method = ReadingOptions.of(setting, options), method_of(setting)
     with one_line_errors("interrupted; states evaluated on demand are saved"):
         found = one_instance(instance, domain)
         inputs = {"INSTANCE": found.problem, "its domain": found.domain, "LOG": file}
         separate_files({"--out": out, "--population": population}, inputs)
         if figures:
             style.require()
-        chooses = choice_model_of(people)
+        chooses = choice_model_of(setting.chooses)
         if problems:
-            seen = with_goals([instance, *problems], file, reading, domain=domain, prior=prior)
+            seen = with_goals([instance, *problems], file, reading, domain=domain, prior=setting.goal_prior or None)
         else:
             seen = with_task(found, file, reading, table=chooses is not None)
         if trust:
-            complete = show_influence(seen, trust, method, not theta_per_episode, out, population, as_json=as_json)
+            complete = show_influence(
+                seen, trust, method, not setting.theta_per_episode, out, population, as_json=as_json
+            )
         else:
             model: Model | None = chooses
             if misconceptions or terms:
                 model = "misconceptions" if misconceptions else "terms"
-            estimates = learned(seen, method, model, seed, reading.jobs)
+            estimates = learned(seen, method, model, setting.seed, reading.jobs)
             complete = show_people(estimates, out, population, family, figures, as_json=as_json)
     if not complete:
         sys.exit(ExitCode.FAILED)

@@ -10,29 +10,26 @@ import click
 
 from planner import find_instances
 
-from .options.common import INPUT_FILE, OUTPUT_FILE, Range, domain_option, lapse_option, range_option, separate_files
-from .options.goals import prior_of
+from ..declare.options import Given, setting_options
+from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, separate_files
 from .options.help import command
 from .options.log import ReadingOptions, reading_options, with_goals
+from .options.settings import GoalSetting
 from .terminal.console import ExitCode, one_line_errors
 
 
 @command("infer kits/travel.pddl kits/mend.pddl log.jsonl")
 @click.argument("problems", metavar="PROBLEM...", nargs=-1, required=True)
 @click.argument("file", metavar="LOG", type=INPUT_FILE)
-@click.option(
-    "--prior", multiple=True, metavar="GOAL=P,...",
-    help="Probability of each goal, by the problem's name. All are equal unless given.",
-)  # fmt: skip
-@range_option("--beta", (0.1, 3.0), "Range of people's expertise (beta), over which the posterior is averaged.")
-@lapse_option("Weight of a uniform choice.")
 @click.option("--out", type=OUTPUT_FILE, help="Write one record per episode (JSON Lines).")
 @domain_option
 @reading_options
+@setting_options(GoalSetting)
 @click.option("--json", "as_json", is_flag=True, help="Print the records, with the posterior after each action.")
 def infer(
-    problems: tuple[str, ...], file: Path, prior: tuple[str, ...], beta: Range, lapse: float, out: Path | None,
-    domain: str | None, as_json: bool, **options: Any,
+    problems: tuple[str, ...], file: Path, out: Path | None, domain: str | None, as_json: bool, setting: GoalSetting,
+    given: Given[GoalSetting],  # noqa: ARG001
+    **options: Any,
 ) -> None:  # fmt: skip
     """Infer which goal people pursue from a LOG of their actions.
 
@@ -45,14 +42,14 @@ def infer(
 
     if file.suffix == ".pddl":
         raise click.UsageError(f"LOG {file}: expected a log of actions after the problems")
-    reading = ReadingOptions.taken(options)
+    reading = ReadingOptions.of(setting, options)
     with one_line_errors("interrupted; nothing was inferred"):
         separate_files(
             {"--out": out}, {"LOG": file, **{str(one): one.problem for one in find_instances(problems, domain)}}
         )
-        seen = with_goals(problems, file, reading, domain=domain, prior=prior_of(prior))
+        seen = with_goals(problems, file, reading, domain=domain, prior=setting.goal_prior or None)
         try:
-            found = infer_goals(seen, beta=Grid.regular(Population(beta=beta)).beta, lapse=lapse)
+            found = infer_goals(seen, beta=Grid.regular(Population(beta=setting.beta)).beta, lapse=setting.lapse)
         except ValueError as error:
             raise click.UsageError(str(error)) from None
         for line in found.notes[len(seen.notes) :]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,19 +11,18 @@ from planner import Instance
 from planner.batch.solve_record import versions
 from planner.system.progress import status_line
 
+from ..declare.options import Given
 from .options.common import (
     OUTPUT_FILE,
     gap_option,
     instance_argument,
     json_option,
-    max_states_option,
-    megabytes_option,
-    region_states_option,
     seconds_option,
 )
-from .options.goals import goal_list_options, several_goals
+from .options.goals import goals_option, several_goals
 from .options.help import command
 from .options.person import person_options, person_problem
+from .options.settings import REGION_STATES, PersonSetting
 from .options.task import costs_of
 from .output.person_bounds import line_of, show_bounds
 from .terminal.console import kept_if_interrupted, one_line_errors, print_json
@@ -38,32 +37,38 @@ if TYPE_CHECKING:
 @instance_argument
 @gap_option("Stop when (upper - lower) / |lower| is at most this.")
 @seconds_option("Seconds for the search.", default=60.0)
-@megabytes_option("Memory for the task's table, and for the search.", default=2000.0)
-@max_states_option("Largest number of states solved exhaustively. States of larger tasks are solved on demand.")
-@region_states_option("Size of the truncated problem used for larger tasks (states most likely to be visited).")
 @click.option("--out", type=OUTPUT_FILE, help="Save policy and bounds (.npz).")
 @person_options
-@goal_list_options
+@goals_option
 @json_option
 def policy(
-    instance: str, gap: float, time_limit: float, memory_limit: float, max_states: int, region_states: int,
-    out: Path | None, as_json: bool, problems: tuple[str, ...], goal_prior: tuple[str, ...], **person: Any,
+    instance: str, gap: float, time_limit: float, out: Path | None, as_json: bool, problems: tuple[str, ...],
+    seed: int, domain: str | None, setting: PersonSetting, given: Given[PersonSetting],
 ) -> None:  # fmt: skip
     """Solve the POMDP of assisting one person, with a lower and an upper bound on the optimal value."""
     from ..people.goals import first_of
     from ..person.policy import not_worth_its_cost
     from ..person.solver import Solution, solve
 
+    if not problems:
+        given.refuse(["goal_prior"], "without --goals")
     if out is not None and out.suffix != ".npz":
         raise click.UsageError(f"--out {out}: expected a name that ends in .npz")
 
     def known_of(found: Instance) -> CostToGo | Goals:
-        goals = several_goals(instance, problems, goal_prior, domain=person["domain"], max_states=max_states)
-        return goals or costs_of(found, max_states=max_states, memory_limit_mb=memory_limit)
+        goals = several_goals(instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states)
+        return goals or costs_of(found, max_states=setting.max_states, memory_limit_mb=setting.memory_limit)
 
     with one_line_errors():
         found, problem = person_problem(
-            instance, known_of, states=region_states, time_limit=time_limit, memory_limit=memory_limit, **person
+            instance,
+            known_of,
+            setting,
+            given,
+            states=setting.region_states or REGION_STATES,
+            domain=domain,
+            seed=seed,
+            time_limit=time_limit,
         )
         reached, solved = list[float](), list[Solution]()
         with kept_if_interrupted(lambda: reached), status_line("first bounds") as show:
@@ -73,7 +78,7 @@ def policy(
                 show(line_of(lower, upper))
 
             solved.append(
-                solve(problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit, bounds=tell)
+                solve(problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=setting.memory_limit, bounds=tell)
             )
         if not solved:
             if as_json:

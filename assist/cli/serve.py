@@ -11,11 +11,13 @@ import click
 
 from planner.system.errors import DamagedFileError, ResultsExistError
 
+from ..declare.options import Given
 from .options.common import INPUT_FILE
 from .options.config import config_option, configurable
 from .options.help import command
 from .options.live import bridge_of, changed_settings, live_options, plan_of
 from .options.policies import policy_errors
+from .options.settings import LiveSetting
 from .user_study import PORT, conduct, listen, live_server, note, public_url_option, trusted_proxy_option
 
 if TYPE_CHECKING:
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
 @configurable
 @command("serve kitting/paper --humans 4 --simulate 3")
 @click.argument("instances", metavar="INSTANCE...", nargs=-1)
-@config_option("tasks")
+@config_option()
 @click.option(
     "--study", type=INPUT_FILE, metavar="FILE.toml", help="Run this user study instead of a team on given tasks."
 )
@@ -49,7 +51,8 @@ if TYPE_CHECKING:
 @live_options
 def serve(
     instances: tuple[str, ...], config: Path | None, study: Path | None, rehearse: int | None, port: int | None,
-    host: str, bridge: Path | None, public_url: str | None, trusted_proxy: Networks, log_format: str, **team: Any,
+    host: str, bridge: Path | None, public_url: str | None, trusted_proxy: Networks, log_format: str,
+    setting: LiveSetting, given: Given[LiveSetting], data: Path | None, humans: int | None, **team: Any,
 ) -> None:  # fmt: skip
     """Run the live assistant: a web service that receives people's actions and returns suggestions.
 
@@ -60,18 +63,22 @@ def serve(
 
     write_log("json" if log_format == "json" else "text")
     if study is not None:
-        conduct(study, team["data"], host, port, rehearse or 0, public_url, trusted_proxy)
+        conduct(study, data, given, host, port, rehearse or 0, public_url, trusted_proxy)
         return
     if rehearse is not None:
         raise click.UsageError("--rehearse: expected --study FILE.toml as well")
-    missing = [name for name, there in (("INSTANCE", instances), ("--humans K", team["humans"])) if not there]
+    missing = [name for name, there in (("INSTANCE", instances), ("--humans K", humans)) if not there]
     if missing:
         raise click.UsageError(
             f"{' and '.join(missing)}: missing; expected INSTANCE and --humans K, or --study FILE.toml"
         )
-    beside = None if bridge is None else bridge_of(bridge, len(team["robots"]))
+    beside = None if bridge is None else bridge_of(bridge, len(setting.robots))
     with policy_errors():
-        plan = replace(plan_of(instances, **team), public_url=public_url, trusted_proxies=trusted_proxy)
+        plan = replace(
+            plan_of(instances, setting, given, data=data, humans=humans or 0, **team),
+            public_url=public_url,
+            trusted_proxies=trusted_proxy,
+        )
         try:
             session = plan.session()
         except (ResultsExistError, DamagedFileError):
@@ -85,5 +92,5 @@ def serve(
         click.echo(json.dumps({"url": access.base, "operator": access.operator_url(), "join": join}))
         note(f"the session is saved in {plan.folder}; Ctrl-C ends the service, --data {plan.folder} resumes it")
 
-    changed = None if config is None else changed_settings(config, click.get_current_context(), session)
+    changed = None if config is None else changed_settings(config, click.get_current_context(), session, setting, given)
     server.serve(plan, session, listening, ready, beside, changed)

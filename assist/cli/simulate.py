@@ -12,11 +12,12 @@ from planner.system import files
 from planner.system.machine import processors
 from planner.system.progress import stages
 
-from .options.common import JOBS, OUTPUT_FILE, instance_argument, json_option, refuse_unused, separate_files
-from .options.goals import goal_knowledge_option, goal_list_options, question_options, questions_of, several_goals
+from ..declare.options import Given
+from .options.common import JOBS, OUTPUT_FILE, instance_argument, json_option, separate_files
+from .options.goals import check_questions, goals_option, several_goals
 from .options.help import command
-from .options.person import observation_options
 from .options.policies import policies_of, policy_errors, policy_option
+from .options.settings import TeamSetting
 from .options.team import team_of, team_options
 from .terminal.console import kept_if_interrupted, print_json
 
@@ -33,30 +34,18 @@ from .terminal.console import kept_if_interrupted, print_json
 @click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines).")
 @click.option("--reasons", is_flag=True, help="Explain each suggestion in the trace.")
 @click.option("--figure", type=OUTPUT_FILE, help="Plot an episode that the last policy shortened (.png, .svg).")
-@click.option(
-    "--max-steps",
-    type=click.IntRange(min=1),
-    default=500,
-    show_default=True,
-    help="Steps after which an episode is cut off.",
-)
 @click.option("--jobs", type=JOBS, help="Number of threads. One for each processor unless given.")
-@observation_options
 @team_options
-@goal_list_options
-@goal_knowledge_option
-@question_options
+@goals_option
 @json_option
 def simulate(
     instance: str, names: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
-    reasons: bool, figure: Path | None, jobs: int | None, as_json: bool, problems: tuple[str, ...],
-    goal_prior: tuple[str, ...], goal_knowledge: str, miss: float, confusion: float, ask: float | None,
-    ask_error: float, **team: Any,
+    reasons: bool, figure: Path | None, jobs: int | None, as_json: bool, problems: tuple[str, ...], humans: int,
+    seed: int, domain: str | None, setting: TeamSetting, given: Given[TeamSetting],
 ) -> None:  # fmt: skip
     """Simulate a team of people and a robot that assists them, and compare policies."""
     from ..declare.declared import plain
     from ..live.trace_reasons import TraceReasons
-    from ..person.observation_model import ObservationModel
     from ..plots import style
     from ..plots.episode import episode_figure
     from ..reports.policy_comparison import comparison_of
@@ -68,22 +57,17 @@ def simulate(
     from ..team.policies import UserPolicy
     from .output.episode_summaries import show_comparison
 
-    if not problems:
-        refuse_unused(["goal_knowledge"], "without --goals")
-    size = size or max(12, team["humans"])
-    team |= questions_of(ask, ask_error, problems)
-    team["observation"] = ObservationModel(miss, confusion)
-    for option, value in {"--miss": miss, "--confusion": confusion}.items():
-        if value and ask is not None:
-            raise click.UsageError(f"--ask with {option}: a simulated robot asks only where it sees all actions")
-        if value and "rollout" in names:
-            raise click.UsageError(
-                f"--policy rollout with {option}: it simulates from states that the robot knows; expected another "
-                "policy, such as priority"
-            )
-        if value and problems and goal_knowledge == "likeliest":
-            raise click.UsageError(f"--goal-knowledge likeliest with {option}: expected inferred or known")
-    separate_files({"--out": out, "--trace": trace, "--figure": figure}, {"--population": team["population_file"]})
+    check_questions(setting, given, problems)
+    size = size or max(12, humans)
+    if setting.observation is not None:
+        unclear = "with observation: expected actions that are all seen as they are"
+        if setting.c_ask is not None:
+            raise click.UsageError(f"c_ask {unclear}")
+        if "rollout" in names:
+            raise click.UsageError(f"--policy rollout {unclear}, or another policy, such as priority")
+        if problems and setting.goal_knowledge == "likeliest":
+            raise click.UsageError("goal_knowledge likeliest with observation: expected inferred or known")
+    separate_files({"--out": out, "--trace": trace, "--figure": figure}, given.files())
     if reasons and trace is None:
         raise click.UsageError("--reasons: expected --trace, too")
     if figure:
@@ -93,13 +77,15 @@ def simulate(
     with policy_errors():
         policies, results = policies_of(names), list[Episodes]()
         goals = several_goals(
-            instance, problems, goal_prior, domain=team["domain"], max_states=team["max_states"],
-            asked=None if ask is None else MAX_ENUMERATED,
+            instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states,
+            asked=None if setting.c_ask is None else MAX_ENUMERATED,
         )  # fmt: skip
-        made = team_of(instance, size=size, goals=goals, **team)
-        options = {"humans": team["humans"], "seed": team["seed"], "travel": made.travel, "goals": goal_knowledge}
+        made = team_of(instance, setting, given, humans=humans, size=size, seed=seed, domain=domain, goals=goals)
+        options: dict[str, Any] = {
+            "humans": humans, "seed": seed, "travel": made.travel, "goals": setting.goal_knowledge,
+        }  # fmt: skip
         steps: list[Any] = []
-        kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": team["memory_limit"]}
+        kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": setting.memory_limit}
         kept["reasons"] = TraceReasons(made.pool.policies, made.known) if reasons else None
         ready = {name: made.prepared(policy) for name, policy in policies.items()}
         with kept_if_interrupted(lambda: results):
@@ -125,10 +111,10 @@ def simulate(
     summaries, drawn = [result.summary() for result in results], len(set(results[0].people.ravel().tolist()))
     if as_json:
         print_json({
-            "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": team["humans"],
-            "pool": size, "drawn": drawn, "episodes": episodes, "seed": team["seed"],
+            "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": humans,
+            "pool": size, "drawn": drawn, "episodes": episodes, "seed": seed,
             "setting": plain(made.pool.setting), "population": plain(made.population),
-            **({"goals": dict(goals.prior), "goal_knowledge": goal_knowledge} if goals else {}),
+            **({"goals": dict(goals.prior), "goal_knowledge": setting.goal_knowledge} if goals else {}),
             "policies": [plain_summary(summary) for summary in summaries], "versions": versions(),
         })  # fmt: skip
     else:

@@ -7,13 +7,14 @@ import logging
 import tempfile
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from planner.batch.solve_record import SolveOptions
 from planner.system.errors import MissingExtraError
 
+from ..declare.options import Given
 from .options.common import is_given
 from .options.task import costs_of
 from .terminal.console import ExitCode, fail
@@ -28,7 +29,19 @@ if TYPE_CHECKING:
     from ..web.user_study.service import StudyService
 
 PORT = 8000  # usual port of local web servers that need no privileges
-OF_STUDIES = {"study", "rehearse", "port", "host", "public_url", "trusted_proxy", "data", "config", "log_format"}
+OF_STUDIES = {
+    "study",
+    "rehearse",
+    "port",
+    "host",
+    "public_url",
+    "trusted_proxy",
+    "data",
+    "config",
+    "log_format",
+    "changes",
+    "setting_file",
+}
 """Options that can be combined with `--study`. The study's file settles everything else."""
 
 
@@ -103,15 +116,17 @@ def new_folder() -> Path:
 
 
 def conduct(
-    file: Path, data: Path | None, host: str, port: int | None, rehearse: int, public_url: str | None,
-    trusted_proxies: Networks,
+    file: Path, data: Path | None, given: Given[Any], host: str, port: int | None, rehearse: int,
+    public_url: str | None, trusted_proxies: Networks,
 ) -> None:  # fmt: skip
     """Serve a user study. After a rehearsal, write its export and report."""
     context = click.get_current_context()
     for name in context.params:
-        if is_given(name) and name not in OF_STUDIES:
+        if is_given(name) and name not in {*OF_STUDIES, "changes", "setting_file"}:
             option = next(one for one in context.command.params if one.name == name)
             raise click.UsageError(f"{option.opts[0]} cannot be combined with --study; the study's file sets it")
+    for source, _ in given.sources.values():
+        raise click.UsageError(f"{source} cannot be combined with --study; the study's file sets it")
     try:
         from planner.system.errors import InputFileError
 

@@ -70,9 +70,12 @@ class Usual:
     ----------
     metavar : str, optional
         Placeholder of the value in help texts.
+    default : str, optional
+        The default in help texts, where it is not plain.
     """
 
     metavar: str | None = None
+    default: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,7 +12,6 @@ suggestion does not move theta.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import update_trust
+from .method import Method as Method
 from .observations import Ints, Observations, UnknownGoals
 
 SMALL = 1e-3
@@ -30,50 +30,6 @@ SMALL = 1e-3
 
 SURE = 1e-300
 """Least weight of a choice in equation (6)."""
-
-
-@dataclass(frozen=True)
-class Method:
-    """Options of the estimation.
-
-    Attributes
-    ----------
-    level : float
-        Confidence level of the intervals.
-    lapse : float
-        Weight of a uniform choice in the likelihood, so that no action has probability zero.
-    utility_scale : float
-        The unit of V in the trust update, in cost units.
-    eta : float or None
-        Learning rate of the trust update; if None, it is estimated in [0, 1].
-    largest_beta : float or None
-        Upper end of estimates and intervals. If None, it is the beta at which the smallest possible mistake has odds of
-        exp(-10), or 5 in 100,000. This is below the lapse rate, so that data cannot distinguish larger values.
-    largest_sigma : float
-        Upper end of the search for sigma, in units of the smallest mistake that was possible.
-    misconception_memory_mb : float
-        Largest memory of one person's misconceptions, in MB.
-    """
-
-    level: float = 0.95
-    lapse: float = 1e-3
-    utility_scale: float = 1.0
-    eta: float | None = None
-    largest_beta: float | None = None
-    largest_sigma: float = 5.0
-    misconception_memory_mb: float = 500.0
-
-    def __post_init__(self) -> None:
-        large = 1e9  # squares and products of smaller parameters stay within floating-point range
-        for name in ("level", "lapse"):
-            if not 0 < getattr(self, name) < 1:
-                raise ValueError(f"{name} {getattr(self, name):g}: expected 0 < {name} < 1")
-        for name in ("utility_scale", "largest_beta", "largest_sigma"):
-            value = getattr(self, name)
-            if value is not None and not 1 / large <= value <= large:
-                raise ValueError(f"{name.replace('_', ' ')} {value:g}: expected {1 / large:g} to {large:g}")
-        if self.eta is not None and not 0 <= self.eta <= large:
-            raise ValueError(f"eta {self.eta:g}: expected 0 to {large:g}")
 
 
 class Data(NamedTuple):

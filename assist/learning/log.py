@@ -300,12 +300,12 @@ def _incomplete(entries: Sequence[Entry], lost: Sequence[int], gaps: bool, lowes
         rows = sorted(rows, key=lambda entry: entry.step)
         if rows[0].step != lowest:
             message = f"step {rows[0].step} is its first and {lowest} that of others, as if a line were missing"
-            found[names] = Fault(rows[0].line, *names, f"{message}; --gaps if the log counts otherwise")
+            found[names] = Fault(rows[0].line, *names, f"{message}; --set gaps=true if the log counts otherwise")
             continue
         for before, after in pairwise(rows):
             if after.step > before.step + 1:
                 message = f"step {after.step} comes after step {before.step}, as if a line were missing"
-                found[names] = Fault(after.line, *names, f"{message}; --gaps if the log counts otherwise")
+                found[names] = Fault(after.line, *names, f"{message}; --set gaps=true if the log counts otherwise")
                 break
     return found
 
@@ -336,7 +336,7 @@ def _fault(record: Any) -> str | None:
             return f"there is no '{key}'; expected {wanted}"
         value = record.get(key)
         if not isinstance(value, types) or isinstance(value, bool):
-            time = ", or --gaps if steps are times" if key == "step" and moment(value) is not None else ""
+            time = ", or --set gaps=true if steps are times" if key == "step" and moment(value) is not None else ""
             return f"'{key}' is {_short(value)}; expected {wanted}{time}"
         if isinstance(value, str) and is_hidden(value):
             return f"'{key}' is {json.dumps(value)}, which cannot be shown; expected {wanted}"

@@ -73,11 +73,11 @@ class Setting(OfRobots):
     max_steps: Annotated[Whole, Field(ge=1, description="Steps after which an episode is cut off.")] = 500
     trust: Annotated[
         Rule,
-        Usual(),
+        Usual("RULE"),
         Expected('the name of a trust rule, or a table such as {rule = "outcome", gain = 0.1}'),
         Field(
-            description="How influence (theta) moves: a rule or its name; unless given, by equation 7 for simulated "
-            "people, and not at all for real ones, as data of real people support."
+            description="How influence (theta) moves: a table, or the name paper (equation 7), constant, outcome, "
+            "outcome-at-disagreement or reliability; unless given, paper for simulated people, constant for real ones."
         ),
     ] = None
     believed_trust: Annotated[
@@ -88,7 +88,7 @@ class Setting(OfRobots):
     robots: Annotated[
         tuple[Robot, ...],
         BeforeValidator(_robots),
-        Usual("M"),
+        Usual("M", "1"),
         Expected("a number of robots, or a list of one table or more"),
         Field(
             min_length=1,

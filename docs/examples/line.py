@@ -122,7 +122,7 @@ def run(instance: str, pace: float) -> None:
         settings = Path(folder, "bridge.toml")
         settings.write_text(BRIDGE.replace("PORT", str(port)), encoding="utf-8")
         serve = [Path(sys.executable).with_name("kitassist"), "serve", instance, "--humans", "3", "--port", "0"]
-        options = ["--travel-time", "1", "--c-suggest", "0.01", "--c-move", "0.01", "--bridge", settings]
+        options = ["--set", "travel_time=1", "--c-suggest", "0.01", "--c-move", "0.01", "--bridge", settings]
         service = subprocess.Popen([*serve, *options], stdout=subprocess.PIPE, text=True)
         try:
             assert service.stdout is not None

@@ -1,6 +1,6 @@
 """A robot asks where to go, goes there, says what is to be said, and asks again: python robot.py LINK [NUMBER].
 
-LINK is the operator's, and NUMBER that of the robot, if there are several. The service is one with `--travel-time`
+LINK is the operator's, and NUMBER that of the robot, if there are several. The service is one with `travel_time`
 above 0, so that it waits for the robot to arrive. Here driving is played; it ends when everybody has finished.
 """
 

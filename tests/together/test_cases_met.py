@@ -105,11 +105,11 @@ LOGS = {
     "trials of jsPsych": Case(
         table([JSPSYCH, ["9000", "instructions", "0", "ann", "", "", ""], *TRIALS[:8],
                ["9000", "instructions", "0", "bob", "", "", ""], *TRIALS[8:]]), ANN_AND_BOB,
-        ("--columns", SUBJECTS, "--gaps"),
+        ("--columns", SUBJECTS, "--set", "gaps=true"),
     ),
     "trials of jsPsych, instructions within the block": Case(
         table([JSPSYCH, *(["9000", "instructions", "0", who, "1", "", ""] for who in ANN_AND_BOB), *TRIALS]),
-        ANN_AND_BOB, ("--columns", SUBJECTS, "--gaps"),
+        ANN_AND_BOB, ("--columns", SUBJECTS, "--set", "gaps=true"),
     ),
     "a space of no width in actions": Case(
         table([FULL, *([*row[:3], f"{row[3]}\u200b", row[4] and f"{row[4]}\u200b"] for row in told())]), ANN_AND_BOB,

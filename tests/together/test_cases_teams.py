@@ -497,7 +497,10 @@ def test_a_robot_that_would_ask_about_one_goal_is_refused(tiny: Table, tmp_path:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (("bound", TINY, "--humans", 2, "--miss", 0.1), "No such option '--miss'; serve and simulate have it"),
+        (
+            ("bound", TINY, "--humans", 2, "--trace", "x"),
+            "No such option '--trace'; draw and simulate have it",
+        ),
         (("policy", TINY, "--gpa", 0.1), "No such option '--gpa'. Did you mean '--gap'?"),
         (
             ("simulate", TINY, "--humans", 2, "--episode", 3),
@@ -505,8 +508,19 @@ def test_a_robot_that_would_ask_about_one_goal_is_refused(tiny: Table, tmp_path:
         ),
         (("bound", TINY, "--xyzzy"), "No such option '--xyzzy'. kitassist bound --help lists the options"),
         (
-            ("simulate", TINY, "--humans", 2, "--miss", 0.1, "--policy", "none", "--policy", "rollout"),
-            "--policy rollout with --miss: it simulates from states that the robot knows; expected another policy",
+            (
+                "simulate",
+                TINY,
+                "--humans",
+                2,
+                "--set",
+                "observation.miss=0.1",
+                "--policy",
+                "none",
+                "--policy",
+                "rollout",
+            ),
+            "--policy rollout with observation: expected actions that are all seen as they are, or another policy",
         ),
         (
             ("export", TINY, "--out", "x.pomdpx", "--trust", "outcome"),

@@ -6,7 +6,7 @@ from math import log
 
 import numpy as np
 from conftest import graph_task
-from hypothesis import example, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -37,7 +37,7 @@ people = st.fixed_dictionaries(
     }
 )
 ends = st.one_of(st.sampled_from([0.0, 0.5, 1.0]), st.floats(0, 1))
-examples = settings(max_examples=30)
+examples = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def problem_of(drawn: list[tuple[int, int, int]], person: dict[str, float], sigma: float) -> AssistPOMDP:
@@ -119,6 +119,7 @@ some_values = st.one_of(st.just(-float("inf")), st.floats(-30, 0))
 some_beta = st.one_of(st.just(0.0), st.floats(0, 50))
 
 
+@settings(deadline=None)
 @given(some_costs, some_beta, ends, st.integers(-1, 4), st.tuples(some_values, some_values))
 @example([float("inf"), 0.0], 1.0, 1e-310, 1, (0.0, 0.0))
 def test_compiled_equations_are_those_of_the_model(

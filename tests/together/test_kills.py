@@ -136,7 +136,7 @@ slow = pytest.mark.slow
         pytest.param(["solve", LARGE], "planner.pddl.validation", id="solve one"),
         pytest.param(["solve", LARGE, str(TINY), "--jobs", "2"], "planner.pddl.validation", id="solve two", marks=slow),
         pytest.param(
-            ["simulate", LARGE, "--humans", "1", "--max-states", "1"], "bin/downward", id="simulate", marks=slow
+            ["simulate", LARGE, "--humans", "1", "--set", "max_states=1"], "bin/downward", id="simulate", marks=slow
         ),
         pytest.param(["bound", LARGE, "--humans", "2"], "fast_downward.translate", id="bound", marks=slow),
         pytest.param(["policy", LARGE], "fast_downward.translate", id="policy", marks=slow),
@@ -147,7 +147,7 @@ slow = pytest.mark.slow
             ["study", "--protocol", "PROTOCOL", "--jobs", "2", "--out", "OUT"], "spawn_main", id="study", marks=slow
         ),
         # On a large task, since on a small one everything may have ended before the kill.
-        pytest.param(["fit", LARGE, "LOG", "--max-states", "1"], "bin/downward", id="fit", marks=slow),
+        pytest.param(["fit", LARGE, "LOG", "--set", "max_states=1"], "bin/downward", id="fit", marks=slow),
     ],
 )
 def test_no_process_goes_on_after_its_command_was_killed(

@@ -37,7 +37,20 @@ def answered(*arguments: Any) -> Any:
 
 
 def test_a_team_is_simulated_and_its_log_is_fitted(name: str, table: Table, tmp_path: Path) -> None:
-    options = ("--humans", 2, "--pool", 2, "--episodes", 4, "--seed", 1, "--beta", 2, 8, "--policy", "attention")
+    options = (
+        "--humans",
+        2,
+        "--pool",
+        2,
+        "--episodes",
+        4,
+        "--seed",
+        1,
+        "--set",
+        "population.beta=[2, 8]",
+        "--policy",
+        "attention",
+    )
     out = tmp_path / "episodes.jsonl"
     (record,) = answered("simulate", name, *options, "--out", out, "--trace", tmp_path / "log.jsonl")["policies"]
     episodes = [json.loads(line) for line in out.read_text().splitlines()]
@@ -52,9 +65,11 @@ def test_a_team_is_simulated_and_its_log_is_fitted(name: str, table: Table, tmp_
 
 def test_the_policy_of_a_person_and_the_bound_of_a_team(name: str) -> None:
     best = -SHIPPED[name]
-    policy = answered("policy", name, "--time-limit", 2, "--beta", 2, 8)
+    policy = answered("policy", name, "--time-limit", 2, "--set", "population.beta=[2, 8]")
     assert policy["lower"] <= policy["upper"] <= 0.98 * best
-    bound = answered("bound", name, "--humans", 2, "--episodes", 20, "--time-limit", 5, "--beta", 2, 8)
+    bound = answered(
+        "bound", name, "--humans", 2, "--episodes", 20, "--time-limit", 5, "--set", "population.beta=[2, 8]"
+    )
     seldom = 0.05  # what people lose by mistakes that are too rare for twenty episodes
     assert bound["value"] - 4 * bound["value_stderr"] - seldom <= bound["upper"] <= 2 * 0.98 * best
 

@@ -363,7 +363,7 @@ def test_two_and_a_half_and_five_halves_are_one_number(tmp_path: Path) -> None:
             assert equal(run(pools[0], policy, 3, 5, 1), run(pool, policy, 3, 5, 1))
 
 
-@settings(max_examples=4)
+@settings(max_examples=4, deadline=None)
 @given(st.integers(1, 400), st.sampled_from([1, 2, 4, 8, 5, 10, 100]))
 def test_a_decimal_cost_gives_the_people_of_its_fraction(tmp_path_factory: Any, over: int, under: int) -> None:
     folder = tmp_path_factory.mktemp("costs")
@@ -398,7 +398,18 @@ def test_two_people_in_a_browser(tmp_path: Path, name: str, first: list[str], be
             self.page.click(f'#actions button:text-is("{self.artist.say(action)}")')
 
     table = shipped(name)
-    options = ("--humans", 2, "--beta", 0.1, 0.6, "--c-suggest", 0.05, "--c-move", 0.01, "--data", tmp_path)
+    options = (
+        "--humans",
+        2,
+        "--set",
+        "population.beta=[0.1, 0.6]",
+        "--c-suggest",
+        0.05,
+        "--c-move",
+        0.01,
+        "--data",
+        tmp_path,
+    )
     with sync_api.sync_playwright() as playwright, served(*options, instance=table.task.instance.problem) as desk:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
         contexts = [browser.new_context(viewport={"width": 760, "height": 900}), browser.new_context()]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,7 +15,7 @@ from planner.batch.solve_record import SolveOptions
 from planner.system import files
 
 if TYPE_CHECKING:
-    from ...team.robots import Robot
+    pass
 
 Range = tuple[float, float]
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -45,29 +44,6 @@ SECONDS = Number(min=0, max=1e9, min_open=True)
 MEGABYTES = Number(min=0, max=1e12, min_open=True)
 JOBS = click.IntRange(min=1, max=10_000)
 SEED = click.IntRange(min=0)
-
-
-class Robots(click.ParamType):  # type: ignore[type-arg]
-    """A number of robots, or a list of TOML tables with the fields of `Robot`."""
-
-    name = "robots"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Robot, ...]:
-        """Return the robots; a configuration file has given their number or their tables."""
-        from ...team.settings import Setting
-
-        try:
-            found = tomllib.loads(f"robots = {value}")["robots"] if isinstance(value, str) else value
-            return Setting(robots=found).robots
-        except tomllib.TOMLDecodeError:
-            self.fail(
-                f"{value}: expected a number, or a list such as [{{c_suggest = 0.2}}, {{c_move = 2}}]", param, ctx
-            )
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
-
-
-ROBOTS = Robots()
 
 
 class Output(click.Path):

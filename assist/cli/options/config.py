@@ -1,6 +1,7 @@
 """Options of a command from a configuration file and from environment variables.
 
-The option `--config FILE.toml` sets any option of its command under its long name, with `_` for `-`. Environment
+The option `--config FILE.toml` sets any option of its command under its long name, with `_` for `-`, and in its table
+`setting` any field of the command's setting. Environment
 variables, such as KITASSIST_C_SUGGEST, override the file; options on the command line override both.
 """
 
@@ -16,36 +17,41 @@ from click.core import ParameterSource
 
 from planner.system.errors import InputFileError
 
-from ...people.user_code import parse
-from .common import INPUT_FILE, ROBOTS, Option
+from ...declare.options import FieldOption
+from ...people.user_code import function_beside
+from .common import INPUT_FILE, Option
 
 ENVIRONMENT = "KITASSIST_"
+
+
+TABLES = ("tasks", "setting")
+"""Tables of a configuration: people's tasks, and the fields of the command's setting."""
 
 
 def configurable(command: click.Command) -> click.Command:
     """Let environment variables set the options of a command; errors state where a faulty value is from."""
     for option in command.params:
-        option.envvar = ENVIRONMENT + _name(option).upper()
+        if not isinstance(option, FieldOption):  # the setting reads its own
+            option.envvar = ENVIRONMENT + _name(option).upper()
     return command
 
 
-def config_option(*tables: str) -> Option[Any]:
-    """Return the option `--config`; the file may have the `tables` of texts, too, which `tables_of` returns."""
+def config_option() -> Option[Any]:
+    """Return the option `--config`; its file has the tables `TABLES`, too."""
 
     def read(context: click.Context, _: click.Parameter, file: Path | None) -> Path | None:
         if file is not None:
-            settings = read_config(file, context.command.params, tables)
-            context.default_map = settings
+            context.default_map = read_config(file, context.command.params)
         return file
 
     return click.option(
         "--config", type=INPUT_FILE, metavar="FILE.toml", is_eager=True, callback=read,
-        help="Options from a file, such as c_suggest = 0.2. Environment variables, such as KITASSIST_C_SUGGEST, and "
-             "options override them.",
+        help="Options from a file, with a table `setting` for all fields of the setting. Environment variables, such "
+             "as KITASSIST_C_SUGGEST, and options override them.",
     )  # fmt: skip
 
 
-def read_config(file: Path, options: Sequence[click.Parameter], tables: Sequence[str] = ()) -> dict[str, Any]:
+def read_config(file: Path, options: Sequence[click.Parameter]) -> dict[str, Any]:
     """Return the values that a file sets, by the names of the options' parameters; paths are relative to its folder.
 
     Parameters
@@ -53,8 +59,6 @@ def read_config(file: Path, options: Sequence[click.Parameter], tables: Sequence
     file : Path
     options : sequence of click.Parameter
         The options that the file may set.
-    tables : sequence of str
-        Names of tables of texts, which are returned like values.
 
     Raises
     ------
@@ -63,14 +67,19 @@ def read_config(file: Path, options: Sequence[click.Parameter], tables: Sequence
     """
     from ...declare import tables as toml
 
-    known = {_name(option): option for option in options if option.name != "config"}
+    without = {"config", "changes", "setting_file"}
+    known = {_name(one): one for one in options if one.name not in without and not isinstance(one, FieldOption)}
     try:
         with toml.located(file):
-            table = toml.convert(toml.load(file), _kinds(known, tables), file)
+            content = toml.load(file)
+            for one in options:
+                if isinstance(one, FieldOption) and one.field in content:
+                    raise toml.fault(file, one.field, "unknown; expected it in the table `setting`")
+            table = toml.convert(content, _kinds(known), file)
     except InputFileError as error:
         raise click.UsageError(str(error)) from None
     found = {name: value for name, value in vars(table).items() if value is not None}
-    values: dict[str, Any] = {name: dict(found[name]) for name in tables if name in found}
+    values: dict[str, Any] = {name: dict(found[name]) for name in TABLES if name in found}
     for name, option in known.items():
         if name in found:
             values[option.name or name] = _beside(file, option, found[name])
@@ -110,30 +119,18 @@ def _problem_beside(folder: Path, text: str) -> str:
     return str(folder / text) if there else text
 
 
-def _function_beside(folder: Path, text: str) -> str:
-    """Return FILE.py:FUNCTION with a path from a folder; other names unchanged."""
-    place = parse(text, folder)
-    return text if place is None else f"{place[0]}:{place[1]}"
-
-
-def _texts_beside(folder: Path, text: str) -> str:
-    """Return a file of texts with a path from a folder; a language unchanged."""
-    return str(folder / text) if text.endswith(".toml") else text
-
-
 BESIDE: dict[str, Callable[[Path, str], str]] = {
-    "instances": _problem_beside, "problems": _problem_beside, "policy": _function_beside, "people": _function_beside,
-    "language": _texts_beside,
+    "instances": _problem_beside, "problems": _problem_beside, "policy": function_beside,
 }  # fmt: skip
 """Options whose texts may be paths, and how these begin in a folder."""
 
 
-def _kinds(options: dict[str, click.Parameter], tables: Sequence[str]) -> type[Any]:
+def _kinds(options: dict[str, click.Parameter]) -> type[Any]:
     """Return the declared class of the whole file."""
-    from ...declare.declared import Expected, Text, declared
+    from ...declare.declared import AnyTable, Expected, Text, declared
 
-    texts = Annotated[dict[str, Text], Expected("a table of texts")]
-    kinds = {name: _kind(option) for name, option in options.items()} | dict.fromkeys(tables, texts)
+    kinds = {name: _kind(option) for name, option in options.items()}
+    kinds |= {"tasks": Annotated[dict[str, Text], Expected("a table of texts")], "setting": AnyTable}
     fields = {name: kind | None for name, kind in kinds.items()}
     return declared(type("Config", (), {"__annotations__": fields, **dict.fromkeys(kinds)}))
 
@@ -142,17 +139,13 @@ def _kind(option: click.Parameter) -> Any:
     """Return the type that an option's value has in a file."""
     from pydantic import Field
 
-    from ...declare.declared import Expected, Number, Range, Text, Texts, Truth, Whole
+    from ...declare.declared import Number, Text, Texts, Truth, Whole
 
     if getattr(option, "is_flag", False):
         return Truth
     if getattr(option, "multiple", False) or option.nargs == -1:
         return Texts
-    if option.nargs == 2:
-        return Range
     kind = option.type
-    if kind is ROBOTS:
-        return Annotated[int | list[dict[str, Any]], Expected("a whole number of 1 or more, or one table or more")]
     if isinstance(kind, click.Choice):
         return Literal[tuple(kind.choices)]  # noqa: RUF100
     if isinstance(kind, click.IntRange):

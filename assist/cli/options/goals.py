@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,14 +16,15 @@ from planner.system.machine import processors
 from planner.system.progress import stages
 from planner.system.threads import on_threads
 
+from ...declare.options import Given
 from ..terminal.console import ExitCode, fail
-from .common import Command, with_options
 from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
     from planner import CostToGo
 
     from ...people.goals import Goals
+    from ...team.settings import Setting
 
 
 def goals_of(
@@ -61,71 +62,41 @@ def goals_of(
     return dict(zip(names, every, strict=True))
 
 
-def goal_list_options(command: Command) -> Command:
-    """Add the options for people who pursue one of several goals. `several_goals` takes their values."""
-    return with_options(
-        command,
-        (
-            click.option(
-                "--goals", "problems", multiple=True, metavar="PROBLEM",
-                help="A problem with a further goal, or a folder of problems. Repeat it for several.",
-            ),
-            click.option(
-                "--goal-prior", multiple=True, metavar="GOAL=P,...",
-                help="Probability of each goal, by the problem's name. All are equal unless given.",
-            ),
-        ),
-    )  # fmt: skip
+goals_option = click.option(
+    "--goals", "problems", multiple=True, metavar="PROBLEM",
+    help="A problem with a further goal, or a folder of problems. Repeat it for several.",
+)  # fmt: skip
 
-
-goal_knowledge_option = click.option(
-    "--goal-knowledge", type=click.Choice(["inferred", "likeliest", "known"]), default="inferred", show_default=True,
-    help="How the robot knows the goals: from a posterior, from the most probable goal only, or exactly.",
+goal_prior_option = click.option(
+    "--goal-prior", multiple=True, metavar="GOAL=P,...",
+    help="Probability of each goal, by the problem's name. All are equal unless given.",
 )  # fmt: skip
 
 
-def question_options(command: Command) -> Command:
-    """Add the options for a robot that asks people about their goal. `questions_of` takes their values."""
-    return with_options(
-        command,
-        (
-            click.option(
-                "--ask", type=click.FloatRange(min=0), metavar="COST",
-                help="Cost of asking a person for the goal or, live, the last action.",
-            ),
-            click.option(
-                "--ask-error", type=click.FloatRange(0, 0.5, max_open=True), default=0.0, show_default=True,
-                metavar="P", help="Probability of a wrong answer.",
-            ),
-        ),
-    )  # fmt: skip
-
-
-def questions_of(
-    ask: float | None, ask_error: float, problems: Sequence[str], *, doubtful: bool = False
-) -> dict[str, float | None]:
-    """Return the fields of a setting that the options for questions set.
+def check_questions(setting: Setting, given: Given[Any], problems: Sequence[str], *, doubtful: bool = False) -> None:
+    """Raise a usage error if a robot would ask where no question is possible.
 
     Parameters
     ----------
-    ask, ask_error
-        Values of `question_options`.
+    setting, given
+        A command's setting, and what of it was given.
     problems : sequence of str
         Values of `--goals`.
     doubtful : bool
         Whether a question about the last action is possible.
     """
-    if ask is not None and not problems and not doubtful:
-        raise click.UsageError("--ask: expected --goals, too")
-    if ask is None and ask_error:
-        raise click.UsageError("--ask-error: expected --ask, too")
-    return {"c_ask": ask, "ask_error": ask_error}
+    if not problems and not doubtful:
+        given.refuse(["c_ask"], "without --goals")
+    if setting.c_ask is None:
+        given.refuse(["ask_error"], "without c_ask")
+    if not problems:
+        given.refuse(["goal_prior", "goal_knowledge"], "without --goals")
 
 
 def several_goals(
     instance: str,
     problems: Sequence[str],
-    prior: Sequence[str],
+    prior: Mapping[str, float],
     *,
     domain: str | None,
     max_states: int = SolveOptions.max_states,
@@ -139,18 +110,16 @@ def several_goals(
     from ...people.goals import Goals
 
     if not problems:
-        if prior:
-            raise click.UsageError("--goal-prior: expected --goals, too")
         return None
     every = list(dict.fromkeys(str(found.problem) for found in find_instances([instance, *problems], domain)))
     most = max_states if asked is None else min(max_states, asked)
     try:
         known = goals_of(every, domain=domain, max_states=most, tables=True)
     except LimitError as error:
-        option = "--goals" if most == max_states else "--ask"
+        option = "--goals" if most == max_states else "c_ask"
         fail(f"{option}: {error}; expected a task of at most {most:,} states", ExitCode.FAILED)
     try:
-        return Goals(known, prior_of(prior, "--goal-prior") or {})  # type: ignore[arg-type]
+        return Goals(known, prior)  # type: ignore[arg-type]
     except ValueError as error:
         raise click.UsageError(str(error)) from None
 
@@ -164,8 +133,8 @@ def _same_domain(found: Sequence[Instance]) -> None:
             fail(f"{other}: its domain is {files[1]}; expected {files[0]}, as for {first}", ExitCode.FAILED)
 
 
-def prior_of(given: Sequence[str], option: str = "--prior") -> dict[str, float] | None:
-    """Return the prior that an option gives, by the names of the goals.
+def prior_of(given: Sequence[str]) -> dict[str, float] | None:
+    """Return the prior that `--goal-prior` gives, by the names of the goals.
 
     Raises
     ------
@@ -180,6 +149,6 @@ def prior_of(given: Sequence[str], option: str = "--prior") -> dict[str, float] 
         except ValueError:
             name = ""
         if not name or name in prior:
-            raise click.UsageError(f"{option} {pair}: expected GOAL=PROBABILITY, once for each goal")
+            raise click.UsageError(f"--goal-prior {pair}: expected GOAL=PROBABILITY, once for each goal")
         prior[name] = value
     return prior or None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -15,37 +14,24 @@ from .config import named
 
 GROUPS = {
     "Task": (
-        "--domain", "--max-states", "--region-states", "--state", "--plan", "--protocol", "--format",
-        "--goals", "--goal-prior", "--as",
+        "--domain", "--max-states", "--state", "--plan", "--protocol", "--format", "--goals", "--goal-prior", "--as",
     ),
-    "Log": ("--columns", "--drop", "--rename", "--gaps", "--strict", "--advice", "--confidence", "--rows"),
-    "People": (
-        "--humans", "--pool", "--beta", "--theta", "--sigma", "--eta", "--utility-scale", "--trust", "--population",
-        "--people", "--prior", "--simulate", "--pace",
-    ),
-    "Estimates": (
-        "--misconception", "--terms", "--theta-per-episode", "--folds", "--family", "--level", "--largest-beta",
-    ),
-    "Robot": (
-        "--robots", "--policy", "--knowledge", "--goal-knowledge", "--suggestions", "--execute", "--gamma",
-        "--c-suggest", "--c-execute", "--c-move", "--travel-time", "--distances", "--lapse", "--miss", "--confusion",
-        "--ask", "--ask-error",
-    ),
+    "Log": ("--columns", "--drop", "--rename", "--strict", "--advice", "--rows"),
+    "People": ("--humans", "--pool", "--population", "--simulate"),
+    "Estimates": ("--misconception", "--terms", "--folds", "--family"),
+    "Robot": ("--robots", "--policy", "--trust", "--c-suggest", "--c-move"),
+    "Setting": ("--setting", "--set"),
     "Service": (
         "--config", "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy",
-        "--bridge", "--tick", "--data", "--people-store", "--keep-people", "--log-format",
-        "--language",
+        "--bridge", "--data", "--log-format",
     ),
     "Run": (
-        "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",
-        "--verify", "--most-values", "--jobs", "--scheduler", "--cache", "--resume", "--seed",
+        "--episodes", "--episode", "--repeats", "--samples", "--gap", "--time-limit", "--memory-limit", "--verify",
+        "--most-values", "--jobs", "--scheduler", "--resume", "--seed",
     ),
     "Output": ("--out", "--size-limit", "--trace", "--reasons", "--figure", "--figures", "--width", "--json", "--help"),
 }  # fmt: skip
 """Options of all commands by topic, in the order in which the help shows them."""
-
-RENAMED = {"--paths": "--samples"}
-"""Old names of options, accepted with a warning until version 2.0, and their present names."""
 
 LOOK = RichHelpConfiguration(
     theme="nu",
@@ -57,16 +43,10 @@ LOOK = RichHelpConfiguration(
 
 
 class Command(RichCommand):
-    """A command that accepts the old names of renamed options."""
+    """A command whose errors name the option that was meant, or the source of a faulty value."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; warn on stderr once for each old name of an option of this command."""
-        current = {name for option in self.params for name in option.opts}
-        end = args.index("--") if "--" in args else len(args)
-        for old, new in RENAMED.items():
-            if new in current and any(arg.partition("=")[0] == old for arg in args[:end]):
-                click.echo(f"{old} is deprecated and will be removed in version 2.0; use {new}", err=True)
-                args = [re.sub(f"^{old}(?==|$)", new, arg) for arg in args[:end]] + args[end:]
+        """Parse the arguments."""
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
@@ -98,7 +78,7 @@ def _options(command: click.Command | None) -> list[str]:
 def command(example: str, name: str | None = None) -> Callable[[Callable[..., Any]], click.Command]:
     """Return a decorator that turns a function into a command.
 
-    The command's help shows an example and groups the options. Renamed options are accepted under their old names.
+    The command's help shows an example and groups the options.
 
     Parameters
     ----------

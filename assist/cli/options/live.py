@@ -10,32 +10,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from planner import Instance, InstanceError, find_instances
 from planner.batch.solve_record import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
-from ...texts.catalogue import FIRST, catalogue
-from .common import (
-    OUTPUT_FOLDER,
-    SECONDS,
-    SEED,
-    Command,
-    Number,
-    Option,
-    Range,
-    range_option,
-    refuse_unused,
-    with_options,
-)
-from .config import read_config
-from .goals import goal_list_options, question_options, questions_of, several_goals
-from .person import model_options, observation_options
+from ...declare.options import Given, setting_options
+from ...texts.catalogue import catalogue
+from .common import OUTPUT_FOLDER, Command, Option, domain_option, with_options
+from .config import ENVIRONMENT, read_config
+from .goals import check_questions, goals_option, several_goals
 from .policies import CHOICES, PolicyName, policies_of
-from .population import people_option, population_of, population_options, with_rule_of
+from .population import RATES, chosen_setting
+from .settings import LiveSetting
 from .task import costs_of
-from .travel import travel_of, travel_options
+from .travel import travel_of
 
 if TYPE_CHECKING:
     from planner import CostToGo
@@ -46,111 +35,57 @@ if TYPE_CHECKING:
     from ...web.server import ServedTeam
     from ...web.service import Bridge
 
-DAYS = Number(min=0, max=36_500, min_open=True)
-
 
 def live_options(command: Command) -> Command:
-    """Add the options of a live session. `plan_of` takes their values."""
+    """Add the options of a live session, with those of its setting. `plan_of` takes their values."""
     options: tuple[Option[Any], ...] = (
         click.option("--humans", type=click.IntRange(1, 10_000), metavar="K", help="Number of people in the team."),
         click.option(
-            "--simulate",
-            type=click.IntRange(min=0),
-            default=0,
-            metavar="N",
+            "--simulate", type=click.IntRange(min=0), default=0, metavar="N",
             help="Number of simulated people among the K.",
         ),
         click.option(
-            "--pace",
-            type=SECONDS,
-            default=3.0,
-            show_default=True,
-            help="Mean seconds between actions of simulated people.",
-        ),
-        click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of simulated people."),
-        click.option(
-            "--data",
-            type=OUTPUT_FOLDER,
-            metavar="DIR",
+            "--data", type=OUTPUT_FOLDER, metavar="DIR",
             help="Folder in which the session is stored. An existing session is resumed.",
-        ),
-        click.option(
-            "--people-store",
-            type=click.Path(dir_okay=False, path_type=Path),
-            metavar="FILE",
-            help="Begin with what earlier sessions have learned about people of the same names, and keep it there.",
-        ),
-        click.option(
-            "--keep-people",
-            type=DAYS,
-            metavar="DAYS",
-            default=30.0,
-            show_default=True,
-            help="Days after which the store forgets a person.",
         ),
         click.option(
             "--policy", type=PolicyName(), default="attention", show_default=True, help=f"Team policy: {CHOICES}."
         ),
-        click.option(
-            "--tick",
-            type=SECONDS,
-            default=2.0,
-            show_default=True,
-            help="Seconds without an event after which the robot decides again.",
-        ),
-        goal_list_options,
-        observation_options,
-        question_options,
-        click.option(
-            "--language",
-            default=FIRST,
-            show_default=True,
-            metavar="NAME",
-            help="Language of people's pages: en, de, or a file such as fr.toml.",
-        ),
-        *model_options(),
-        travel_options,
-        population_options(real=True),
-        people_option,
-        range_option("--sigma", (0.1, 1.0), "Range of the size of simulated people's misconceptions (sigma)."),
-    )
+        goals_option,
+        domain_option,
+        setting_options(LiveSetting, without=("trust", "population"), environment=ENVIRONMENT),
+    )  # fmt: skip
     return with_options(command, options)
 
 
 def plan_of(
-    instances: tuple[str, ...], *, humans: int, simulate: int, pace: float, seed: int, data: Path | None, policy: str,
-    tick: float, language: str, people_store: Path | None, keep_people: float, domain: str | None,
-    distances: Path | None, beta: Range, theta: Range | None, sigma: Range, population_file: Path | None,
-    people: str | None, problems: Sequence[str], goal_prior: Sequence[str], miss: float, confusion: float,
-    ask: float | None, ask_error: float, **options: Any,
+    instances: tuple[str, ...], setting: LiveSetting, given: Given[LiveSetting], *, humans: int, simulate: int,
+    data: Path | None, policy: str, domain: str | None, problems: Sequence[str],
 ) -> ServedTeam:  # fmt: skip
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
     from ...large_tasks.person_problem import WHOLE
     from ...people.goals import first_of
-    from ...person.observation_model import ObservationModel
-    from ...team.settings import Setting
     from ...web.server import ServedTeam
 
     if simulate > humans:
         raise click.UsageError(f"--simulate {simulate} is more than --humans {humans}")
-    population = population_of(beta, theta, sigma, file=population_file, people=people)
     if not simulate:
-        refuse_unused(["sigma", "pace", "seed"], "without --simulate")
-    if people_store is None:
-        refuse_unused(["keep_people"], "without --people-store")
-    (chosen,) = policies_of((policy,)).values()
+        given.refuse(["pace", "seed", "population.sigma"], "without --simulate")
+    if setting.people_store is None:
+        given.refuse(["keep_people"], "without people_store")
+    doubtful = setting.observation is not None or setting.suggestions == "all"
+    check_questions(setting, given, problems, doubtful=doubtful)
+    given.refuse(["knowledge", "max_steps"], "on a live team")
+    (chosen_policy,) = policies_of((policy,)).values()
+    chosen = chosen_setting(setting, given, rate=False)
+    if chosen.trust != "paper":  # influence on real people is constant unless a rule is given
+        given.refuse(RATES, 'without trust = "paper"')
+    if chosen.fleet.executes:
+        raise click.UsageError("execute: expected a robot that suggests; one that acts itself can only be simulated")
     try:
-        texts = catalogue(language)
-        doubtful = bool(miss or confusion) or options["suggestions"] == "all"
-        options |= questions_of(ask, ask_error, problems, doubtful=doubtful)
-        options["observation"] = ObservationModel(miss, confusion)
-        setting = Setting(**with_rule_of(population_file, options))
-        if setting.trust != "paper":  # influence on real people is constant unless a rule is given
-            refuse_unused(["eta", "utility_scale"], "without --trust paper")
-        if setting.fleet.executes:
-            raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")
-        distance = None if distances is None else travel_of(setting, humans, distances).distance
+        texts = catalogue(setting.language)
+        distance = None if setting.distances is None else travel_of(chosen, humans, setting.distances).distance
         found = _named(find_instances(instances, domain))
         if problems and len(found) > 1:
             raise click.UsageError(
@@ -159,9 +94,9 @@ def plan_of(
         goals = several_goals(
             str(next(iter(found.values())).problem),
             problems,
-            goal_prior,
+            setting.goal_prior,
             domain=domain,
-            asked=None if ask is None else WHOLE,
+            asked=None if setting.c_ask is None else WHOLE,
         )
         tasks: dict[str, CostToGo | Goals] = {
             name: goals or costs_of(one, max_states=SolveOptions.max_states, memory_limit_mb=None)
@@ -180,13 +115,16 @@ def plan_of(
     _require_known(chosen_tasks, in_turn, tasks)
     in_turn |= chosen_tasks
     return ServedTeam(
-        tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen, setting=setting,
-        population=population, distance=distance, simulated=simulated, pace=pace, seed=seed, tick=tick,
-        people_store=people_store, keep_people=keep_people, texts=texts,
+        tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen_policy, setting=chosen,
+        population=setting.population, distance=distance, simulated=simulated, pace=setting.pace, seed=setting.seed,
+        tick=setting.tick, people_store=None if setting.people_store is None else Path(setting.people_store),
+        keep_people=setting.keep_people, texts=texts,
     )  # fmt: skip
 
 
-def changed_settings(config: Path, context: click.Context, session: Session) -> Callable[[], list[TeamEvent]]:
+def changed_settings(
+    config: Path, context: click.Context, session: Session, setting: LiveSetting, given: Given[LiveSetting]
+) -> Callable[[], list[TeamEvent]]:
     """Return a function that reads a configuration again, and returns the events by which a session follows it.
 
     It raises ValueError if the configuration is faulty. Distances that the environment or the command line sets are
@@ -196,13 +134,17 @@ def changed_settings(config: Path, context: click.Context, session: Session) -> 
 
     from ...live.events import Began, Rearranged
 
-    command, before = context.command, context.params["distances"]
-    fixed = context.get_parameter_source("distances") in {ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT}
+    command = context.command
+    before = None if setting.distances is None else Path(setting.distances)
+    fixed = given.is_fixed("distances")
 
     def read() -> list[TeamEvent]:
         try:
-            settings = read_config(config, command.params, ("tasks",))
-            file = before if fixed or "distances" not in settings else Path(settings["distances"])
+            settings = read_config(config, command.params)
+            again = Given(LiveSetting)
+            again.file(config, settings.get("setting", {}), "setting")
+            now = again.read().distances
+            file = before if fixed or now is None else Path(now)
             tasks = {name: session.person(name)["task"] for name in session.people}
             _require_known(settings.get("tasks", {}), tasks, session.tasks)
         except click.UsageError as error:

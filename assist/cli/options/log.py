@@ -15,28 +15,24 @@ from planner import Instance, LimitError, Limits, find_instances
 from planner.system.machine import processors
 from planner.system.progress import progress_bar, stages
 
+from ...declare.declared import names_of
 from ..terminal.console import ExitCode, fail
 from .common import (
     JOBS,
-    NUMBER,
-    OUTPUT_FOLDER,
     Command,
     Option,
-    lapse_option,
-    max_states_option,
-    scale_option,
-    seconds_option,
     with_options,
 )
 from .goals import goals_of
+from .settings import EstimateSetting, ReadingSetting
 from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
     from planner import CostToGo, OnDemand
 
     from ...learning.evidence import Evidence
-    from ...learning.likelihood import Method
     from ...learning.log import Fault, Log
+    from ...learning.method import Method
     from ...learning.observations import EvaluatedStates
 
 
@@ -56,34 +52,9 @@ def reading_options(command: Command) -> Command:
             help="Names of the log's columns, such as person=worker,action=move.",
         ),
         click.option(
-            "--gaps", is_flag=True, help="Accept gaps in step numbers. Otherwise a gap means that lines are missing."
-        ),
-        click.option(
             "--strict", is_flag=True, help="Stop if any line cannot be used, or if any state exceeds the time limit."
         ),
-        max_states_option("On a larger task evaluate only states that were visited, and their successors."),
-        seconds_option("Seconds for each of these states."),
-        click.option(
-            "--cache", type=OUTPUT_FOLDER,
-            help="Folder for the cost-to-go of solved states.  [default: kitassist in the user's cache folder]",
-        ),
         click.option("--jobs", type=JOBS, help="Number of processors. All unless given."),
-    )  # fmt: skip
-    return with_options(command, options)
-
-
-def method_options(command: Command) -> Command:
-    """Add the options of `Method`; their values are its fields."""
-    options: tuple[Option[Any], ...] = (
-        click.option("--eta", type=NUMBER, help="Rate of the trust update (eta). Estimated unless given."),
-        scale_option,
-        lapse_option("Weight of a uniform choice."),
-        click.option("--level", type=NUMBER, default=0.95, show_default=True, help="Confidence level of intervals."),
-        click.option(
-            "--largest-beta", type=NUMBER,
-            help="Upper end of the range of expertise (beta).  [default: 10, divided by the cost of the smallest "
-                 "possible mistake]",
-        ),
     )  # fmt: skip
     return with_options(command, options)
 
@@ -94,35 +65,33 @@ folds_option = click.option(
 )  # fmt: skip
 
 
-def method_of(
-    *, eta: float | None, utility_scale: float, lapse: float, level: float, largest_beta: float | None
-) -> Method:
-    """Return the options of the estimation; an invalid one is a usage error."""
-    from ...learning.likelihood import Method
+def method_of(setting: EstimateSetting) -> Method:
+    """Return the options of the estimation."""
+    from ...learning.method import Method
 
-    try:
-        return Method(level, lapse, utility_scale, eta, largest_beta)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
+    return Method(**{name: getattr(setting, name) for name in names_of(Method)})
 
 
 class ReadingOptions(NamedTuple):
-    """The values of `reading_options`."""
+    """The values of `reading_options`, and how a setting says that a log is read."""
 
     drop: tuple[str, ...]
     rename: tuple[str, ...]
     columns: tuple[str, ...]
-    gaps: bool
     strict: bool
+    jobs: int | None
+    gaps: bool
     max_states: int
     time_limit: float | None
     cache: Path | None
-    jobs: int | None
 
     @classmethod
-    def taken(cls, options: dict[str, Any]) -> ReadingOptions:
-        """Return the values among those of a command, from which they are removed."""
-        return cls(**{name: options.pop(name) for name in cls._fields})
+    def of(cls, setting: ReadingSetting, options: dict[str, Any]) -> ReadingOptions:
+        """Return the values of a command's setting and options."""
+        cache = None if setting.cache is None else Path(setting.cache)
+        return cls(
+            **options, gaps=setting.gaps, max_states=setting.max_states, time_limit=setting.time_limit, cache=cache
+        )
 
     @property
     def evaluation(self) -> dict[str, Any]:
@@ -174,7 +143,7 @@ def with_task(found: Instance, file: Path, reading: ReadingOptions, *, table: bo
         most = min(WHOLE, reading.max_states)
         whole = planner.cost_to_go(task, max_states=most, cache=planner.Cache(task))
         if not is_whole(whole):
-            raise click.UsageError(f"--people: expected a task of at most {most:,} states")
+            raise click.UsageError(f"chooses: expected a task of at most {most:,} states")
         return whole
 
     walked: list[OnDemand] = []

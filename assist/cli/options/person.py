@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,24 +11,17 @@ import click
 from planner import Instance
 from planner.system.progress import progress_bar
 
-from .common import (
-    NUMBER,
-    SEED,
-    Command,
-    Option,
-    Range,
-    domain_option,
-    is_given,
-    lapse_option,
-    refuse_unused,
-    scale_option,
-    with_options,
-)
-from .population import people_option, population_of, population_options, refuse_unused_rates, with_rule_of
+from ...declare.options import Given, setting_options
+from .common import SEED, Command, Option, domain_option, with_options
+from .population import chosen_setting
+from .settings import PersonSetting
 from .task import one_instance
 
 TRUST = ("paper", "constant", "outcome", "outcome-at-disagreement", "reliability")
 """Names of `assist.people.trust_rules.RULES`, without loading numpy."""
+
+OF_TEAMS = ("c_move", "travel_time", "robots", "knowledge", "max_steps", "observation", "c_ask", "ask_error")
+"""Fields of a setting that the problem of one person does not have."""
 
 if TYPE_CHECKING:
     from planner import CostToGo
@@ -38,76 +30,21 @@ if TYPE_CHECKING:
     from ...people.goals import Goals
 
 
-def model_options() -> tuple[Option[Any], ...]:
-    """Return the options for the robot's costs and its model of people, shared by single people and teams."""
-    return (
-        domain_option,
-        click.option("--gamma", type=NUMBER, default=0.99, show_default=True, help="Discount factor per step (gamma)."),
-        click.option(
-            "--c-suggest", type=NUMBER, default=1.0, show_default=True,
-            help="Cost of a suggestion (cost units).",
-        ),
-        click.option("--eta", type=NUMBER, default=0.2, show_default=True, help="Rate of the trust update (eta)."),
-        scale_option,
-        click.option(
-            "--trust", type=click.Choice(TRUST),
-            help="How influence (theta) moves: by equation (7), not at all, or by the outcome of suggestions.  "
-                 "[default: paper; constant for real people]",
-        ),
-        lapse_option("Weight of a uniform choice in the robot's model."),
-        click.option(
-            "--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True,
-            help="Actions that the robot may suggest: optimal choices only, or all.",
-        ),
-        click.option("--execute", is_flag=True, help="The robot can also execute an action itself."),
-        click.option(
-            "--c-execute", type=NUMBER, default=1.0, show_default=True,
-            help="Cost of an action executed by the robot (cost units).",
-        ),
-    )  # fmt: skip
-
-
-def observation_options(command: Command) -> Command:
-    """Add the options for a robot that does not see every action as it is. `observation_of` takes their values."""
-    share = click.FloatRange(0, 1, max_open=True)
-    return with_options(
-        command,
-        (
-            click.option(
-                "--miss", type=share, default=0.0, show_default=True, metavar="P",
-                help="Probability that the robot misses an action.",
-            ),
-            click.option(
-                "--confusion", type=share, default=0.0, show_default=True, metavar="P",
-                help="Probability that it sees another action instead.",
-            ),
-        ),
-    )  # fmt: skip
-
-
 def person_options(command: Command) -> Command:
     """Add the options that describe one person's problem. `person_problem` takes their values."""
     options: tuple[Option[Any], ...] = (
-        *model_options(),
-        population_options("the person's"),
-        people_option,
         click.option(
-            "--sigma", type=NUMBER, default=0.0, show_default=True,
-            help="Standard deviation of the person's misconception (sigma, cost units). The robot knows the "
-                 "misconception.",
+            "--seed", type=SEED, default=0, show_default=True, help="Random seed of the person's misconception."
         ),
-        click.option(
-            "--seed", type=SEED, default=0, show_default=True,
-            help="Random seed of the person's misconception.",
-        ),
-    )  # fmt: skip
+        domain_option,
+        setting_options(PersonSetting, without=("c_move", "robots")),
+    )
     return with_options(command, options)
 
 
 def person_problem(
-    instance: str, known_of: Callable[[Instance], CostToGo | Goals], *, states: int | None, domain: str | None,
-    beta: Range, theta: Range, population_file: Path | None, people: str | None, sigma: float, execute: bool,
-    time_limit: float | None = None, memory_limit: float = float("inf"), **setting: Any,
+    instance: str, known_of: Callable[[Instance], CostToGo | Goals], setting: PersonSetting,
+    given: Given[PersonSetting], *, states: int | None, domain: str | None, seed: int, time_limit: float | None = None,
 ) -> tuple[Instance, PersonProblem]:  # fmt: skip
     """Build one person's problem from the values of `person_options`. Invalid options raise usage errors.
 
@@ -115,38 +52,41 @@ def person_problem(
     ----------
     known_of : callable
         Reads and solves the task, or the tasks of several goals.
+    setting : PersonSetting
+    given : Given
+        What of the setting was given.
     states : int or None
         Largest number of states in the problem; a larger task is truncated to it. None: all states of the task.
+    domain : str or None
+    seed : int
     time_limit : float, optional
         Seconds for choosing the states of a truncated problem.
-    memory_limit : float
-        Memory of the solver in MB. A truncated problem has fewer states if it is short, unless their number was given.
     """
     from ...large_tasks.person_problem import PersonProblem, is_whole
     from ...people.goals import each_of
 
-    refuse_unused_rates(setting.get("trust"))
-    if not execute:
-        refuse_unused(["c_execute"], "without --execute")
+    given.refuse(OF_TEAMS, "on the problem of one person")
+    if not setting.execute:
+        given.refuse(["c_execute"], "without execute")
     found = one_instance(instance, domain)
-    population = population_of(beta, theta, file=population_file, people=people)
+    chosen = chosen_setting(setting, given, rate=True)
     known = known_of(found)
     if states is None:
         states = len(known)
-    whole = is_whole(known, states)
-    for name, given in (("--sigma", sigma > 0), ("--execute", execute)):
-        if given and not whole:
-            raise click.UsageError(f"{name}: expected a task of at most {states:,} states (--region-states)")
-    if not whole and not is_given("region_states"):  # a state takes memory for each goal
-        states = max(1, states // len(each_of(known)))
-    else:
-        memory_limit = float("inf")
+    whole, memory_limit = is_whole(known, states), float("inf")
+    for name, needs in (("sigma", setting.sigma > 0), ("execute", setting.execute)):
+        if needs and not whole:
+            raise click.UsageError(f"{name}: expected a task of at most {states:,} states (--set region_states)")
+    if not whole and setting.region_states is None:  # a state takes memory for each goal
+        states, memory_limit = max(1, states // len(each_of(known))), setting.memory_limit
     try:
         with nullcontext() if whole else progress_bar("collecting states", states) as advance:
             problem = PersonProblem.of(
-                known, states=states, population=population, sigma=sigma, execute=execute, time_limit=time_limit,
-                memory_limit_mb=memory_limit,
-                progress=advance, **with_rule_of(population_file, setting, rate=True),
+                known, states=states, population=setting.population, sigma=setting.sigma, seed=seed,
+                time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance, gamma=chosen.gamma,
+                eta=chosen.eta, utility_scale=chosen.utility_scale, lapse=chosen.lapse, trust=chosen.trust,
+                c_suggest=chosen.c_suggest, suggestions=chosen.suggestions, execute=chosen.execute,
+                c_execute=chosen.c_execute,
             )  # fmt: skip
     except ValueError as error:
         raise click.UsageError(str(error)) from None

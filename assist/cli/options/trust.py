@@ -4,36 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from planner.system.errors import InputFileError
 
+from ...declare.declared import names_of
+from ...declare.options import Given
 from ..terminal.console import ExitCode, fail
 from .common import INPUT_FILE, Command, Option, is_given, with_options
+from .settings import EstimateSetting
 
 if TYPE_CHECKING:
     from ...learning.advice_log import AdviceLog
 
-Confidence = Literal["own", "one"]
-
-WITH_ADVICE = {"advice", "confidence", "rows", "out", "as_json"}
+WITH_ADVICE = {"advice", "rows", "out", "as_json", "changes", "setting_file"}
 """Parameters of all commands that have an effect with `--advice`."""
 
 
 def advice_options(command: Command) -> Command:
     """Add the options about judgements with advice, which take the place of a log."""
     options: tuple[Option[Any], ...] = (
-        click.option("--theta-per-episode", is_flag=True, help="Influence (theta) begins anew in each episode."),
         click.option(
             "--advice", type=INPUT_FILE,
             help="Estimate influence from judgements with advice (CSV), in place of INSTANCE and LOG.",
-        ),
-        click.option(
-            "--confidence", type=click.Choice(["own", "one"]), default="own", show_default=True,
-            help="What confidences in the file of --advice are about: the own choice, or the chance that choice 1 is "
-                 "right.",
         ),
         click.option(
             "--rows", multiple=True, metavar="COLUMN=VALUE",
@@ -43,15 +38,20 @@ def advice_options(command: Command) -> Command:
     return with_options(command, options)
 
 
-def advice_of(advice: Path | None, confidence: Confidence, rows: Sequence[str], also: set[str]) -> AdviceLog | None:
+def advice_of(
+    advice: Path | None, rows: Sequence[str], setting: EstimateSetting, given: Given[EstimateSetting], also: set[str]
+) -> AdviceLog | None:
     """Return the judgements with advice; None without any.
 
     Parameters
     ----------
-    advice, confidence, rows
+    advice, rows
         Values of `advice_options`.
+    setting, given
+        The command's setting, and what of it was given.
     also : set of str
-        Parameters of the running command that have an effect with `--advice`, besides `WITH_ADVICE`.
+        Parameters of the running command, and fields of its setting, that have an effect with `--advice`, besides
+        `WITH_ADVICE`.
 
     Raises
     ------
@@ -67,10 +67,11 @@ def advice_of(advice: Path | None, confidence: Confidence, rows: Sequence[str], 
             raise click.UsageError(f"--rows: column {column} is there twice; expected one value for it")
         chosen[column] = value
     if advice is None:
-        for name in ("confidence", "rows"):
-            if is_given(name):
-                raise click.UsageError(f"--{name}: expected --advice as well")
+        if rows:
+            raise click.UsageError("--rows: expected --advice as well")
+        given.refuse(["confidence"], "without --advice")
         return None
+    given.refuse(set(names_of(type(setting))) - {"confidence", *also}, "with --advice")
     for parameter in click.get_current_context().command.params:
         if parameter.name and parameter.name not in WITH_ADVICE | also and is_given(parameter.name):
             shown = parameter.metavar if isinstance(parameter, click.Argument) else parameter.opts[0]
@@ -78,6 +79,6 @@ def advice_of(advice: Path | None, confidence: Confidence, rows: Sequence[str], 
     from ...learning.advice_log import read_advice
 
     try:
-        return read_advice(advice, confidence=confidence, rows=chosen)
+        return read_advice(advice, confidence=setting.confidence, rows=chosen)
     except InputFileError as error:
         fail(str(error), ExitCode.FAILED)

@@ -313,7 +313,7 @@ def test_twenty_people_and_five_kills_of_the_broker(broker: Broker, tmp_path: Pa
     alter suggestions, and with them other beliefs.
     """
     walks = plans(kit("tiny"), 20, 12, seed=3)
-    options = ("--humans", 20, "--tick", 3600, "--c-suggest", 0.1)
+    options = ("--humans", 20, "--set", "tick=3600", "--c-suggest", 0.1)
     # Stations that repeat everything three times a second would keep a small machine busy with repetitions.
     stations = Stations(broker, walks, seed=4, again=1.0)
     with served(*options, "--bridge", settings_file(tmp_path, broker)) as mqtt, served(*options) as http:

@@ -59,7 +59,7 @@ def test_a_visitor_who_is_too_dear_never_comes(pool: Pool) -> None:
     assert root(AttentionSubproblem.of(alone, 0.0, 3, np.full(100, 1000.0))) == pytest.approx(value, abs=1e-2)
 
 
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None)
 @given(st.data())
 def test_what_makes_visits_dearer_or_slower_makes_them_worth_less(pool: Pool, data: st.DataObject) -> None:
     alone = pool.policies[data.draw(st.integers(0, 2))].pomdp
@@ -220,12 +220,12 @@ def test_teams_options_that_cannot_be(tmp_path: Path) -> None:
     (folder / "text.json").write_text(json.dumps([[0, "1", 1, 1], [1, 0, 1, 1], [1, 1, 0, 1], [1, 1, 1, 0]]))
     tiny = str(KITTING / "tiny.pddl")
     for options, complaint in (
-        (["--distances", str(folder / "far.json")], "distance, shape (2, 2): expected (4, 4)"),
-        (["--distances", str(folder / "no.json")], "expected a list of lists of numbers"),
-        (["--distances", str(folder / "null.json")], "expected a list of lists of numbers"),
-        (["--distances", str(folder / "text.json")], '"1": expected a number'),
-        (["--travel-time", "-1"], "travel_time -1: expected a number from 0"),
-        (["--gamma", "1"], "gamma 1"),
+        (["--set", f"distances={folder / 'far.json'}"], "distance, shape (2, 2): expected (4, 4)"),
+        (["--set", f"distances={folder / 'no.json'}"], "expected a list of lists of numbers"),
+        (["--set", f"distances={folder / 'null.json'}"], "expected a list of lists of numbers"),
+        (["--set", f"distances={folder / 'text.json'}"], '"1": expected a number'),
+        (["--set", "travel_time=-1"], "--set travel_time: -1; expected a number from 0"),
+        (["--set", "gamma=1"], "--set gamma: 1; expected a number above 0 and below 1"),
     ):
         result = invoke("bound", tiny, "--humans", "3", *options)
         assert result.exit_code == 2

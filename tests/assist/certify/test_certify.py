@@ -276,7 +276,7 @@ def test_states_are_numbered_by_step_position_and_state() -> None:
 edges = st.tuples(st.integers(1, 5), st.integers(0, 5), st.sampled_from([0, 1, 1, 2]))
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(st.lists(edges, min_size=2, max_size=12), st.integers(1, 6), st.booleans())
 def test_states_at_a_step_are_those_that_can_be_reached_in_so_many(
     drawn: list[tuple[int, int, int]], steps: int, execute: bool

@@ -206,7 +206,7 @@ def test_later_conflicts_count_less() -> None:
     assert lost(1, rows, scale) == pytest.approx(0.9 * each)
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(1, 5), st.lists(st.floats(0, 1), min_size=1, max_size=5), st.floats(0, 2))
 def test_a_step_loses_what_fewer_robots_than_people_cannot_do(robots: int, below: list[float], price: float) -> None:
     """U of one step equals the mean over all combinations of people who need a robot at 0.5 above its price."""

@@ -120,7 +120,7 @@ def test_policies_are_compared_with_the_bound(travel_time: int) -> None:
 
 def test_the_command() -> None:
     given = ["bound", KITS / "travel.pddl", "--goals", KITS, "--humans", "1", "--policy", "none"]
-    more = ["--episodes", "50", "--gap", ".5", "--goal-prior", "travel=.5,mend=.5,mount=0", "--gamma", ".7"]
+    more = ["--episodes", "50", "--gap", ".5", "--set", "goal_prior=travel=.5,mend=.5,mount=0", "--set", "gamma=0.7"]
     result = invoke(*given, *more, "--json")
     assert (result.exit_code, result.stderr) == (0, "")
     found = json.loads(result.stdout)
@@ -232,9 +232,9 @@ def test_the_policy_reaches_its_lower_bound_and_is_saved(tmp_path: Path) -> None
 
 def test_the_command_for_one_person(tmp_path: Path) -> None:
     given = ["policy", KITS / "travel.pddl", "--goals", KITS]
-    prior = ["--goal-prior", "travel=.5,mend=.5,mount=0"]
+    prior = ["--set", "goal_prior=travel=.5,mend=.5,mount=0"]
     file = tmp_path / "policy.npz"
-    result = invoke(*given, *prior, "--gap", "1", "--gamma", ".7", "--json", "--out", file)
+    result = invoke(*given, *prior, "--gap", "1", "--set", "gamma=0.7", "--json", "--out", file)
     assert (result.exit_code, result.stderr) == (0, "")
     found = json.loads(result.stdout)
     assert found["goals"] == {"travel": 0.5, "mend": 0.5, "mount": 0}
@@ -242,8 +242,13 @@ def test_the_command_for_one_person(tmp_path: Path) -> None:
     assert found["lower"] <= found["upper"] <= found["value_qmdp"] + 1e-6
     assert Solution.load(file).lower == found["lower"]
     for more, said in {
-        ("--execute",): "execute: expected people whose goal is known, and there are 3 goals",
-        ("--region-states", "20", "--sigma", "1"): "--sigma: expected a task of at most 20 states (--region-states)",
+        ("--set", "execute=true"): "execute: expected people whose goal is known, and there are 3 goals",
+        (
+            "--set",
+            "region_states=20",
+            "--set",
+            "sigma=1",
+        ): "sigma: expected a task of at most 20 states (--set region_states)",
     }.items():
         result = invoke(*given, *more)
         assert (result.exit_code, said in result.stderr) == (2, True)

@@ -118,7 +118,17 @@ def test_distances_are_those_of_people_in_their_order(begun: Begun, tmp_path: Pa
         first, second = to["person-1"], to["person-2"]
         file.write_text(json.dumps([[0, 9, first], [9, 0, second], [first, second, 0]]))
         session = begun(
-            TINY, "--humans", 2, "--c-suggest", 0.02, "--c-move", 0.5, "--distances", file, "--trust", "paper"
+            TINY,
+            "--humans",
+            2,
+            "--c-suggest",
+            0.02,
+            "--c-move",
+            0.5,
+            "--set",
+            f"distances={file}",
+            "--set",
+            "trust=paper",
         )
         for action in ("(fetch box-a)", WRONG):
             for name in session.people:
@@ -131,7 +141,7 @@ def test_distances_are_those_of_people_in_their_order(begun: Begun, tmp_path: Pa
 
 def test_people_choose_as_a_function_says(begun: Begun, own: Path, tmp_path: Path) -> None:
     options = (TINY, "--humans", 3, "--simulate", 1, "--c-suggest", 0.02, "--data", tmp_path / "data")
-    session = begun(*options, "--people", f"{own}:moves")
+    session = begun(*options, "--set", f"population.chooses={own}:moves")
     for action in ("(fetch box-a)", WRONG):
         session.observe("person-1", action)
     # Random choices do not depend on beta, so that nothing is learned about it.
@@ -142,7 +152,7 @@ def test_people_choose_as_a_function_says(begun: Begun, own: Path, tmp_path: Pat
     begun.end()
     own.write_text(OWN.replace("def moves", "def other").replace("def always", "def moves"))
     _loaded.cache_clear()
-    refused = invoke("serve", *options, "--port", 0, "--people", f"{own}:moves")
+    refused = invoke("serve", *options, "--port", 0, "--set", f"population.chooses={own}:moves")
     assert refused.exit_code == 2
     assert "has chances tiny" in refused.stderr
 
@@ -151,7 +161,7 @@ def test_people_are_drawn_from_a_file(begun: Begun, tmp_path: Path) -> None:
     file = tmp_path / "population.json"
     fixed = {"beta": [2.0, 2.0], "theta": [0.9, 0.9], "sigma": [0.0, 0.0], "noise": "state"}
     file.write_text(json.dumps({"parts": [fixed | {"weights": {"name": [9.0, 9.0]}, "share": 1.0}]}))
-    session = begun(TINY, "--humans", 1, "--simulate", 1, "--population", file)
+    session = begun(TINY, "--humans", 1, "--simulate", 1, "--set", f"population={file}")
     (person,) = begun.plan.seats().people.values()
     assert (person.human.beta, person.theta, person.human.weights) == (2.0, 0.9, {"name": 9.0})
     assert np.frombuffer(session.beliefs()["simulated-1"]).size == 10  # beta is known
@@ -162,18 +172,21 @@ def test_people_are_drawn_from_a_file(begun: Begun, tmp_path: Path) -> None:
     [
         (("--policy", "nobody"), "expected one of none"),
         (("--policy", "own.py:missing"), "no such file"),
-        (("--people", "x"), "expected FILE.py:FUNCTION"),
-        (("--execute",), "expected a robot that suggests"),
+        (("--set", "population.chooses=x"), "expected FILE.py:FUNCTION"),
+        (("--set", "execute=true"), "expected a robot that suggests"),
         (("--simulate", 3), "--simulate 3 is more than --humans 2"),
-        (("--distances", TINY), "--distances"),
-        (("--gamma", 2), "gamma"),
-        (("--sigma", 2, 1), "sigma range"),
-        (("--sigma", 0.1, 1.0), "--sigma has no effect without --simulate"),
-        (("--pace", 1), "--pace has no effect without --simulate"),
-        (("--seed", 1), "--seed has no effect without --simulate"),
-        (("--keep-people", 30), "--keep-people has no effect without --people-store"),
-        (("--eta", 0.3), "--eta has no effect without --trust paper"),
-        (("--utility-scale", 2, "--trust", "outcome"), "--utility-scale has no effect without --trust paper"),
+        (("--set", f"distances={TINY}"), "distances"),
+        (("--set", "gamma=2"), "gamma"),
+        (("--set", "population.sigma=[2, 1]"), "--set population.sigma: [2, 1]; expected two numbers"),
+        (("--set", "population.sigma=[0.1, 1.0]"), "population.sigma has no effect without --simulate"),
+        (("--set", "pace=1"), "--set pace has no effect without --simulate"),
+        (("--set", "seed=1"), "--set seed has no effect without --simulate"),
+        (("--set", "keep_people=30"), "--set keep_people has no effect without people_store"),
+        (("--set", "eta=0.3"), "--set eta has no effect without trust"),
+        (
+            ("--set", "utility_scale=2", "--set", "trust=outcome"),
+            "--set utility_scale has no effect with trust 'outcome'",
+        ),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line_before_anything_is_served(
@@ -187,15 +200,18 @@ def test_what_cannot_be_is_said_in_one_line_before_anything_is_served(
 
 
 def test_options_that_need_another_one_are_accepted_with_it(begun: Begun, tmp_path: Path) -> None:
-    rule = ("--trust", "paper", "--eta", 0.3, "--utility-scale", 2)
-    kept = ("--people-store", tmp_path / "people.sqlite", "--keep-people", 7)
-    begun(TINY, "--humans", 2, "--simulate", 1, "--sigma", 0.2, 0.4, "--pace", 1, "--seed", 5, *rule, *kept)
+    rule = ("--set", "trust=paper", "--set", "eta=0.3", "--set", "utility_scale=2")
+    kept = ("--set", f"people_store={tmp_path / 'people.sqlite'}", "--set", "keep_people=7")
+    options = ("--simulate", 1, "--set", "population.sigma=[0.2, 0.4]", "--set", "pace=1", "--set", "seed=5")
+    begun(TINY, "--humans", 2, *options, *rule, *kept)
     plan = begun.plan
     assert (plan.setting.eta, plan.setting.utility_scale, plan.pace, plan.seed, plan.keep_people) == (0.3, 2, 1, 5, 7)
 
 
 def test_a_choice_model_needs_all_states(begun: Begun) -> None:
-    result = invoke("serve", KITTING / "ladder-4x6.pddl", "--humans", 1, "--port", 0, "--people", SHORT)
+    result = invoke(
+        "serve", KITTING / "ladder-4x6.pddl", "--humans", 1, "--port", 0, "--set", f"population.chooses={SHORT}"
+    )
     assert result.exit_code == 2
     assert "expected a task of at most 20,000 states" in result.stderr
     assert begun.sessions == []

@@ -17,9 +17,9 @@ KITS = ROOT / "docs" / "examples" / "kits"
 
 
 def test_the_goals_of_people_are_inferred() -> None:
-    given = ("--goals", KITS, "--goal-prior", "travel=.5,mend=.3,mount=.2", "--humans", 2, "--ask", 0.01)
-    noise = ("--miss", 0.02, "--confusion", 0.05, "--c-move", 0)
-    with served(*given, *noise, "--simulate", 1, "--pace", 0.01, instance=KITS / "travel.pddl") as service:
+    given = ("--goals", KITS, "--set", "goal_prior=travel=.5,mend=.3,mount=.2", "--humans", 2, "--set", "c_ask=0.01")
+    noise = ("--set", "observation.miss=0.02", "--set", "observation.confusion=0.05", "--c-move", 0)
+    with served(*given, *noise, "--simulate", 1, "--set", "pace=0.01", instance=KITS / "travel.pddl") as service:
         view = "/api/people/person-1"
         assert service.ask("GET", f"{view}/drawing", "person-1").json()["goal"] == []
         entry = service.ask("GET", "/api/team").json()["people"][0]

@@ -19,7 +19,10 @@ from test_live_web import Web
 
 from assist.cli import main
 from assist.cli.options.config import read_config
+from assist.cli.options.settings import LiveSetting
 from assist.cli.serve import serve
+from assist.declare.declared import names_of
+from assist.declare.options import FieldOption, Given, printed
 from assist.live import Session
 from assist.team.settings import Setting
 from planner.system.errors import ResultsExistError
@@ -30,30 +33,31 @@ NEAR = [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]
 
 def test_every_option_can_be_set_in_a_file(tmp_path: Path) -> None:
     file = tmp_path / "line.toml"
-    options = [one for one in serve.params if one.name not in ("config", "instances")]
+    without = ("config", "instances", "changes", "setting_file")
+    options = [one for one in serve.params if one.name not in without and not isinstance(one, FieldOption)]
     lines = []
     for one in options:
         value = {
             "humans": "3",
-            "robots": "2",
-            "beta": "[0.5, 2.0]",
             "trusted_proxy": '["10.0.0.1"]',
-            "execute": "true",
         }.get(str(one.name))
         if isinstance(one.type, click.Choice):
             value = f'"{one.type.choices[0]}"'
         elif value is None and one.multiple:
             value = '["text"]'
-        elif value is None and one.nargs == 2:
-            value = "[0.5, 0.75]"
         elif value is None:
             whole, share = isinstance(one.type, click.IntRange), isinstance(one.type, click.FloatRange)
             value = "1" if whole else "0.25" if share else '"text"'
         lines.append(f"{one.opts[0][2:].replace('-', '_')} = {value}")
+    lines += ["[setting]", printed(LiveSetting).replace("[population]", "[setting.population]")]
     file.write_text("\n".join(lines))
     found = read_config(file, serve.params)
-    assert set(found) == {one.name for one in options}
-    assert (found["humans"], found["beta"], found["data"]) == (3, (0.5, 2.0), str(tmp_path / "text"))
+    assert set(found) == {one.name for one in options} | {"setting"}
+    assert (found["humans"], found["data"]) == (3, str(tmp_path / "text"))
+    given = Given(LiveSetting)
+    given.file(file, found["setting"], "setting")
+    assert given.read() == LiveSetting()
+    assert set(found["setting"]) <= set(names_of(LiveSetting))
 
 
 def test_paths_in_a_file_are_relative_to_its_folder(tmp_path: Path) -> None:
@@ -64,35 +68,38 @@ def test_paths_in_a_file_are_relative_to_its_folder(tmp_path: Path) -> None:
     file.write_text("""
 instances = ["more.pddl", "*.pddl", "kitting/tiny"]
 goals = ["more.pddl", "kitting/tiny"]
-goal_prior = ["more.pddl=0.5"]
-language = "xx.toml"
 policy = "own.py:in_turn"
-people = "../own.py:chooses"
 host = "line"
+[setting]
+language = "xx.toml"
+distances = "far.json"
 """)
     assert read_config(file, serve.params) == {
         "instances": (str(folder / "more.pddl"), str(folder / "*.pddl"), "kitting/tiny"),
         "problems": (str(folder / "more.pddl"), "kitting/tiny"),
-        "goal_prior": ("more.pddl=0.5",),
-        "language": str(folder / "xx.toml"),
         "policy": f"{folder / 'own.py'}:in_turn",
-        "people": f"{folder / '../own.py'}:chooses",
         "host": "line",
+        "setting": {"language": "xx.toml", "distances": "far.json"},
     }
-    file.write_text('policy = "attention"\nlanguage = "de"')
-    assert read_config(file, serve.params) == {"policy": "attention", "language": "de"}
+    given = Given(LiveSetting)
+    given.file(file, read_config(file, serve.params)["setting"], "setting")
+    assert (given.read().language, given.read().distances) == (str(folder / "xx.toml"), str(folder / "far.json"))
+    file.write_text('policy = "attention"\n[setting]\nlanguage = "de"')
+    assert read_config(file, serve.params) == {"policy": "attention", "setting": {"language": "de"}}
 
 
 @pytest.mark.parametrize(
     ("line", "environment", "said"),
     [
         ("humans = 'three'", {}, 'line.toml:2: humans: "three"; expected a whole number from 1 to 10000'),
-        ("c_sugest = 1", {}, "line.toml:2: c_sugest: unknown; did you mean 'c_suggest'?"),
+        ("setting = {c_sugest = 1}", {}, "line.toml:2: setting.c_sugest: unknown; did you mean 'c_suggest'?"),
+        ("setting = {population = {beta = [2, 1]}}", {}, "line.toml:2: setting.population.beta: [2, 1]; expected two"),
+        ("c_suggest = 1", {}, "line.toml:2: c_suggest: unknown; expected it in the table `setting`"),
         ("policy = 'best'", {}, "(from "),
-        ("pace = -1", {}, "line.toml:2: pace: -1; expected a number above 0"),
+        ("setting = {pace = -1}", {}, "line.toml:2: setting.pace: -1; expected a number above 0"),
         ("tasks = {ann = 'tiny'}", {}, "tasks.ann: there is no person 'ann'"),
         ("tasks = {person-1 = 'big'}", {}, "tasks.person-1: there is no task 'big'"),
-        ("humans = 2", {"KITASSIST_PACE": "slow"}, "'slow' is not a valid number. (from KITASSIST_PACE)"),
+        ("humans = 2", {"KITASSIST_PACE": "slow"}, 'KITASSIST_PACE: "slow"; expected a number above 0'),
         ("humans = 2\nstudy = 'missing.toml'", {}, "missing.toml"),
     ],
 )
@@ -115,9 +122,10 @@ def test_a_service_runs_from_one_file_and_follows_its_changes(tmp_path: Path) ->
     config = """
 instances = ["own.pddl", "kitting/tiny"]
 humans = 5
-c_suggest = 0.1
 log_format = "json"
 data = "session"
+[setting]
+c_suggest = 0.1
 distances = "far.json"
 [tasks]
 person-1 = "tiny"

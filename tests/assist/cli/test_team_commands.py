@@ -68,11 +68,11 @@ def test_the_region_is_of_so_many_states_however_the_cost_to_go_is_found() -> No
         return found["return"]["mean"], float(expected)
 
     table = kit("tiny")
-    swept, expected = printed(table, "--region-states", 5)
+    swept, expected = printed(table, "--set", "region_states=5")
     assert swept == pytest.approx(expected)
-    asked, expected = printed(OnDemand(table.task), "--region-states", 5, "--max-states", 5)
+    asked, expected = printed(OnDemand(table.task), "--set", "region_states=5", "--set", "max_states=5")
     assert asked == pytest.approx(expected)
-    unasked, _ = printed(OnDemand(table.task), "--max-states", 5)
+    unasked, _ = printed(OnDemand(table.task), "--set", "max_states=5")
     assert abs(unasked - asked) > 0.01  # the region is larger then
 
 
@@ -145,15 +145,25 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
     assert out.exit_code == 0, out.output
     assert json.loads(out.stdout)["population"]["parts"][0]["beta"] == [2.0, 2.5]
     experts = invoke("policy", TINY, "--population", file, "--gap", 0.01, "--json")
-    ranges = invoke("policy", TINY, "--beta", 2.0, 2.5, "--theta", 0.8, 0.9, "--gap", 0.01, "--json")
+    ranges = invoke(
+        "policy",
+        TINY,
+        "--set",
+        "population.beta=[2.0, 2.5]",
+        "--set",
+        "population.theta=[0.8, 0.9]",
+        "--gap",
+        0.01,
+        "--json",
+    )
     assert experts.exit_code == 0, experts.output
     assert json.loads(experts.stdout)["value_never"] == json.loads(ranges.stdout)["value_never"]
     for command in ("simulate", "bound", "policy"):
         team = () if command == "policy" else ("--humans", 2)
-        for name, *span in (("beta", 1, 2), ("theta", 0.5, 0.6)):
-            both = invoke(command, TINY, *team, "--population", file, f"--{name}", *span)
+        for part in ("beta=[1, 2]", "theta=[0.5, 0.6]"):
+            both = invoke(command, TINY, *team, "--population", file, "--set", f"population.{part}")
             assert (both.exit_code, both.stdout) == (2, "")
-            assert f"also sets --{name}; expected one of them" in both.stderr
+            assert "population is set as a whole already; expected one of them" in both.stderr
     file.write_text('["no population"]')
     assert invoke("bound", TINY, "--humans", 2, "--population", file).exit_code == 2
 
@@ -161,15 +171,15 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
 @pytest.mark.parametrize(
     ("command", "options", "words"),
     [
-        ("simulate", ("--goal-knowledge", "known"), "--goal-knowledge has no effect without --goals"),
-        ("simulate", ("--c-execute", 0.5), "--c-execute has no effect without --execute"),
-        ("policy", ("--c-execute", 0.5), "--c-execute has no effect without --execute"),
-        ("bound", ("--trust", "constant", "--eta", 0.5), "--eta has no effect with --trust constant"),
-        ("policy", ("--trust", "constant", "--eta", 0.5), "--eta has no effect with --trust constant"),
+        ("simulate", ("--set", "goal_knowledge=known"), "--set goal_knowledge has no effect without --goals"),
+        ("simulate", ("--set", "c_execute=0.5"), "--set c_execute has no effect without execute"),
+        ("policy", ("--set", "c_execute=0.5"), "--set c_execute has no effect without execute"),
+        ("bound", ("--trust", "constant", "--set", "eta=0.5"), "--set eta has no effect with trust 'constant'"),
+        ("policy", ("--trust", "constant", "--set", "eta=0.5"), "--set eta has no effect with trust 'constant'"),
         (
             "simulate",
-            ("--trust", "outcome", "--utility-scale", 2),
-            "--utility-scale has no effect with --trust outcome",
+            ("--trust", "outcome", "--set", "utility_scale=2"),
+            "--set utility_scale has no effect with trust 'outcome'",
         ),
     ],
 )
@@ -181,7 +191,7 @@ def test_options_without_an_effect_are_refused(command: str, options: tuple[obje
 
 def test_the_cost_of_execution_is_that_of_robots_that_execute() -> None:
     result = invoke(
-        "simulate", TINY, "--humans", 2, "--episodes", 2, "--robots", "[{execute = true}, {}]", "--c-execute", 0.5
+        "simulate", TINY, "--humans", 2, "--episodes", 2, "--robots", "[{execute = true}, {}]", "--set", "c_execute=0.5"
     )
     assert (result.exit_code, result.stderr) == (0, ""), result.stderr
 
@@ -201,8 +211,8 @@ def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_pat
 
     setting, results = simulated("--population", file)
     assert (setting["eta"], setting["utility_scale"]) == (0.9, 2.0)
-    assert results == simulated("--population", without, "--eta", 0.9, "--utility-scale", 2.0)[1]
-    for options in (("--eta", 0.2), ("--utility-scale", 1), ("--trust", "constant")):
+    assert results == simulated("--population", without, "--set", "eta=0.9", "--set", "utility_scale=2.0")[1]
+    for options in (("--set", "eta=0.2"), ("--set", "utility_scale=1"), ("--trust", "constant")):
         setting, results = simulated("--population", file, *options)
         assert (setting["eta"], setting["utility_scale"]) == (0.2, 1.0)
         assert results == simulated("--population", without, *options)[1]
@@ -215,8 +225,12 @@ def test_the_rate_of_a_population_is_used_unless_an_option_sets_the_rule(tmp_pat
     ("options", "code", "words"),
     [
         (("simulate", "--episodes", 99_999_999_999), 1, "99,999,999,999 episodes of 2 people take about 15,400,000 MB"),
-        (("simulate", "--memory-limit", 0.5), 1, "tiny.pddl: policies for 12 people on a task of 21 states take about"),
-        (("bound", "--memory-limit", 1), 1, "2 problems of people, each of up to"),
+        (
+            ("simulate", "--set", "memory_limit=0.5"),
+            1,
+            "tiny.pddl: policies for 12 people on a task of 21 states take about",
+        ),
+        (("bound", "--set", "memory_limit=1"), 1, "2 problems of people, each of up to"),
         (("simulate", "--policy", "Attention"), 2, "'Attention'; did you mean 'attention'"),
         (("simulate", "--policy", "nowhere.py:f"), 2, "nowhere.py: no such file"),
         (("simulate", "--out", "same.jsonl", "--trace", "same.jsonl"), 2, "the same file as --out"),
@@ -247,7 +261,7 @@ def test_a_bound_where_everybody_has_finished_is_zero(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_time_limit_is_for_all_of_a_bound_which_holds_all_the_same() -> None:
     """With any time limit, a valid bound is proven."""
-    options: tuple[Any, ...] = (TINY, "--humans", 3, "--c-suggest", 0.1, "--gamma", 0.95, "--json")
+    options: tuple[Any, ...] = (TINY, "--humans", 3, "--c-suggest", 0.1, "--set", "gamma=0.95", "--json")
     short = invoke("bound", *options, "--time-limit", 0.05, "--gap", 0)
     assert short.exit_code == 0, short.output
     good = json.loads(invoke("bound", *options, "--episodes", 2000).stdout)
@@ -269,20 +283,3 @@ def test_more_episodes_than_anybody_can_wait_for_are_refused() -> None:
     said = invoke("bound", str(TINY), "--humans", "2", "--policy", "none", "--episodes", "99999999999")
     assert said.exit_code == 2
     assert "99999999999 is not in the range" in said.stderr
-
-
-def test_old_names_of_options_are_accepted_with_a_warning() -> None:
-    """`--paths` was renamed to `--samples`; both give the same bound, and only the old name prints a warning."""
-    options = ("bound", TINY, "--humans", 1, "--policy", "none", "--episodes", 10, "--gap", 2, "--json")
-    printed = {}
-    for given in (("--samples", "2"), ("--paths=2",)):
-        result = invoke(*options, *given)
-        assert result.exit_code == 0
-        document = json.loads(result.stdout)
-        printed[given] = {name: document[name] for name in ("value", "upper")}
-        warned = [line for line in result.stderr.splitlines() if "deprecated" in line]
-        old = given[0].startswith("--paths")
-        assert warned == ["--paths is deprecated and will be removed in version 2.0; use --samples"] * old
-    assert len({json.dumps(found) for found in printed.values()}) == 1
-    assert "No such option '--paths'" in invoke("policy", TINY, "--paths", 2).stderr
-    assert "--paths" not in invoke("bound", "--help").stdout

@@ -83,7 +83,7 @@ def best_in_expectation(agents: Agents, resources: float, window: int) -> float:
     return -float(solved.fun)
 
 
-@settings(max_examples=5)
+@settings(max_examples=5, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 3), st.integers(2, 3), st.integers(0, 2))
 def test_no_policy_exceeds_the_bound(seed: int, count: int, states: int, resources: int) -> None:
     agents = problem(seed, count, states)
@@ -106,7 +106,7 @@ def test_the_joint_optimum_is_that_of_brute_force(seed: int) -> None:
         coupled.joint_optimum(agents, 1, largest=7)
 
 
-@settings(max_examples=8)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 3), st.integers(2, 3), st.integers(0, 2))
 def test_samples_are_between_the_optimum_and_the_prices_bound(seed: int, count: int, states: int, M: int) -> None:
     """Prices of a sample path never give a lower bound than the best actions on it, whichever prices it begins with."""
@@ -120,7 +120,7 @@ def test_samples_are_between_the_optimum_and_the_prices_bound(seed: int, count: 
     assert by_prices.mean <= solved.upper + 1e-9
 
 
-@settings(max_examples=8)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 3), st.floats(0, 2))
 def test_without_chance_samples_give_the_optimum(seed: int, count: int, M: float) -> None:
     rng = np.random.default_rng(seed)
@@ -189,7 +189,7 @@ def test_simulated_means_are_the_policys_value(seed: int) -> None:
     np.testing.assert_array_equal(first.rewards, plain.rewards[:10])  # more runs do not change the first ones
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 6), st.integers(2, 3), st.integers(0, 4))
 def test_compiled_choices_are_those_of_the_index(seed: int, count: int, actions: int, resources: int) -> None:
     rng = np.random.default_rng(seed)

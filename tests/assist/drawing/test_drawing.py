@@ -375,7 +375,8 @@ def test_an_episode_in_which_the_robot_acts_itself_is_drawn(tmp_path: Path) -> N
     """People act in the states that the robot's actions led to, and every episode ends in the goal."""
     trace = tmp_path / "trace.jsonl"
     arguments = (
-        "simulate kitting/tiny --humans 2 --policy attention --episodes 3 --execute --c-execute 0.01 --c-suggest 5 "
+        "simulate kitting/tiny --humans 2 --policy attention --episodes 3 --set execute=true "
+        "--set c_execute=0.01 --c-suggest 5 "
         f"--trace {trace}"
     )
     assert CliRunner().invoke(main, arguments.split()).exit_code == 0

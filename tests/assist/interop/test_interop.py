@@ -424,7 +424,18 @@ def test_without_pomdp_py_the_extra_is_named(tiny_choices: Choices, monkeypatch:
 
 def test_export_command(tmp_path: Path) -> None:
     out = tmp_path / "tiny.pomdpx"
-    options = ("--gamma", 0.9, "--beta", 1, 2, "--sigma", 0.5, "--seed", 4, "--execute")
+    options = (
+        "--set",
+        "gamma=0.9",
+        "--set",
+        "population.beta=[1, 2]",
+        "--set",
+        "sigma=0.5",
+        "--seed",
+        4,
+        "--set",
+        "execute=true",
+    )
     result = invoke("export", KITTING / "tiny.pddl", "--out", out, "--json", *options)
     assert result.exit_code == 0
     assert json.loads(result.stdout) == {
@@ -441,9 +452,13 @@ def test_export_command(tmp_path: Path) -> None:
     ("arguments", "code", "message"),
     [
         (("--out", "tiny.xml"), 2, "ends in .pomdpx or .pomdp"),
-        (("--out", "tiny.pomdpx", "--gamma", "1"), 2, "expected 0 < gamma < 1"),
-        (("--out", "tiny.pomdpx", "--sigma", "-1"), 2, "expected 0 or more"),
-        (("--out", "tiny.pomdpx", "--theta", "0.9", "0.2"), 2, "theta range"),
+        (("--out", "tiny.pomdpx", "--set", "gamma=1"), 2, "gamma: 1; expected a number above 0"),
+        (("--out", "tiny.pomdpx", "--set", "sigma=-1"), 2, "sigma: -1; expected a number of 0 or more"),
+        (
+            ("--out", "tiny.pomdpx", "--set", "population.theta=[0.9, 0.2]"),
+            2,
+            "theta: [0.9, 0.2]; expected",
+        ),
         ((), 2, "--out"),
         (("--out", "file/tiny.pomdpx"), 1, "file"),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import DOMAINS, graph_task, table_of
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -33,7 +33,7 @@ numbers = st.fixed_dictionaries(
         "lapse": st.sampled_from([0.0, 1e-3, 0.1]),
     }
 )
-examples = settings(max_examples=15)
+examples = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def solvable(drawn: list[tuple[int, int, int]]) -> Table | None:

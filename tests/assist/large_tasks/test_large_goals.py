@@ -228,7 +228,7 @@ def test_the_command_refuses_questions_before_it_searches(monkeypatch: pytest.Mo
     swept: list[Any] = []
     monkeypatch.setattr("planner.costtogo.goals.distances", lambda *given: swept.append(given))
     given = ["simulate", KITS / "travel.pddl", "--goals", KITS, "--humans", 1, "--policy", "none"]
-    for more, option in ((["--ask", "0.1"], "--ask"), (["--max-states", "100"], "--goals")):
+    for more, option in ((["--set", "c_ask=0.1"], "c_ask"), (["--set", "max_states=100"], "--goals")):
         done = invoke(*given, *more)
         assert (done.exit_code, done.stdout, swept) == (1, "", [])
         said = f"{option}: more than 100 states; expected a task of at most 100 states"

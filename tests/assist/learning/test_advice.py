@@ -165,7 +165,7 @@ def test_a_fit_without_a_finite_likelihood_is_an_error() -> None:
     st.floats(0.01, 0.99), st.booleans(), st.booleans(), st.booleans(),
     st.floats(-1, 1), st.floats(0, 2), st.floats(0, 2),
 )  # fmt: skip
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 def test_a_rule_of_logs_is_the_rule_of_planning_tasks(
     theta: float, agrees: bool, right: bool, shown: bool, agreement: float, gain: float, loss: float
 ) -> None:

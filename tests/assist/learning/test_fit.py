@@ -119,7 +119,7 @@ def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations], 
 
 
 @given(st.integers(0, 10_000), st.floats(0.1, 3.0))
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None)
 def test_laws_of_estimates(seed: int, beta: float) -> None:
     table = TINY
     rows = people_at_work(TINY_CHOICES, [beta], np.random.default_rng(seed), suggest=0.3, episodes=2)
@@ -284,7 +284,7 @@ def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=8)
+@settings(max_examples=8, deadline=None)
 def test_the_marginal_likelihood_is_laplaces_with_the_whole_matrix(seed: int) -> None:
     """The mode is where the gradient is 0, and the determinant that of the matrix of second derivatives."""
     rng = np.random.default_rng(seed)
@@ -430,7 +430,7 @@ def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
     huge = KITTING / "ladder-4x10.pddl"
     actions = [FETCH, "(place hammer slot-3 box-a)", "(remove hammer)"]
     file = write_log(tmp_path / "log.jsonl", lines(*actions))
-    command = ["fit", huge, file, "--max-states", 1000, "--cache", tmp_path / "cache", "--json"]
+    command = ["fit", huge, file, "--set", "max_states=1000", "--set", f"cache={tmp_path / 'cache'}", "--json"]
     program = [str(Path(sys.executable).with_name("kitassist")), *map(str, command)]
     process = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     task = load(huge)
@@ -450,7 +450,7 @@ def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
 
 def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write_log(tmp_path / "log.jsonl", [*lines(*PLAN), *lines(FETCH, person="bob")])
-    command = ["fit", str(KITTING / "tiny.pddl"), str(file), "--json", "--max-states", "1", "--jobs", "1"]
+    command = ["fit", str(KITTING / "tiny.pddl"), str(file), "--json", "--set", "max_states=1", "--jobs", "1"]
     astar = on_demand.astar
 
     def slow(task: Task, values: tuple[int, ...], **rest: Any) -> Any:
@@ -459,7 +459,7 @@ def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, mon
         return astar(task, values, **rest)
 
     monkeypatch.setattr(on_demand, "astar", slow)
-    result = CliRunner().invoke(main, [*command, "--cache", str(tmp_path / "first")])
+    result = CliRunner().invoke(main, [*command, "--set", f"cache={tmp_path / 'first'}"])
     assert result.exit_code == 1
     assert "out of time; actions that depend on them are left out" in result.stderr
     ann, bob = json.loads(result.stdout)
@@ -467,7 +467,7 @@ def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, mon
     assert ann["actions"] + ann["left_out"] == len(PLAN)
     assert ann["notes"][0] == f"{ann['left_out']} actions are left out, since states were not evaluated in time"
     assert (bob["actions"], bob["left_out"]) == (1, 0)
-    strict = CliRunner().invoke(main, [*command, "--cache", str(tmp_path / "second"), "--strict"])
+    strict = CliRunner().invoke(main, [*command, "--set", f"cache={tmp_path / 'second'}", "--strict"])
     assert (strict.exit_code, strict.stdout) == (1, "")
     assert "out of time" in strict.stderr
 

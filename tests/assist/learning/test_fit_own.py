@@ -132,7 +132,7 @@ def broken(choices, q, beta):
 def test_fit_takes_a_function_of_the_users_own(tmp_path: Path) -> None:
     log, mine = write_log(tmp_path / "log.jsonl", ROWS), tmp_path / "mine.py"
     mine.write_text(MINE)
-    found = invoke("fit", "kitting/paper", log, "--people", f"{mine}:mine", "--json", "--jobs", 1)
+    found = invoke("fit", "kitting/paper", log, "--set", f"chooses={mine}:mine", "--json", "--jobs", 1)
     people = fit(PAPER, Log.of(ROWS), model=short_sighted)
     assert found.exit_code == 0
     assert [one["beta"] for one in json.loads(found.stdout)] == [people[name].beta for name in people]
@@ -140,11 +140,11 @@ def test_fit_takes_a_function_of_the_users_own(tmp_path: Path) -> None:
         ("other", (), 1, "has no function 'other'"),
         ("wrong", (), 1, "gives an array of shape (836, "),
         ("broken", (), 1, "mine.py:13: NameError"),
-        ("mine", ("--terms",), 2, "--terms and --people: expected one of them"),
+        ("mine", ("--terms",), 2, "--terms and chooses: expected one of them"),
         ("mine", ("--population", tmp_path / "p.json"), 2, "a population file has no functions"),
-        ("mine", ("--max-states", 10), 2, "--people: expected a task of at most 10 states"),
+        ("mine", ("--set", "max_states=10"), 2, "chooses: expected a task of at most 10 states"),
     ):
-        refused = invoke("fit", "kitting/paper", log, "--people", f"{mine}:{people_option}", "--jobs", 1, *more)
+        refused = invoke("fit", "kitting/paper", log, "--set", f"chooses={mine}:{people_option}", "--jobs", 1, *more)
         assert (refused.exit_code, message in refused.stderr) == (code, True), refused.stderr
-    refused = invoke("fit", "kitting/paper", log, "--people", "mine")
-    assert (refused.exit_code, "--people 'mine'; expected FILE.py:FUNCTION" in refused.stderr) == (2, True)
+    refused = invoke("fit", "kitting/paper", log, "--set", "chooses=mine")
+    assert (refused.exit_code, "chooses: 'mine'; expected FILE.py:FUNCTION" in refused.stderr) == (2, True)

@@ -117,7 +117,7 @@ def test_the_command(tmp_path: Path) -> None:
     kits, log, people = ROOT / "docs" / "examples" / "kits", tmp_path / "log.jsonl", tmp_path / "people.json"
     given = [kits / "travel.pddl", "--goals", kits, "--humans", "2", "--pool", "3", "--episodes", "2"]
     invoke("simulate", *given, "--policy", "none", "--trace", log)
-    asked = ["fit", kits / "travel.pddl", log, "--goals", kits, "--goal-prior", "travel=.4,mend=.4,mount=.2"]
+    asked = ["fit", kits / "travel.pddl", log, "--goals", kits, "--set", "goal_prior=travel=.4,mend=.4,mount=.2"]
     result = invoke(*asked, "--json", "--population", people)
     assert result.exit_code == 0, result.stderr
     for record_ in json.loads(result.stdout):
@@ -130,5 +130,5 @@ def test_the_command(tmp_path: Path) -> None:
     ):
         result = invoke(*asked, *more)
         assert (result.exit_code, message in result.stderr) == (2, True)
-    result = invoke(*asked[:3], "--goal-prior", "travel=1")
-    assert (result.exit_code, "--goal-prior: expected --goals, too" in result.stderr) == (2, True)
+    result = invoke(*asked[:3], "--set", "goal_prior=travel=1")
+    assert (result.exit_code, "--set goal_prior has no effect without --goals" in result.stderr) == (2, True)

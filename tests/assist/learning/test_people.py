@@ -118,9 +118,9 @@ def test_eta_of_a_population_only_where_it_is_known(tiny: Table) -> None:
         (["--population", "{0}/tiny.pddl"], "--population {0}/tiny.pddl: the same file as INSTANCE"),
         (["--out", "{0}/domain.pddl"], "--out {0}/domain.pddl: the same file as its domain"),
         (["--family", "uniform", "--json"], "--family: expected --population"),
-        (["--largest-beta", "1e300"], "largest beta 1e+300: expected 1e-09 to 1e+09"),
-        (["--utility-scale", "1e-300"], "utility scale 1e-300: expected 1e-09 to 1e+09"),
-        (["--eta", "1e300"], "eta 1e+300: expected 0 to 1e+09"),
+        (["--set", "largest_beta=1e300"], "largest_beta: 1e+300; expected a number from 1e-09 to 1e+09"),
+        (["--set", "utility_scale=1e-300"], "utility_scale: 1e-300; expected a number from 1e-09 to 1e+09"),
+        (["--set", "eta=1e300"], "eta: 1e+300; expected a number from 0 to 1e+09"),
     ],
 )
 def test_options_that_cannot_be(tmp_path: Path, options: list[str], words: str) -> None:

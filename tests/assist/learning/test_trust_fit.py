@@ -317,7 +317,16 @@ def test_influence_is_fitted_by_command(log_file: Path, tmp_path: Path) -> None:
     records = [json.loads(line) for line in out.read_text().splitlines()]
     assert {record["suggestions"] for record in records} == {15}
     known = invoke(
-        "fit", KITTING / "tiny.pddl", log_file, "--trust", "paper", "--theta-per-episode", "--eta", 0.1, "--json"
+        "fit",
+        KITTING / "tiny.pddl",
+        log_file,
+        "--trust",
+        "paper",
+        "--set",
+        "theta_per_episode=true",
+        "--set",
+        "eta=0.1",
+        "--json",
     )
     document = json.loads(known.stdout)
     assert (document["carried"], document["parameters"]["eta"], document["intervals"]) == (False, 0.1, {})
@@ -325,7 +334,7 @@ def test_influence_is_fitted_by_command(log_file: Path, tmp_path: Path) -> None:
 
 def test_rules_are_compared_by_command(tmp_path: Path) -> None:
     few = write_log(tmp_path / "few.jsonl", recorded(outcome(0.5, 0.8), 4, 6, 0))
-    arguments = ("compare", "rules", KITTING / "tiny.pddl", few, "--folds", 2, "--eta", 0.2)
+    arguments = ("compare", "rules", KITTING / "tiny.pddl", few, "--folds", 2, "--set", "eta=0.2")
     done = invoke(*arguments, "--out", tmp_path / "people.jsonl", "--json")
     assert done.exit_code == 0, done.output
     rows = [json.loads(line) for line in (tmp_path / "people.jsonl").read_text().splitlines()]
@@ -417,8 +426,8 @@ def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
     [
         (("--trust", "constant", "--terms"), "--terms and --trust: expected one of them"),
         (("--trust", "constant", "--family", "uniform"), "--family and --trust: expected one of them"),
-        (("--theta-per-episode",), "--theta-per-episode: expected --trust as well"),
-        (("--confidence", "one"), "--confidence: expected --advice as well"),
+        (("--set", "theta_per_episode=true"), "--set theta_per_episode has no effect without --trust"),
+        (("--set", "confidence=one"), "--set confidence has no effect without --advice"),
         (("--rows", "a=b"), "--rows: expected --advice as well"),
         (("--advice", "LOG", "--trust", "paper", "--rows", "a"), "--rows a: expected COLUMN=VALUE, such as"),
         (
@@ -428,14 +437,14 @@ def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
         (("--advice", "LOG"), "--advice: expected --trust as well"),
         (("--advice", "LOG", "--trust", "paper"), "INSTANCE has no effect with --advice"),
         (("--folds", "3"), "No such option '--folds'; compare has it"),
-        (("--trust", "constant", "--seed", "1"), "--seed has no effect with --trust"),
-        (("--trust", "constant", "--eta", "0.1"), "--eta has no effect with --trust constant"),
-        (("--trust", "outcome", "--utility-scale", "2"), "--utility-scale has no effect with --trust outcome"),
-        (("--goals", str(KITTING / "tiny.pddl"), "--seed", "1"), "--seed has no effect with --goals"),
-        (("--people", "people.py:mine", "--seed", "1"), "--seed has no effect with --people"),
+        (("--trust", "constant", "--set", "seed=1"), "--set seed has no effect with --trust"),
+        (("--trust", "constant", "--set", "eta=0.1"), "--set eta has no effect with --trust constant"),
+        (("--trust", "outcome", "--set", "utility_scale=2"), "--set utility_scale has no effect with --trust outcome"),
+        (("--goals", str(KITTING / "tiny.pddl"), "--set", "seed=1"), "--set seed has no effect with --goals"),
+        (("--set", "chooses=people.py:mine", "--set", "seed=1"), "--set seed has no effect with chooses"),
         (
-            ("--advice", "LOG", "--trust", "constant", "--level", "0.9"),
-            "INSTANCE has no effect with --advice",
+            ("--advice", "LOG", "--trust", "constant", "--set", "level=0.9"),
+            "--set level has no effect with --advice",
         ),
     ],
     ids=lambda given: " ".join(given) if isinstance(given, tuple) else "",

@@ -43,7 +43,7 @@ def content(folder: Path) -> bytes:
 # Erasing.
 
 
-@settings(max_examples=8)
+@settings(max_examples=8, deadline=None)
 @given(HAPPENS, HAPPENS)
 def test_an_erased_person_changes_nothing_for_the_others(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any

@@ -237,7 +237,7 @@ def test_a_policy_that_never_suggests_never_asks() -> None:
 EVENTS = st.lists(st.tuples(st.sampled_from("adlmuqnbr"), st.integers(0, 5), st.floats(0, 1)), max_size=8)
 
 
-@settings(max_examples=8)
+@settings(max_examples=8, deadline=None)
 @given(EVENTS)
 def test_a_session_of_doubtful_actions_and_answers_resumes_to_the_bit(tmp_path_factory: Any, moves: Any) -> None:
     journal = tmp_path_factory.mktemp("session") / "journal.sqlite"

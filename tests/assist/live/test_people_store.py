@@ -100,9 +100,9 @@ def test_beliefs_are_kept_for_up_to_a_hundred_years(tmp_path: Path) -> None:
     for days in (0, -1.0, 36_501, 1e9, float("nan")):
         with pytest.raises(ValueError, match=r"days .*: expected a number above 0 and up to 36,500"):
             PeopleStore(tmp_path / "people.sqlite", days)
-    options = ["--people-store", str(tmp_path / "people.sqlite"), "--keep-people", "36501"]
+    options = ["--set", f"people_store={tmp_path / 'people.sqlite'}", "--set", "keep_people=36501"]
     result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", *options])
-    assert (result.exit_code, "--keep-people" in result.stderr, "36500" in result.stderr) == (2, True, True)
+    assert (result.exit_code, "keep_people" in result.stderr, "36500" in result.stderr) == (2, True, True)
     PeopleStore(tmp_path / "people.sqlite", 36_500).save("ann", "m", np.full((1, 2), 0.5))
 
 
@@ -176,7 +176,7 @@ def test_a_store_is_its_owners_and_leaves_out_who_is_simulated(tmp_path: Path) -
     (other := tmp_path / "other").write_text("no database " * 100)
     with pytest.raises(DamagedFileError, match="is no store of people"):
         PeopleStore(other)
-    result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--people-store", str(other)])
+    result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--set", f"people_store={other}"])
     assert result.exit_code == 2
     assert "is no store of people" in " ".join(result.stderr.split())
 
@@ -208,7 +208,16 @@ def test_what_is_carried_says_nothing_about_the_goal_of_the_next_task(tiny: Tabl
 
 @pytest.mark.slow
 def test_the_service_carries_what_it_has_learned_to_the_next_day(tmp_path: Path) -> None:
-    options = ("--humans", 2, "--simulate", 1, "--people-store", tmp_path / "people.sqlite", "--tick", 3600)
+    options = (
+        "--humans",
+        2,
+        "--simulate",
+        1,
+        "--set",
+        f"people_store={tmp_path / 'people.sqlite'}",
+        "--set",
+        "tick=3600",
+    )
     beliefs = []
     for _ in range(2):
         with served(*options) as service:

@@ -46,7 +46,7 @@ def opened(tiny: Table, fixed: Table, tmp_path: Path) -> Callable[..., Session]:
         session.close()
 
 
-@settings(max_examples=8)
+@settings(max_examples=8, deadline=None)
 @given(HAPPENS, HAPPENS, st.booleans())
 def test_a_session_that_goes_on_is_the_same_to_the_bit(
     tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any, far: bool

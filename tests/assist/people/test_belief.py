@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from assist.live.live_task import LiveTask
@@ -366,6 +366,7 @@ def test_where_nothing_moves_trust_suggestions_into_dead_ends_do_not_either(seal
         assert not into[x, best.choose(x, belief)].any()
 
 
+@settings(deadline=None)
 @given(
     st.integers(0, 10**6),
     st.sampled_from(

@@ -42,7 +42,7 @@ Floats = NDArray[np.float64]
 
 WEIGHTS = {"goals": 0.4, "arguments": 2.0, "name": 0.6, "back": -1.5}
 RANGES = {name: (weight, weight) for name, weight in WEIGHTS.items()}
-some = settings(max_examples=20, suppress_health_check=list(HealthCheck))
+some = settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
 costs = st.lists(st.one_of(st.floats(0, 30), st.just(float("inf"))), min_size=1, max_size=5)
 edges = st.tuples(st.integers(1, 4), st.integers(0, 4), st.sampled_from([0, 1, 1, 2]))
 graphs = st.lists(edges, min_size=2, max_size=9)
@@ -418,9 +418,9 @@ def test_people_of_a_file_are_used_by_the_commands(tmp_path: Path) -> None:
     team = ("simulate", KITTING / "tiny.pddl", "--humans", 2, "--pool", 2, "--episodes", 20, "--json")
     found = {}
     for name, options in {
-        "hasty": ("--people", f"{own}:hasty"),
+        "hasty": ("--set", f"population.chooses={own}:hasty"),
         "knows": ("--population", tmp_path / "habits.json"),
-        "believes": ("--population", tmp_path / "habits.json", "--prior", tmp_path / "plain.json"),
+        "believes": ("--population", tmp_path / "habits.json", "--set", f"prior={tmp_path / 'plain.json'}"),
         "plain": ("--population", tmp_path / "plain.json"),
     }.items():
         result = invoke(*team, "--policy", "none", "--policy", "attention", "--c-suggest", 0.05, *options)
@@ -435,15 +435,15 @@ def test_people_of_a_file_are_used_by_the_commands(tmp_path: Path) -> None:
     assert none["hasty"]["human_actions_per_person"]["mean"] > 2 * none["plain"]["human_actions_per_person"]["mean"]
     values = [
         json.loads(invoke("policy", KITTING / "tiny.pddl", "--gap", 0.05, "--json", *options).stdout)["value_never"]
-        for options in ((), ("--people", f"{own}:hasty"), ("--population", tmp_path / "habits.json"))
+        for options in ((), ("--set", f"population.chooses={own}:hasty"), ("--population", tmp_path / "habits.json"))
     ]
     assert len({round(value, 6) for value in values}) == 3
     for options, message in (
-        (("--people", f"{own}:broken"), f"{own}:12: IndexError"),
-        (("--people", f"{own}:absent"), "has no function 'absent'"),
-        (("--people", "absent"), "expected FILE.py:FUNCTION"),
-        (("--people", f"{own}:hasty", "--population", tmp_path / "plain.json"), "expected one of them"),
-        (("--prior", own), f"--prior {own}"),
+        (("--set", f"population.chooses={own}:broken"), f"{own}:12: IndexError"),
+        (("--set", f"population.chooses={own}:absent"), "has no function 'absent'"),
+        (("--set", "population.chooses=absent"), "expected FILE.py:FUNCTION"),
+        (("--set", f"population.chooses={own}:hasty", "--population", tmp_path / "plain.json"), "expected one of them"),
+        (("--set", f"prior={own}"), f"--set prior: {own}"),
     ):
         result = invoke(*team, *options)
         assert (result.exit_code, result.stdout) == (2, "")

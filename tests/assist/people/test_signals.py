@@ -26,7 +26,7 @@ def recovery_of(domain: str, name: str, **options: int) -> ActionRecovery:
     )
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(st.sampled_from(TASKS), st.integers(0, 2**32), st.integers(1, 3), st.integers(0, 8))
 def test_nothing_is_recovered_wrongly_from_complete_reports(
     task: tuple[str, str], seed: int, count: int, start: int
@@ -48,7 +48,7 @@ def test_nothing_is_recovered_wrongly_from_complete_reports(
         assert found.kind == "recovered", "in these tasks, no two actions change the same facts of a state"
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(st.sampled_from(TASKS), st.integers(0, 2**32), st.data())
 def test_one_action_with_lost_reports_is_never_recovered_wrongly(
     task: tuple[str, str], seed: int, data: st.DataObject

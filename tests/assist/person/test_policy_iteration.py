@@ -128,7 +128,7 @@ def random_problem(draw: st.DataObject, gamma: float) -> AssistPOMDP:
 
 @pytest.mark.parametrize("gamma", [0.9, 0.99, 0.999])
 @given(draw=st.data())
-@settings(max_examples=5)
+@settings(max_examples=5, deadline=None)
 def test_values_are_those_of_plain_policy_iteration(gamma: float, draw: st.DataObject) -> None:
     """Also for a robot that visits, and for one that pays for its attention."""
     alone = random_problem(draw, gamma)

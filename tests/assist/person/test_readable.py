@@ -58,7 +58,7 @@ SEEDS, GOALS = st.integers(0, 10**6), st.sampled_from([1, 3])
 LAPSES = st.sampled_from([0.0, 0.001, 0.3])
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(SEEDS, GOALS, st.booleans(), LAPSES, st.booleans(), st.sampled_from([0, 1, 2, 50]))
 def test_a_step_of_people(seed: int, goals: int, answers: bool, lapse: float, on_grid: bool, people: int) -> None:
     rng = np.random.default_rng(seed)
@@ -79,7 +79,7 @@ def test_a_step_of_people(seed: int, goals: int, answers: bool, lapse: float, on
         np.testing.assert_array_equal(one, other, err_msg=name)
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(SEEDS, GOALS, st.booleans(), LAPSES, st.booleans(), st.sampled_from([1, 2, 40]))
 def test_the_beliefs_after_a_step(
     seed: int, goals: int, answers: bool, lapse: float, believed: bool, people: int
@@ -100,7 +100,7 @@ def test_the_beliefs_after_a_step(
         np.testing.assert_array_equal(one, other)
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(SEEDS, GOALS, st.booleans(), LAPSES, st.sampled_from([0, 1, 2, 40]))
 def test_a_belief_after_a_choice(seed: int, goals: int, answers: bool, lapse: float, people: int) -> None:
     rng = np.random.default_rng(seed)

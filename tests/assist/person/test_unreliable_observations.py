@@ -89,7 +89,7 @@ def by_enumeration(pomdp: AssistPOMDP, steps: Steps, *, works: bool = True) -> n
     return found
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(st.data(), st.booleans())
 def test_the_joint_belief_equals_the_enumeration_of_histories(data: st.DataObject, several: bool) -> None:
     pomdp = PROBLEMS[several]
@@ -223,9 +223,12 @@ def test_the_command_simulates_errors_of_observation() -> None:
     printed = json.loads(
         invoke(
             "simulate", "kitting/tiny", "--humans", "2", "--pool", "2", "--episodes", "20", "--policy", "attention",
-            "--miss", "0.05", "--confusion", "0.1", "--json",
+            "--set", "observation.miss=0.05", "--set", "observation.confusion=0.1", "--json",
         ).stdout
     )  # fmt: skip
     assert printed["setting"]["observation"] == {"miss": 0.05, "confusion": 0.1}
     assert 0 <= printed["policies"][0]["pruned"] < 1e-3
-    assert "--miss" in invoke("simulate", "kitting/tiny", "--humans", "1", "--miss", "1.5").stderr
+    assert (
+        "observation.miss"
+        in invoke("simulate", "kitting/tiny", "--humans", "1", "--set", "observation.miss=1.5").stderr
+    )

@@ -117,7 +117,7 @@ def test_settings_with_one_baseline_have_the_same_results(policy: str) -> None:
     table = cost_to_go(load(KITTING / "tiny.pddl"))
 
     def measured(setting: Setting) -> np.ndarray:
-        episodes = simulate(Pool.sample(table, 2, seed=1, setting=setting), policy, humans=2, episodes=20, seed=3)
+        episodes = simulate(Pool.sample(table, 4, seed=1, setting=setting), policy, humans=3, episodes=20, seed=3)
         return np.c_[episodes.actions, episodes.interventions, episodes.moves]
 
     asked = {"c_ask", "ask_error"}  # which studies refuse

@@ -193,7 +193,7 @@ def test_people_may_be_mistaken_about_actions(tiny_choices: Choices) -> None:
     assert len(np.unique(noise[~to_goal].round(9))) == (~to_goal).sum()
     pool = Pool.sample(tiny_choices, 2, seed=0, population=Population(noise="action"))
     assert simulate(pool, pool.policy("attention"), humans=2, episodes=3, seed=0).finished.all()
-    with pytest.raises(ValueError, match="expected 'state' or 'action'"):
+    with pytest.raises(ValueError, match='expected "state" or "action"'):
         Population(noise="both")  # type: ignore[arg-type]
 
 

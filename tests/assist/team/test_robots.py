@@ -76,7 +76,7 @@ def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndar
     return travel, np.array([at]), np.array([free]), np.array([worth])
 
 
-@settings(max_examples=120)
+@settings(max_examples=120, deadline=None)
 @given(situations())
 def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray]) -> None:
     travel, location, free, worth = found
@@ -275,7 +275,7 @@ def test_nothing_is_sampled_where_no_robot_has_to_choose(strangers: Pool) -> Non
 
 def test_commands_with_several_robots(tmp_path: Path) -> None:
     trace = tmp_path / "trace.jsonl"
-    costs = ("--c-suggest", 0.1, "--c-move", 0.2, "--knowledge", "exact", "--json")
+    costs = ("--c-suggest", 0.1, "--c-move", 0.2, "--set", "knowledge=exact", "--json")
     found = invoke(
         "simulate", "kitting/tiny", "--humans", 3, "--robots", 2, "--policy", "priority", "--episodes", 20, *costs,
         "--trace", trace,

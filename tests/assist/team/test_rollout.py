@@ -125,8 +125,6 @@ def test_what_it_cannot_know_is_refused(tiny: Table) -> None:
 def test_it_has_a_name_on_the_command_line() -> None:
     asked = ["simulate", "kitting/tiny", "--humans", "2", "--policy", "rollout", "--episodes", "5"]
     assert "rollout" in invoke(*asked).output
-    done = invoke(*asked, "--miss", ".05")
+    done = invoke(*asked, "--set", "observation.miss=0.05")
     assert done.exit_code == 2
-    assert "--policy rollout with --miss: it simulates from states that the robot knows" in " ".join(
-        done.output.split()
-    )
+    assert "--policy rollout with observation: expected actions that are all seen" in " ".join(done.output.split())

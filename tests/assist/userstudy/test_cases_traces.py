@@ -35,7 +35,16 @@ def assert_no_trace(*texts: str, folder: Path, said: str = "") -> None:
 )
 def test_who_is_erased_is_in_no_byte_of_a_team(tmp_path: Path, ends: signal.Signals) -> None:
     """The journal, its log, the store of people, and what the service says on stderr, also of what it refused."""
-    options = ("--humans", 1, "--data", tmp_path / "data", "--people-store", tmp_path / "people.sqlite", "--tick", 3600)
+    options = (
+        "--humans",
+        1,
+        "--data",
+        tmp_path / "data",
+        "--set",
+        f"people_store={tmp_path / 'people.sqlite'}",
+        "--set",
+        "tick=3600",
+    )
     with served(*options, "--log-format", "json") as team:
         added = team.ask("POST", "/api/team/people", json={"person": NAME})
         assert added.status_code == 200, added.text

@@ -116,7 +116,7 @@ def cohort_of(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Callable
     return lambda again: Cohort(replace(study, replace=again), tasks, session._team_of)
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 @given(HAPPENS, st.booleans())
 @pytest.mark.slow
 def test_conditions_stay_balanced_whoever_comes_and_goes(

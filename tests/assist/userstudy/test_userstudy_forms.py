@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from conftest import ROOT, kitassist
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from serving import served
 from test_live_pages import CHROMIUM, chromium, violations
@@ -124,6 +124,7 @@ def test_only_answers_of_the_form_are_accepted(item: Item, right: list[Any], wro
 JSON = st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(), st.lists, max_leaves=4)
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from([CHOICE, CHOICES, NUMBER, TEXT, LIKERT]), JSON)
 def test_whatever_is_answered_is_accepted_or_refused_in_one_sentence(item: Item, answer: Any) -> None:
     try:

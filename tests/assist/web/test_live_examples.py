@@ -16,7 +16,9 @@ EXAMPLES = ROOT / "docs" / "examples"
 
 @pytest.mark.slow
 def test_a_camera_reports_and_a_robot_asks_where_to_go() -> None:
-    with served("--humans", 1, "--c-suggest", 0.02, "--travel-time", 1, "--c-move", 0.01, "--tick", 0.1) as service:
+    with served(
+        "--humans", 1, "--c-suggest", 0.02, "--set", "travel_time=1", "--c-move", 0.01, "--set", "tick=0.1"
+    ) as service:
         robot = subprocess.Popen(
             [sys.executable, EXAMPLES / "robot.py", service.operator], stdout=subprocess.PIPE, text=True
         )

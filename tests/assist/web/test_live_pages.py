@@ -58,7 +58,18 @@ def desk(journal: Path) -> Iterator[Any]:
     from serving import served
 
     # People are assumed to err often, so that the robot makes suggestions; simulated ones do err.
-    people = ("--humans", 5, "--simulate", 2, "--pace", 2.5, "--beta", 0.1, 0.6, "--c-suggest", 0.2)
+    people = (
+        "--humans",
+        5,
+        "--simulate",
+        2,
+        "--set",
+        "pace=2.5",
+        "--set",
+        "population.beta=[0.1, 0.6]",
+        "--c-suggest",
+        0.2,
+    )
     with served(*people, "--c-move", 0.05, "--data", journal.parent, instance=PAPER) as running:
         yield running
 
@@ -501,7 +512,7 @@ def test_people_and_the_operator_see_and_answer_questions_about_probable_goals(c
     from serving import served
 
     kits = ROOT / "docs" / "examples" / "kits"
-    asks = ("--ask", 0.01, "--c-suggest", 0.05, "--c-move", 0, "--data", tmp_path)
+    asks = ("--set", "c_ask=0.01", "--c-suggest", 0.05, "--c-move", 0, "--data", tmp_path)
     with served("--goals", kits, "--humans", 2, *asks, instance=kits / "travel.pddl") as running:
         page, seat = chromium.new_page(), chromium.new_page()
         page.goto(running.operator)
@@ -567,8 +578,8 @@ def test_an_operator_sees_changes_and_readmits_a_person(chromium: Any, tmp_path:
 def test_a_person_says_what_they_did_last_when_it_was_seen_badly(chromium: Any, tmp_path: Path) -> None:
     from serving import served
 
-    asks = ("--suggestions", "all", "--ask", 0, "--c-suggest", 0.01, "--c-move", 0, "--data", tmp_path)
-    with served("--humans", 1, *asks, "--language", "de", instance=PAPER) as running:
+    asks = ("--set", "suggestions=all", "--set", "c_ask=0", "--c-suggest", 0.01, "--c-move", 0, "--data", tmp_path)
+    with served("--humans", 1, *asks, "--set", "language=de", instance=PAPER) as running:
         seat = chromium.new_page(viewport={"width": 390, "height": 844})
         seat.goto(running.links["person-1"])
         seat.wait_for_selector("#actions button")
@@ -601,9 +612,22 @@ EVERYTHING_SHOWN = """() => {
 def test_two_robots_serve_six_people_and_the_page_shows_both(chromium: Any, tmp_path: Path) -> None:
     from serving import served
 
-    people = ("--humans", 6, "--simulate", 6, "--pace", 0.2, "--beta", 0.1, 0.3, "--c-suggest", 0.05, "--c-move", 0.01)
+    people = (
+        "--humans",
+        6,
+        "--simulate",
+        6,
+        "--set",
+        "pace=0.2",
+        "--set",
+        "population.beta=[0.1, 0.3]",
+        "--c-suggest",
+        0.05,
+        "--c-move",
+        0.01,
+    )
     script = [sys.executable, ROOT / "docs" / "examples" / "robot.py"]
-    with served(*people, "--robots", 2, "--travel-time", 1, "--data", tmp_path) as running, ExitStack() as held:
+    with served(*people, "--robots", 2, "--set", "travel_time=1", "--data", tmp_path) as running, ExitStack() as held:
         page = chromium.new_page()
         page.set_default_timeout(PATIENCE)
         page.goto(running.operator)

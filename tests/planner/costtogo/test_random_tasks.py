@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from conftest import write_instance
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from planner import astar, load, sweep, verify
@@ -26,7 +26,7 @@ def conjunction(positive: list[str], negative: list[str]) -> str:
     return f"(and {' '.join(positive)} {' '.join(f'(not {atom})' for atom in negative)})"
 
 
-@settings(max_examples=6)
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(actions, some_atoms, several_atoms, st.booleans())
 def test_every_state_equals_fast_downward(
     drawn: list[tuple[list[str], list[str], list[str], list[str], int]], init: list[str], goal: list[str], costs: bool

@@ -83,7 +83,7 @@ def test_a_saved_table_has_the_unit(tenths: Table, tmp_path: Path) -> None:
 edges = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(0, 5)), min_size=1, max_size=12)
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(edges, st.integers(2, 30), st.sampled_from([Fraction(1), Fraction(5, 2), Fraction(1, 10), Fraction(7, 30)]))
 def test_a_smaller_unit_changes_nothing(drawn: list[tuple[int, int, int]], factor: int, unit: Fraction) -> None:
     task = graph_task(drawn)

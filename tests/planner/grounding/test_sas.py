@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import KITTING, SMALL, named, solvable, thinned
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_sweep import COMPILED, UNLISTED, SweepOptions, counter, random_task
 
@@ -37,6 +37,7 @@ def check(task: Task) -> float:
     return cost
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from([range(1, 2), range(3), range(0, 30, 3)]))
 def test_what_is_written_is_read_back(seed: int, axioms: bool, costs: range) -> None:
     task = random_task(random.Random(seed), axioms=axioms, costs=costs)
@@ -54,7 +55,7 @@ def test_what_is_written_is_read_back(seed: int, axioms: bool, costs: range) -> 
     assert from_sas(task.sas, task.instance).sas == task.sas
 
 
-@settings(max_examples=8)
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 2**32), st.booleans())
 def test_fast_downward_accepts_what_is_written(seed: int, axioms: bool) -> None:
     task = random_task(random.Random(seed), axioms=axioms, costs=range(3))

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DOMAINS, thinned
+from conftest import DOMAINS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from plain import explore
@@ -156,7 +156,7 @@ def theorems(task: Task) -> Iterator[str]:
         assert set(map(tuple, values[:, list(cluster.variables)].tolist())) <= allowed
 
 
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 10**6))
 def test_all_that_is_said_of_reachable_states_is_true(seed: int) -> None:
     list(theorems(composed(seed, costs=range(1, 2))))
@@ -169,7 +169,9 @@ def test_the_tasks_have_what_is_looked_for() -> None:
     assert said.count("cluster") > 15
 
 
-@settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+)
 @given(st.integers(0, 10**6), st.sampled_from([range(1, 2), range(4), range(3, 90_000, 11)]), st.booleans())
 @pytest.mark.slow
 def test_tables_equal_plain_search(seed: int, costs: range, few: bool) -> None:
@@ -224,7 +226,7 @@ def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:
 
 @pytest.mark.parametrize(
     ("count", "size", "toggles", "dead"),
-    thinned([(40, 3, 4, 0), (39, 3, 4, 0), (61, 2, 3, 0), (70, 2, 4, 0), (13, 40, 2, 0), (2, 2, 6, 256)]),
+    [(39, 3, 4, 0), (40, 3, 4, 0), (70, 2, 4, 0), (61, 2, 3, 0), (13, 40, 2, 0), (2, 2, 6, 256)],
 )
 def test_many_variables_that_determine_each_other_fit_no_word(count: int, size: int, toggles: int, dead: int) -> None:
     """Their values together are more than 64 bits, and more variables are constant than a field counts."""

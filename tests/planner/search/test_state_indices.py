@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_dense import composed, only_dense
 from test_sweep import COMPILED, UNLISTED, digits, random_task, sweep
@@ -123,7 +123,7 @@ def check(task: Task, *, symmetric: bool = True) -> set[str]:
 COSTS = st.sampled_from([range(1, 2), range(3), range(1), range(3, 90_000, 11), range(0, 10**12, 10**11 + 1)])
 
 
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.integers(0, 10**6),
     COSTS,

@@ -1,0 +1,273 @@
+"""The settings of commands: classes of declared fields, from which their options, `--set` and `--setting` follow."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import field
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BeforeValidator, Field
+
+from planner.batch.solve_record import SolveOptions
+
+from ...declare.declared import (
+    Beside,
+    Count,
+    Expected,
+    Number,
+    Range,
+    Seed,
+    Text,
+    Truth,
+    Usual,
+    declared,
+    names_of,
+)
+from ...learning.method import Method
+from ...people.human import Population
+from ...people.real_people import advice_takers
+from ...people.user_code import function_beside
+from ...team.settings import Setting
+from ...texts.catalogue import FIRST
+
+T = TypeVar("T")
+
+Megabytes = Annotated[Number, Field(gt=0, le=1e12)]
+
+
+def _goal_prior(given: Any) -> Any:
+    """Return probabilities of goals, which may be a text such as travel=0.7,mend=0.3."""
+    if not isinstance(given, str):
+        return given
+    prior: dict[str, float] = {}
+    for pair in filter(None, (pair.strip() for pair in given.split(","))):
+        name, _, share = (part.strip() for part in pair.rpartition("="))
+        try:
+            value = float(share)
+        except ValueError:
+            name = ""
+        if not name or name in prior:
+            raise ValueError(f"{pair}; expected GOAL=PROBABILITY, once for each goal")
+        prior[name] = value
+    return prior
+
+
+Prior = Annotated[
+    dict[str, Number],
+    BeforeValidator(_goal_prior),
+    Expected("GOAL=PROBABILITY for each goal, or a table such as {travel = 0.7, mend = 0.3}"),
+    Field(description="Probability of each goal, by the problem's name; all are equal unless given."),
+]
+
+
+Distances = Annotated[
+    Text | None,
+    Beside(),
+    Expected("a file"),
+    Field(
+        description="File with the distances between the K stations and the base, which comes last (JSON list of "
+        "lists); all are 1 unless given."
+    ),
+]
+
+
+def _texts_beside(folder: Path, text: str) -> str:
+    """Return a file of texts with a path from a folder; a language unchanged."""
+    return str(folder / text) if text.endswith(".toml") else text
+
+
+def record_of(file: Path) -> dict[str, Any]:
+    """Return the record that `fit --population` wrote.
+
+    Raises
+    ------
+    ValueError
+        The file is none.
+    """
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"{file}: {error.strerror}") from None
+    return record if isinstance(record, dict) else {}
+
+
+def _population(given: Any) -> Any:
+    """Return a population; a text is the name of a file that `fit --population` wrote."""
+    if not isinstance(given, str):
+        return given
+    from ...learning import population as populations
+
+    try:
+        return populations.mixture(record_of(Path(given)))
+    except ValueError as error:
+        raise ValueError(f"{given}: {str(error).removeprefix(f'{given}: ')}") from None
+
+
+def _real(given: Any) -> Any:
+    """Return a population whose influence, unless given, is as wide as that of real people."""
+    if not isinstance(given, dict) or "theta" in given or "parts" in given:
+        return _population(given)
+    found = Population(**given)
+    return advice_takers(found.beta, found.sigma, chooses=found.chooses)
+
+
+REGION_STATES = 20_000
+"""States of the truncated problem of a larger task, if a setting has no number."""
+
+FILE = "a file that `fit --population` wrote, or a table of ranges"
+PRIOR = "The robot's prior over people, as `population`; the true population unless given."
+PEOPLE = "The people: a file that `fit --population` wrote, or ranges of their parameters."
+
+
+@declared
+class TaskSetting(Setting):
+    """The setting of a command that solves a task and assists people in it."""
+
+    goal_prior: Prior = field(default_factory=dict, hash=False)
+    max_states: Annotated[
+        Count,
+        Field(description="Largest number of states solved exhaustively; states of larger tasks are solved on demand."),
+    ] = SolveOptions.max_states
+    region_states: Annotated[
+        Count | None,
+        Field(
+            description="States of the truncated problem of a larger task; unless given, as many as suit the task "
+            "and the command."
+        ),
+    ] = None
+    memory_limit: Annotated[Megabytes, Field(description="Memory for policies, in MB.")] = 4000.0
+
+
+@declared
+class PersonSetting(TaskSetting):
+    """The setting of one person's problem."""
+
+    population: Annotated[
+        Population, BeforeValidator(_population), Usual("FILE"), Beside(), Expected(FILE), Field(description=PEOPLE)
+    ] = Population()
+    sigma: Annotated[
+        Number,
+        Field(
+            ge=0, description="Standard deviation of the person's misconception, which the robot knows, in cost units."
+        ),
+    ] = 0.0
+
+
+@declared
+class TeamSetting(TaskSetting):
+    """The setting of a team of simulated people."""
+
+    goal_knowledge: Annotated[
+        Literal["inferred", "likeliest", "known"],
+        Field(description="How the robot knows goals: from a posterior, from the most probable goal only, or exactly."),
+    ] = "inferred"
+    population: Annotated[
+        Population, BeforeValidator(_population), Usual("FILE"), Beside(), Expected(FILE), Field(description=PEOPLE)
+    ] = Population()
+    distances: Distances = None
+    prior: Annotated[
+        Population | None, BeforeValidator(_population), Beside(), Expected(FILE), Field(description=PRIOR)
+    ] = None
+
+
+@declared
+class LiveSetting(Setting):
+    """The setting of a live team."""
+
+    goal_prior: Prior = field(default_factory=dict, hash=False)
+    distances: Distances = None
+    language: Annotated[
+        Text,
+        Beside(_texts_beside),
+        Expected("en, de, or a file such as fr.toml"),
+        Field(description="Language of people's pages."),
+    ] = FIRST
+    population: Annotated[
+        Population,
+        BeforeValidator(_real),
+        Usual("FILE"),
+        Beside(),
+        Expected(FILE),
+        Field(description=PEOPLE + " Influence is as wide as that of real people unless given."),
+    ] = advice_takers()
+    seed: Annotated[Seed, Field(description="Random seed of simulated people.")] = 0
+    pace: Annotated[Number, Field(gt=0, le=1e9, description="Mean seconds between actions of simulated people.")] = 3.0
+    tick: Annotated[
+        Number, Field(gt=0, le=1e9, description="Seconds without an event after which the robot decides again.")
+    ] = 2.0
+    people_store: Annotated[
+        Text | None,
+        Beside(),
+        Expected("a file"),
+        Field(
+            description="File with what earlier sessions have learned about people of the same names; it is kept there."
+        ),
+    ] = None
+    keep_people: Annotated[
+        Number, Field(gt=0, le=36_500, description="Days after which the store forgets a person.")
+    ] = 30.0
+
+
+@declared
+class ReadingSetting:
+    """How a log is read, and how the states that it visits are evaluated."""
+
+    gaps: Annotated[
+        Truth, Field(description="Accept gaps in step numbers; otherwise a gap means that lines are missing.")
+    ] = False
+    max_states: Annotated[
+        Count,
+        Field(description="Largest task that is solved whole; else only visited states and their successors are."),
+    ] = SolveOptions.max_states
+    time_limit: Annotated[
+        Number | None, Field(gt=0, le=1e9, description="Seconds for each of these states; no limit unless given.")
+    ] = None
+    cache: Annotated[
+        Text | None,
+        Beside(),
+        Expected("a folder"),
+        Field(description="Folder for the cost-to-go of solved states; in the user's cache folder unless given."),
+    ] = None
+
+
+@declared
+class EstimateSetting(Method, ReadingSetting):
+    """The setting of an estimation from a log."""
+
+    theta_per_episode: Annotated[Truth, Field(description="Whether influence (theta) begins anew in each episode.")] = (
+        False
+    )
+    confidence: Annotated[
+        Literal["own", "one"],
+        Field(
+            description="What confidences in the file of --advice are about: the own choice, or the chance that "
+            "choice 1 is right."
+        ),
+    ] = "own"
+    chooses: Annotated[
+        Text | None,
+        Beside(function_beside),
+        Expected("FILE.py:FUNCTION"),
+        Field(description="Your own choice model FILE.py:FUNCTION, in place of choice by cost-to-go."),
+    ] = None
+    goal_prior: Prior = field(default_factory=dict, hash=False)
+    seed: Annotated[Seed, Field(description="Random seed of the model check.")] = 0
+
+
+@declared
+class GoalSetting(ReadingSetting):
+    """The setting of the inference of goals from a log."""
+
+    beta: Annotated[
+        Range,
+        Expected("two numbers, 0 <= low <= high"),
+        Field(description="Range of people's expertise, over which the posterior is averaged."),
+    ] = Population().beta
+    lapse: Annotated[Number, Field(ge=0, lt=1, description="Weight of a uniform choice.")] = 1e-3
+    goal_prior: Prior = field(default_factory=dict, hash=False)
+
+
+def setting_of(setting: Setting) -> Setting:
+    """Return the fields of a command's setting that are those of `Setting`."""
+    return Setting(**{name: getattr(setting, name) for name in names_of(Setting)})

@@ -1,0 +1,346 @@
+"""Options of the command line from a declared class: usual fields are options, `--set` and `--setting` reach all.
+
+Values come from a file, from environment variables and from the command line; later ones of these take precedence.
+A fault is told with the option, the variable or the line of the file that has set the value.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING
+from functools import update_wrapper
+from pathlib import Path
+from typing import Any, Generic, Literal, TypeVar, get_args, get_origin
+
+import click
+from click.core import ParameterSource
+
+from planner.system.errors import InputFileError
+from planner.system.errors import expected as meant
+
+from . import tables
+from .declared import (
+    Beside,
+    DeclarationError,
+    Place,
+    Usual,
+    annotation_of,
+    bare,
+    default_of,
+    is_declared,
+    marks,
+    names_of,
+    phrase,
+    plain,
+    sentences,
+    shown,
+    spelt,
+)
+
+T = TypeVar("T")
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class FieldOption(click.Option):
+    """The option of a usual field; its value is what was written."""
+
+    @property
+    def field(self) -> str:
+        """The name of the field."""
+        return self.opts[0].removeprefix("--").replace("-", "_")
+
+
+class Written(click.ParamType):  # type: ignore[type-arg]
+    """A value as it is written on the command line; `Given` reads it."""
+
+    def __init__(self, metavar: str) -> None:
+        self.name = metavar
+
+
+class Given(Generic[T]):
+    """The values of a declared class that were given, each with its source.
+
+    Attributes
+    ----------
+    kind : type
+    values : dict
+        Plain data; fields that are declared classes themselves are dictionaries.
+    sources : dict of tuple to (str or Path, str)
+        Source of each value by its place: an option, a variable, or a file and the table in which its values stand.
+    """
+
+    def __init__(self, kind: type[T]) -> None:
+        self.kind = kind
+        self.values: dict[str, Any] = {}
+        self.sources: dict[Place, tuple[str | Path, str]] = {}
+
+    def __contains__(self, name: str) -> bool:
+        """Whether a field, or a part of it, was given."""
+        return any(place[0] == name for place in self.sources)
+
+    def put(self, place: Place, value: Any, source: str | Path, table: str = "") -> None:
+        """Set the value at a place; a table sets each of its fields."""
+        kind = _kind_at(self.kind, place)
+        if isinstance(value, Mapping) and is_declared(bare(kind)):
+            for name, inner in value.items():
+                self.put((*place, name), inner, source, table)
+            return
+        within = self.values
+        for name in place[:-1]:
+            within = within.setdefault(str(name), {})
+            if not isinstance(within, dict):
+                raise click.UsageError(f"{source}: {name} is set as a whole already; expected one of them")
+        if isinstance(within.get(str(place[-1])), dict) and not isinstance(value, Mapping):
+            if not any(isinstance(self.sources[one][0], Path) for one in self.sources if one[0] == place[0]):
+                raise click.UsageError(f"{source}: a part of {spelt(place)} is set already; expected one of them")
+            self.sources = {one: said for one, said in self.sources.items() if one[: len(place)] != place}
+        within[str(place[-1])] = value
+        self.sources[place] = (source, table)
+
+    def file(self, file: Path, content: Mapping[str, Any], table: str = "") -> None:
+        """Set the values of a file, or of one of its tables; paths begin in the file's folder."""
+        for name, value in tables.beside(self.kind, content, file.parent).items():
+            self.put((name,), value, file, table)
+
+    def text(self, name: str, text: str, source: str) -> None:
+        """Set a field, such as `c_suggest` or `population.beta`, to a value that is written in TOML, or a plain text.
+
+        Raises
+        ------
+        click.UsageError
+            There is no such field.
+        """
+        place: Place = ()
+        for part in name.split("."):
+            known = names_of(bare(_kind_at(self.kind, place)))
+            if part not in known:
+                raise click.UsageError(f"{source} {name}: unknown; {meant(part, known)}")
+            place = (*place, part)
+        self.put(place, value_of(text, _kind_at(self.kind, place)), source)
+
+    def is_fixed(self, name: str) -> bool:
+        """Whether a field was given by an option or a variable, so that no file can change it."""
+        return any(place[0] == name and not isinstance(source, Path) for place, (source, _) in self.sources.items())
+
+    def files(self) -> dict[str, Path | None]:
+        """Return the files among the values, such as that of a population, by their fields."""
+        return {
+            name: Path(value)
+            for name, value in self.values.items()
+            if isinstance(value, str) and any(isinstance(one, Beside) for one in marks(_kind_at(self.kind, (name,))))
+        }
+
+    def refuse(self, names: Iterable[str], reason: str) -> None:
+        """Raise a usage error if one of these fields was given, as it has no effect.
+
+        Parameters
+        ----------
+        names : iterable of str
+        reason : str
+            Why, such as "without several goals".
+        """
+        for name in names:
+            for place, (source, _) in self.sources.items():
+                parts = tuple(name.split("."))
+                if place[: len(parts)] == parts:
+                    shown_as = f"{source}: {name}" if isinstance(source, Path) else source
+                    raise click.UsageError(f"{shown_as} has no effect {reason}")
+
+    def read(self) -> T:
+        """Return the object of the class.
+
+        Raises
+        ------
+        click.UsageError
+            A value is faulty.
+        """
+        try:
+            return self.kind(**self.values)
+        except DeclarationError as error:
+            raise click.UsageError(self.told(error)) from None
+
+    def told(self, error: DeclarationError) -> str:
+        """Return the message of a fault with the source of the value."""
+        place = error.place
+        for length in range(len(place), 0, -1):
+            if place[:length] not in self.sources:
+                continue
+            source, table = self.sources[place[:length]]
+            if isinstance(source, Path):
+                what = f"{table}.{spelt(place)}".strip(".")
+                return f"{source}:{tables.line_of(source, what)}: {what}: {error.told}"
+            return f"{source}: {f'{spelt(place)}: ' * (len(place) > length)}{error.told}"
+        return str(error)
+
+
+def _kind_at(kind: Any, place: Place) -> Any:
+    for part in place:
+        inner = bare(kind)
+        if not is_declared(inner) or part not in names_of(inner):
+            return Any
+        kind = annotation_of(inner, str(part))
+    return kind
+
+
+def value_of(text: str, kind: Any) -> Any:
+    """Return the value of a text: texts and words as they are, all else as TOML has it."""
+    inner = bare(kind)
+    if inner is str or get_origin(inner) is Literal:
+        return text
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def usual(kind: Any) -> Iterator[tuple[str, Usual]]:
+    """Yield the name of each usual field of a declared class, and its mark."""
+    for name in names_of(kind):
+        mark = next((one for one in marks(annotation_of(kind, name)) if isinstance(one, Usual)), None)
+        if mark is not None:
+            yield name, mark
+
+
+def setting_options(
+    kind: type[Any], *, without: Sequence[str] = (), environment: str | None = None
+) -> Callable[[Command], Command]:
+    """Return a decorator that adds the options of a declared class to a command's function.
+
+    The function is called with `setting`, the object, and `given`, the `Given` from which it was read.
+
+    Parameters
+    ----------
+    kind : type
+        A declared class.
+    without : sequence of str
+        Usual fields that are no options of this command.
+    environment : str, optional
+        Prefix of environment variables that set fields, such as KITASSIST_C_SUGGEST.
+    """
+
+    def add(function: Command) -> Command:
+        def run(**parameters: Any) -> Any:
+            given = gathered(kind, parameters, environment)
+            return function(setting=given.read(), given=given, **parameters)
+
+        command: Any = update_wrapper(run, function)
+        command = click.option(
+            "--set", "changes", multiple=True, metavar="NAME=VALUE",
+            help="Any other field of the setting; `kitassist settings` lists them.",
+        )(command)  # fmt: skip
+        command = click.option(
+            "--setting", "setting_file", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+            metavar="FILE.toml", help="Fields of the setting from a file, as `kitassist settings` prints them.",
+        )(command)  # fmt: skip
+        for name, mark in reversed([one for one in usual(kind) if one[0] not in without]):
+            command = _option(kind, name, mark)(command)
+        return command
+
+    return add
+
+
+def _option(kind: Any, name: str, mark: Usual) -> Callable[[Command], Command]:
+    annotation, default = annotation_of(kind, name), default_of(kind, name)
+    inner, text = bare(annotation), sentences(kind)[name]
+    options: dict[str, Any] = {"type": Written(mark.metavar or "VALUE"), "metavar": mark.metavar}
+    if get_origin(inner) is Literal:
+        options = {"type": click.Choice(list(get_args(inner)))}
+    elif inner is bool:
+        options = {"is_flag": True}
+    if mark.default is not None or isinstance(default, str | int | float):
+        text += "" if default is False else f"  [default: {mark.default or default}]"
+    return click.option(f"--{name.replace('_', '-')}", cls=FieldOption, default=None, help=text, **options)
+
+
+def gathered(kind: type[T], parameters: dict[str, Any], environment: str | None = None) -> Given[T]:
+    """Return what the running command was given of a class; its options are taken from the parameters.
+
+    Parameters
+    ----------
+    kind : type
+    parameters : dict
+        Values of the command's options.
+    environment : str, optional
+        Prefix of environment variables.
+
+    Raises
+    ------
+    click.UsageError
+        A file cannot be read, a name is unknown, or a field is set twice.
+    """
+    context = click.get_current_context()
+    given = Given(kind)
+    config = (context.default_map or {}).get("setting")
+    if config is not None:
+        given.file(context.params["config"], config, "setting")
+    file = parameters.pop("setting_file")
+    if file is not None:
+        try:
+            given.file(file, tables.load(file))
+        except InputFileError as error:
+            raise click.UsageError(str(error)) from None
+    if environment is not None:
+        for place in places(kind):
+            variable = environment + "_".join(place).upper()
+            if (text := os.environ.get(variable)) is not None:
+                given.put(place, value_of(text, _kind_at(kind, place)), variable)
+    written: set[str] = set()
+    for option in context.command.params:
+        if isinstance(option, FieldOption) and option.name is not None:
+            value = parameters.pop(option.name)
+            if context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE:
+                if isinstance(value, str):
+                    value = value_of(value, annotation_of(kind, option.field))
+                given.put((option.field,), value, option.opts[0])
+                written.add(option.field)
+    for change in parameters.pop("changes"):
+        name, equals, text = change.partition("=")
+        name = name.strip()
+        if not name or not equals:
+            raise click.UsageError(f"--set {change}: expected NAME=VALUE, such as gamma=0.95")
+        if name in written:
+            raise click.UsageError(f"--set {name}: it is set twice; expected one value")
+        written.add(name)
+        given.text(name, text.strip(), f"--set {name}")
+    return given
+
+
+def places(kind: Any) -> Iterator[tuple[str, ...]]:
+    """Yield the place of each field of a declared class, and of the fields of declared classes in it."""
+    for name in names_of(kind):
+        yield (name,)
+        inner = bare(annotation_of(kind, name))
+        if is_declared(inner) and inner is not kind:
+            yield from ((name, *place) for place in places(inner) if len(place) == 1)
+
+
+def printed(kind: Any) -> str:
+    """Return a TOML file with all fields of a declared class, their sentences and defaults; it can be read as it is."""
+    return "\n".join(_lines(kind, ""))
+
+
+def _lines(kind: Any, hidden: str) -> list[str]:
+    """Return the lines of a table; `hidden` is "# " where the table is not set."""
+    lines, tables_after = list[str](), list[str]()
+    for name in names_of(kind):
+        annotation, default = annotation_of(kind, name), default_of(kind, name)
+        inner, text = bare(annotation), f"# {sentences(kind)[name]}"
+        if is_declared(inner):
+            unset = hidden if default == inner() else "# "
+            tables_after += ["", text, f"{unset}[{name}]", *_lines(inner, unset)]
+            continue
+        lines.append(f"{text} It is {phrase(annotation)}.")
+        value = "" if default is MISSING else plain(default)
+        lines.append(f"# {name} =" if value in ("", None, [], {}) else f"{hidden}{name} = {_toml(value)}")
+    return lines + tables_after
+
+
+def _toml(value: Any) -> str:
+    """Return plain data as a value in TOML."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{name} = {_toml(own)}" for name, own in value.items()) + "}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return shown(value)
