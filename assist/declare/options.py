@@ -321,6 +321,17 @@ def printed(kind: Any) -> str:
     return "\n".join(_lines(kind, ""))
 
 
+def table(kind: Any) -> str:
+    """Return a table of the fields of a declared class in Markdown: name, sentence, range and default."""
+    rows = ["| field | meaning | what it is | default |", "|---|---|---|---|"]
+    for name in names_of(kind):
+        annotation, default = annotation_of(kind, name), default_of(kind, name)
+        value = None if default is MISSING or is_declared(bare(annotation)) else plain(default)
+        cells = sentences(kind)[name], phrase(annotation), "" if value in (None, [], {}) else f"`{_toml(value)}`"
+        rows.append(f"| `{name}` | {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+    return "\n".join(rows)
+
+
 def _lines(kind: Any, hidden: str) -> list[str]:
     """Return the lines of a table; `hidden` is "# " where the table is not set."""
     lines, tables_after = list[str](), list[str]()

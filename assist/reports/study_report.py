@@ -17,11 +17,11 @@ from planner.system.files import atomic, remove_unfinished
 from planner.system.results import Result
 from planner.system.workers import outcomes
 
-from ..declare.declared import plain
+from ..declare.declared import plain, sentences
 from ..person.policy import not_worth_its_cost
 from ..plots import style
 from ..study.runner import load_study
-from ..study.study import OWN, Study
+from ..study.study import OWN, Study, StudyPlan
 from . import study_claims
 from .html_page import html_page, require_packages
 from .statistics import FEW
@@ -149,7 +149,8 @@ def report_text(found: Found, summary: Record, pictures: dict[str, str]) -> str:
     groups = _groups(summary)
     return rendered(
         "study_report.md.jinja",
-        study=study, setting=plain(study.conditions[0].settings[0][1]), summary=summary, pictures=pictures,
+        study=study, plan=sentences(StudyPlan), setting=plain(study.conditions[0].settings[0][1]), summary=summary,
+        pictures=pictures,
         FEW=FEW, OWN=OWN, whose=of_whom(found),
         pools={c.name: min(study.repeats, c.repeats or study.repeats) for c in study.conditions},
         differing={name: len({group[name] for group in groups}) for name in varying(groups, COLUMNS)},

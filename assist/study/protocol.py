@@ -24,11 +24,11 @@ from ..declare.declared import (
     Counts,
     Expected,
     Number,
-    Seed,
     Text,
     Texts,
     Truth,
     declared,
+    names_of,
     shown,
 )
 from ..declare.tables import convert, fault, label, load, located, replaced
@@ -39,7 +39,7 @@ from ..people.terms import TERMS
 from ..people.user_code import parse
 from ..team.policy_names import POLICIES
 from ..team.settings import Setting
-from .study import OWN, Condition, Contrast, Reference, Study
+from .study import OWN, Condition, Contrast, Reference, Study, StudyPlan
 
 PROTOCOLS = Path(__file__).parent / "protocols"
 
@@ -87,17 +87,12 @@ class ReferenceTable:
     contrasts: Texts | None = None
 
 
-@declared
-class StudyTable:
+@declared(kw_only=True)
+class StudyTable(StudyPlan):
     """The whole file."""
 
     instances: Texts
     title: Text | None = None
-    seed: Seed = 0
-    repeats: Count = 50
-    pool: Count = 12
-    draws: Count = 6
-    trials: Count = 5
     humans: Counts = (1, 2, 3, 4, 5, 6)
     policies: Texts = ("none", "reactive", "attention")
     focus: Text | None = None
@@ -188,9 +183,10 @@ class Reader:
             for number, own in enumerate(table.contrasts, start=1)
         )
         return Study(
-            self.file, table.title or self.file.stem, table.seed, table.repeats, table.pool, table.draws, table.trials,
-            focus, tuple(people.items()), instances, tuple(self.own.items()), tuple(conditions), contrasts,
-            self._reference(people, contrasts, first),
+            **{name: getattr(table, name) for name in names_of(StudyPlan)}, file=self.file,
+            title=table.title or self.file.stem, focus=focus, populations=tuple(people.items()), instances=instances,
+            own_policies=tuple(self.own.items()), conditions=tuple(conditions), contrasts=contrasts,
+            reference=self._reference(people, contrasts, first),
         )  # fmt: skip
 
     def _condition(

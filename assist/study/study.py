@@ -14,14 +14,15 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planner import Instance
 
-from ..declare.declared import plain
+from ..declare.declared import Count, Seed, declared, plain
 from ..people.human import Population
 from ..people.user_code import UserChoiceModel
 from ..team.settings import Setting
@@ -140,21 +141,25 @@ class Contrast:
     to: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Study:
+@declared(kw_only=True)
+class StudyPlan:
+    """The numbers of a study, which its file sets and its report shows."""
+
+    seed: Annotated[Seed, Field(description="Seed of all randomness.")] = 0
+    repeats: Annotated[Count, Field(description="Pools of people that are drawn for each combination.")] = 50
+    pool: Annotated[Count, Field(description="People in a pool.")] = 12
+    draws: Annotated[Count, Field(description="Teams that are drawn from each pool for each K.")] = 6
+    trials: Annotated[Count, Field(description="Episodes of each team.")] = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(StudyPlan):
     """A simulation study.
 
     Attributes
     ----------
     file : Path
     title : str
-    seed : int
-    repeats : int
-        Number of pools that are drawn for each combination.
-    pool : int
-        Number of people in a pool.
-    draws, trials : int
-        Number of teams that are drawn from each pool for each K, and of episodes of each team.
     focus : str
         The policy that is compared with the others.
     populations : tuple of pairs
@@ -171,11 +176,6 @@ class Study:
 
     file: Path
     title: str
-    seed: int
-    repeats: int
-    pool: int
-    draws: int
-    trials: int
     focus: str
     populations: tuple[tuple[str, Population], ...]
     instances: tuple[tuple[str, Instance], ...]
@@ -183,10 +183,6 @@ class Study:
     conditions: tuple[Condition, ...]
     contrasts: tuple[Contrast, ...]
     reference: Reference | None
-
-    def __repr__(self) -> str:
-        cells = list(self.cells())
-        return f"<Study {self.title!r}: {len(cells):,} pools, {sum(map(self.episodes, cells)):,} episodes>"
 
     def condition(self, name: str) -> Condition:
         """Return the condition of this name."""

@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import declared_tables
 import numpy as np
 import pytest
 from hypothesis import given
@@ -187,3 +188,10 @@ def test_a_phrase_of_ones_own_stands_for_type_and_limits() -> None:
 
     with pytest.raises(DeclarationError, match="level -1: expected litres above the mark"):
         Tank(-1)
+
+
+def test_tables_of_pages_are_as_the_classes_declare_them() -> None:
+    pages = {page: page.read_text() for page in declared_tables.DOCS.rglob("*.md")}
+    assert sum(text.count("<!-- declared ") for text in pages.values()) >= 3
+    wrong = [str(page) for page, text in pages.items() if text != declared_tables.renewed(text)]
+    assert wrong == [], "python tests/declared_tables.py writes them anew"
