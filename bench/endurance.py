@@ -52,7 +52,7 @@ number = "{n}"
 [[observe]]
 topic = "line/{person}/begin"
 number = "{n}"
-begins = true
+event = "began"
 [answers]
 topic = "line/{person}/answers"
 [advice]
@@ -261,7 +261,7 @@ class OpcUaLine:
         text = f'[server]\nurl = "opc.tcp://127.0.0.1:{self.port}/"\n'
         for person in self.people:
             for what in ("action", "begin"):
-                text += OBSERVED.replace("NAME", person.name).replace("WHAT", what) + "begins = true\n" * (
+                text += OBSERVED.replace("NAME", person.name).replace("WHAT", what) + 'event = "began"\n' * (
                     what == "begin"
                 )
         return text + "".join(ADVISED.replace("NAME", person.name) for person in self.people)

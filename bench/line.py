@@ -37,7 +37,7 @@ topic = "line/{person}/action"
 number = "{n}"
 [[observe]]
 topic = "line/{person}/begin"
-begins = true
+event = "began"
 number = "{n}"
 [answers]
 topic = "line/{person}/answers"

@@ -14,8 +14,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
+from pydantic import ValidationError
+
 from ..declare.declared import Expected
 from ..declare.tables import fault, regular_expression
+from ..live.events import OfPerson, fault_of, kinds
 from ..people.action_names import wrong_form
 
 Fields = dict[str, str]
@@ -170,36 +173,67 @@ def fields_of_value(text: str, pattern: re.Pattern[str] | None = None) -> Fields
 
 @dataclass(frozen=True)
 class Report:
-    """An action of a person, as a message reports it.
+    """An event of a person, as a message reports it.
 
     Attributes
     ----------
     person : str
-    action : str
-        Empty if the message has none that is usable, then `fault` says why; or if the person begins the next task.
     id : str
         The same for repetitions of the message.
+    kind : str
+        The kind of event (`assist.live.events`).
+    values : mapping of str to str
+        Its other fields.
     number : int or None
         Its place among the reports of this person, counted from 1.
-    seq : int or None
-        The `seq` of the advice that the person had seen.
     fault : str or None
-    begins : bool
-        Whether the person begins the next task.
+        Why it cannot be recorded.
     """
 
     person: str
-    action: str
     id: str
+    kind: str = "acted"
+    values: Mapping[str, str] = field(default_factory=dict)
     number: int | None = None
-    seq: int | None = None
     fault: str | None = None
-    begins: bool = False
+
+    def event(self) -> OfPerson:
+        """Return the event.
+
+        Raises
+        ------
+        MessageError
+            The message has none that can be recorded.
+        """
+        if self.fault is not None:
+            raise MessageError(self.fault)
+        kind: type[OfPerson] = kinds(OfPerson)[self.kind]
+        given: dict[str, Any] = {**self.values, "person": self.person, "id": self.id}
+        try:
+            return _made(kind, given)
+        except ValidationError as error:
+            raise MessageError(fault_of(kind, error, given)) from None
+
+
+def _made(kind: type[OfPerson], given: dict[str, Any]) -> OfPerson:
+    """Return an event; texts stand for numbers and truth values where these are expected."""
+    try:
+        return kind.model_validate(given)
+    except ValidationError as error:
+        wrong = {str(one["loc"][0]) for one in error.errors() if one["loc"]} & _numbers_in(given)
+        if not wrong:
+            raise
+        return kind.model_validate({name: json.loads(one) if name in wrong else one for name, one in given.items()})
+
+
+def _numbers_in(given: Mapping[str, Any]) -> set[str]:
+    """Return the names of texts that are numbers or truth values in JSON."""
+    return {name for name, text in given.items() if re.fullmatch(r"-?\d{1,15}(\.\d{1,15})?|true|false", str(text))}
 
 
 @dataclass(frozen=True)
 class Source:
-    """Messages that report actions, or that a person begins the next task.
+    """Messages that report events of one kind.
 
     Attributes
     ----------
@@ -212,8 +246,8 @@ class Source:
         Pattern whose named groups are the fields of a payload; None for JSON objects.
     names : mapping of str to str
         The task's names of values.
-    begins : bool
-        Whether they report that the person begins the next task.
+    event : str
+        The kind of event. Fields of a message with the names of its other fields are their values.
     """
 
     topic: Topic
@@ -224,7 +258,7 @@ class Source:
     seq: str | None = None
     pattern: re.Pattern[str] | None = None
     names: Mapping[str, str] = field(default_factory=dict)
-    begins: bool = False
+    event: str = "acted"
 
     def fields(self, topic: str, payload: bytes) -> Fields:
         """Return the fields of a message; those of its topic take precedence.
@@ -250,13 +284,16 @@ class Source:
         if not 0 < len(identifier) <= LONGEST_ID:
             raise MessageError(f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
         person, number = filled(self.person, fields, {}), _whole(self.number, fields, 1)
-        seq = _whole(self.seq, fields, 0)
-        if self.begins:
-            return Report(person, "", identifier, number, begins=True)
+        known, seq = [*kinds(OfPerson)[self.event].fields()], _whole(self.seq, fields, 0)
+        values = {
+            name: fields[name] for name in known if name in fields and name not in ("person", "id", "action", "seq")
+        }
+        values |= {} if seq is None else {"seq": str(seq)}
         try:
-            return Report(person, filled(self.action, fields, self.names), identifier, number, seq)
+            values |= {"action": filled(self.action, fields, self.names)} if "action" in known else {}
         except MessageError as error:
-            return Report(person, "", identifier, number, seq, str(error))
+            return Report(person, identifier, self.event, values, number, str(error))
+        return Report(person, identifier, self.event, values, number)
 
 
 def source_of(table: Any, topic: Topic, names: Mapping[str, str], file: Path, place: str) -> Source:
@@ -276,7 +313,10 @@ def source_of(table: Any, topic: Topic, names: Mapping[str, str], file: Path, pl
             raise fault(file, f"{place}.{name}", f"{text} {wrong}")
     parts["id"], parts["person"] = parts["id"] or "{id}", parts["person"] or "{person}"
     pattern = regular_expression(table.pattern, file, f"{place}.pattern")
-    return Source(topic, **parts, pattern=pattern, names=names, begins=getattr(table, "begins", False))
+    event = getattr(table, "event", "acted")
+    if event not in kinds(OfPerson):
+        raise fault(file, f"{place}.event", f"{event!r}; expected one of {', '.join(kinds(OfPerson))}")
+    return Source(topic, **parts, pattern=pattern, names=names, event=event)
 
 
 def observed_in(tables: ObserveTables, file: Path) -> Iterator[tuple[str, Any]]:

@@ -45,7 +45,7 @@ class ObserveTable:
     number: Text | None = None
     seq: Text | None = None
     pattern: Text | None = None
-    begins: Truth = False
+    event: Text = "acted"
 
 
 @declared

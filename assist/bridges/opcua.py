@@ -13,24 +13,17 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
+from contextlib import asynccontextmanager, contextmanager
 from hashlib import sha256
-from random import Random
 from types import ModuleType
 from typing import Any
 
 from planner.system.errors import MissingExtraError
 
-from ..web.client import RefusedError
 from .messages import MessageError, fields_of_value
 from .opcua_settings import Observed, OpcUaSettings, password
-from .session_client import SessionClient
-from .tasks import together
-from .team_watch import TeamWatch
-
-LOG = logging.getLogger(__name__)
+from .transport import Answer, Faulty, Message, Output, Reported, Transport
 
 
 def library() -> ModuleType:
@@ -50,42 +43,29 @@ def library() -> ModuleType:
 
 
 class _Handler:
-    """Receives the changes of nodes."""
+    """Receives the changes of nodes during a connection."""
 
-    def __init__(self, bridge: OpcUaBridge) -> None:
-        self._bridge, self._seen = bridge, set[str]()
+    def __init__(self, transport: OpcUa) -> None:
+        self._transport, self._seen = transport, set[str]()
 
     def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
         """Take in the value of a node; the first after a connection is the one that it had before."""
         name = node.nodeid.to_string()
-        self._bridge.changed(name, value, data.monitored_item.Value, first=name not in self._seen)
+        self._transport.changed(name, value, data.monitored_item.Value, first=name not in self._seen)
         self._seen.add(name)
 
     def status_change_notification(self, status: Any) -> None:
         """Do nothing when the subscription ends: the connection has."""
 
 
-class OpcUaBridge:
-    """A bridge between an OPC UA server and a running service.
+class OpcUa(Transport):
+    """Another program's OPC UA server.
 
     Parameters
     ----------
     settings : OpcUaSettings
-    link : str
-        The operator's link, as `kitassist serve` prints it.
     period : float
         Milliseconds between two looks of the server at the nodes; values that change twice in it can be missed.
-    longest_pause : float
-        Largest number of seconds between two attempts to reach the server. The first pause is a tenth of a second.
-
-    Attributes
-    ----------
-    counts : Counter
-        Numbers of `values`, of reports `recorded` and `refused`, and of `connections` to the server.
-    connected : bool
-        Whether the bridge is connected to the server, and subscribed.
-    waits : tuple
-        Empty: no report waits for another one.
 
     Raises
     ------
@@ -93,82 +73,59 @@ class OpcUaBridge:
         The extra `opcua` is not installed.
     """
 
-    def __init__(
-        self, settings: OpcUaSettings, link: str, *, period: float = 50.0, longest_pause: float = 30.0
-    ) -> None:
-        self.settings, self._library = settings, library()
-        self.counts, self.connected, self.waits = Counter[str](), False, ()
-        self._session = SessionClient(link)
-        self._period, self._longest_pause = period, longest_pause
+    name = "OPC UA"
+
+    def __init__(self, settings: OpcUaSettings, *, period: float = 50.0) -> None:
+        super().__init__()
+        self.settings, self._library, self._period = settings, library(), period
+        self.lost = (OSError, self._library.ua.UaError)
         self._observed = {one.node: one for one in settings.observed}
         self._last: dict[str, Any] = {}  # the last value of each node
-        self._reports = asyncio.Queue[tuple[Observed, dict[str, str]]]()
-        self._kept: dict[str, str] = {}  # what each node of the server is to show
-        self._waiting: dict[str, str] = {}
-        self._wake = asyncio.Event()
+        self._received = asyncio.Queue[tuple[Any, Message | None]]()  # with the connection
 
-    async def run(self) -> None:
-        """Work until cancelled. Lost connections to the server and to the service are restored."""
-        for node, _ in self.settings.advice:
-            self._write(node, "")  # until the service has told more
-        try:
-            await together(self._server(), self._deliver(), TeamWatch(self._session, self._advise).run())
-        finally:
-            await self._session.close()
+    def address(self) -> str:
+        """Return the server's address."""
+        return self.settings.url
 
-    async def _server(self) -> None:
-        """Stay connected to the server."""
-        pause, lost, random = 0.1, False, Random()
-        while True:
-            try:
-                await self._converse()
-            except (OSError, self._library.ua.UaError) as error:
-                if not lost:
-                    LOG.warning("OPC UA: no connection to %s: %s", self.settings.url, error or type(error).__name__)
-            else:
-                pause = 0.1  # seconds
-            self.connected, lost = False, True
-            await asyncio.sleep(pause * random.uniform(0.5, 1.0))
-            pause = min(2 * pause, self._longest_pause)
+    def initially(self) -> Iterable[Output]:
+        """Yield an empty suggestion for each node, until the service has told more."""
+        yield from (Output(node, "", keep=True) for node, _ in self.settings.advice)
 
-    async def _converse(self) -> None:
-        """Observe nodes and write to them until the connection is lost.
-
-        Raises
-        ------
-        OSError, ua.UaError
-            There is no connection, or no such node.
-        """
-        ua, ended = self._library.ua, asyncio.Event()
-        client = self._library.Client(self.settings.url)
+    @asynccontextmanager
+    async def connect(self) -> AsyncIterator[None]:
+        """Connect to the server, and subscribe to the nodes."""
+        client = self._client = self._library.Client(self.settings.url)
         if self.settings.username is not None:
             client.set_user(self.settings.username)
             client.set_password(password() or "")
 
         async def over(_: Exception) -> None:
-            ended.set()
-            self._wake.set()
+            self._received.put_nowait((client, None))
 
         client.connection_lost_callback = over
         async with client:
-            self.counts["connections"] += 1
             subscription = await client.create_subscription(self._period, _Handler(self))
             for node in self._observed:
                 with self._naming(node):
                     await subscription.subscribe_data_change(
                         client.get_node(node), queuesize=100, sampling_interval=self._period
                     )
-            self._waiting = {**self._kept, **self._waiting}
-            self.connected = True
-            while not ended.is_set():
-                while self._waiting:
-                    node, text = next(iter(self._waiting.items()))
-                    with self._naming(node):
-                        await client.get_node(node).write_value(ua.Variant(text, ua.VariantType.String))
-                    if self._waiting[node] == text:  # and no newer one
-                        del self._waiting[node]
-                self._wake.clear()
-                await self._wake.wait()
+            yield
+
+    async def messages(self) -> AsyncIterator[Message]:
+        """Yield what values report, until the connection is lost."""
+        while True:
+            client, message = await self._received.get()
+            if message is not None:
+                yield message
+            elif client is self._client:
+                return
+
+    async def send(self, key: str, content: str) -> None:
+        """Write a text to a node."""
+        ua = self._library.ua
+        with self._naming(key):
+            await self._client.get_node(key).write_value(ua.Variant(content, ua.VariantType.String))
 
     @contextmanager
     def _naming(self, node: str) -> Iterator[None]:
@@ -177,10 +134,6 @@ class OpcUaBridge:
             yield
         except self._library.ua.UaError as error:
             raise self._library.ua.UaError(f"node {node}: {error}") from error
-
-    def _write(self, node: str, text: str) -> None:
-        self._kept[node] = self._waiting[node] = text
-        self._wake.set()
 
     def changed(self, node: str, value: Any, data: Any, *, first: bool) -> None:
         """Take in a value of a node.
@@ -194,46 +147,33 @@ class OpcUaBridge:
         first : bool
             Whether it is the first one after a connection.
         """
-        observed, text = self._observed[node], str(value)
+        observed = self._observed[node]
         old = first and not observed.has_id and (node not in self._last or value == self._last[node])
         self._last[node] = value
-        if value in (None, "") or old:
-            return
-        self.counts["values"] += 1
+        if value not in (None, "") and not old:
+            self._received.put_nowait((self._client, self._message(observed, str(value), data)))
+
+    def _message(self, observed: Observed, text: str, data: Any) -> Message:
+        """Return what a value reports."""
+        fields: dict[str, str] = {}
         try:
             fields = fields_of_value(text, observed.source.pattern)
+            if not observed.has_id:
+                at = data.SourceTimestamp or data.ServerTimestamp
+                fields["id"] = sha256(f"{observed.node} {at} {text}".encode()).hexdigest()
+            return Reported(observed.source.report(fields), observed.node)
         except MessageError as error:
-            self._answer(observed, None, "refused", detail=str(error))
-            return
-        if not observed.has_id:
-            at = data.SourceTimestamp or data.ServerTimestamp
-            fields["id"] = sha256(f"{node} {at} {text}".encode()).hexdigest()
-        self._reports.put_nowait((observed, fields))
+            return Faulty(str(error), fields.get("person"), fields.get("id"), observed.node)
 
-    async def _deliver(self) -> None:
-        """Report the actions to the service, one after the other."""
-        while True:
-            observed, fields = await self._reports.get()
-            identifier = fields.get("id")
-            try:
-                report = observed.source.report(fields)
-                identifier = report.id
-                view = await self._session.report(report)
-            except (MessageError, RefusedError) as error:
-                self._answer(observed, identifier, "refused", detail=str(error))
-            else:
-                self._answer(observed, identifier, "recorded", seq=view["seq"])
+    # What goes where.
 
-    def _answer(self, observed: Observed, identifier: str | None, status: str, **more: Any) -> None:
-        self.counts[status] += 1
-        if status == "refused":
-            LOG.warning("OPC UA: %s: %s", observed.node, more["detail"])
-        if observed.answer is not None:
-            self._write(observed.answer, json.dumps({"id": identifier, "status": status, **more}))
-
-    def _advise(self, person: str, view: dict[str, Any] | None) -> None:
-        """Write a person's suggestion after every change, and an empty text where there is none."""
+    def advice(self, person: str, view: Mapping[str, Any] | None) -> Iterable[Output]:
+        """Yield a person's suggestion, and an empty text where there is none."""
         suggestion = "" if view is None else view["suggestion"] or ""
-        for node, whose in self.settings.advice:
-            if whose == person and self._kept.get(node) != suggestion:
-                self._write(node, suggestion)
+        yield from (Output(node, suggestion, keep=True) for node, whose in self.settings.advice if whose == person)
+
+    def answer(self, answer: Answer) -> Iterable[Output]:
+        """Yield the answer to a report, for the node that goes with that of the report."""
+        node = self._observed[answer.origin or ""].answer
+        if node is not None:
+            yield Output(node, json.dumps(answer.as_dict()), keep=True)

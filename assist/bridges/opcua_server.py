@@ -14,24 +14,17 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
-import logging
 import uuid
-from collections import Counter
-from collections.abc import Callable, Coroutine
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from ..web.client import RefusedError, robot_path
 from .messages import LONGEST_ID, MessageError, Report, fields_of_value
 from .opcua import library
 from .opcua_settings import OwnServerSettings, password
-from .session_client import SessionClient
-from .tasks import Tasks, together
-from .team_watch import TeamWatch
-
-LOG = logging.getLogger(__name__)
+from .transport import Answer, Located, Message, Output, Reported, Transport
 
 NAMESPACE = "urn:kitassist"
 UNKNOWN = -1  # `Seq` in a call that does not say which advice the person had seen
@@ -53,43 +46,18 @@ class _Users:
 
 @dataclass
 class _Nodes:
-    """The nodes of a person or robot.
-
-    Attributes
-    ----------
-    object : Node
-    seq : int
-        Number of the last event that they show.
-    variables : dict of str to Node
-    turn : Lock
-        Held while a report is delivered, so that reports keep their order.
-    """
+    """The nodes of a person or robot: the object, and its variables by name."""
 
     object: Any
-    seq: int = -1
     variables: dict[str, Any] = field(default_factory=dict)
-    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
 
 
-class OpcUaServer:
-    """An OPC UA server of a running service.
+class OwnServer(Transport):
+    """An OPC UA server of a running service; "connected" means that it listens.
 
     Parameters
     ----------
     settings : OwnServerSettings
-    link : str
-        The operator's link, as `kitassist serve` prints it.
-    longest_pause : float
-        Largest number of seconds between two attempts to listen at the address. The first pause is a second.
-
-    Attributes
-    ----------
-    counts : Counter
-        Numbers of `values` written, of `calls`, and of reports `recorded` and `refused`.
-    connected : bool
-        Whether the server listens.
-    waits : tuple
-        Empty: no report waits for another one.
 
     Raises
     ------
@@ -97,52 +65,31 @@ class OpcUaServer:
         The extra `opcua` is not installed.
     """
 
-    def __init__(self, settings: OwnServerSettings, link: str, *, longest_pause: float = 30.0) -> None:
-        self.settings, self._library = settings, library()
-        self.counts, self.connected, self.waits = Counter[str](), False, ()
-        self._session = SessionClient(link)
-        self._watch = TeamWatch(self._session, self._seen, self._instructed)
-        self._longest_pause = longest_pause
-        self._tasks = Tasks()
-        self._people: dict[str, _Nodes] = {}
-        self._robots: dict[int, _Nodes] = {}
-        self._changes = asyncio.Queue[Callable[[], Coroutine[Any, Any, None]]]()
-        self._inputs: dict[str, Callable[[str], Coroutine[Any, Any, None]]] = {}  # what is done with written values
+    name = "OPC UA"
+
+    def __init__(self, settings: OwnServerSettings) -> None:
+        super().__init__()
+        self.settings, self._library, self.robots = settings, library(), settings.robots
+        self._received = asyncio.Queue[Message]()
+        self._nodes: dict[str, _Nodes] = {}  # of people and robots, by their path
+        self._inputs: dict[str, Callable[[str], Message]] = {}  # what written values report
         self._last: dict[str, Any] = {}  # the last value of each node that clients write
 
-    async def run(self) -> None:
-        """Work until cancelled. The service may be restarted meanwhile.
+    def address(self) -> str:
+        """Return the address at which it listens."""
+        return self.settings.url
 
-        Raises
-        ------
-        RefusedError
-            The service does not accept the link.
-        """
-        self._server = await self._listening()
+    @asynccontextmanager
+    async def connect(self) -> AsyncIterator[None]:
+        """Listen; there are no people and robots at first."""
+        # The library's own nodes take seconds, in which the service would answer nobody.
+        server = self._server = await asyncio.to_thread(asyncio.run, self._prepared())
+        await server.start()
+        self._nodes, self._inputs = {}, {}
         try:
-            await together(self._watch.run(), self._change())
+            yield
         finally:
-            self.connected = False
-            await self._tasks.cancel()
-            await self._session.close()
-            await self._server.stop()
-
-    async def _listening(self) -> Any:
-        """Return the server, which listens; as long as the address is taken, try again."""
-        pause = 1.0
-        while True:
-            # The library's own nodes take seconds, in which the service would answer nobody.
-            server = await asyncio.to_thread(asyncio.run, self._prepared())
-            try:
-                await server.start()
-            except OSError as error:
-                if pause == 1.0:
-                    LOG.warning("OPC UA: no server at %s: %s", self.settings.url, error)
-                await asyncio.sleep(pause)
-                pause = min(2 * pause, self._longest_pause)
-                continue
-            self.connected = True
-            return server
+            await server.stop()
 
     async def _prepared(self) -> Any:
         """Return a server with the objects `People` and `Robots`."""
@@ -162,31 +109,42 @@ class OpcUaServer:
         server.subscribe_server_callback(self._library.common.callback.CallbackType.PostWrite, self._written)
         return server
 
+    async def messages(self) -> AsyncIterator[Message]:
+        """Yield what clients write and call."""
+        while True:
+            yield await self._received.get()
+
+    async def send(self, key: str, content: Mapping[str, Any] | None) -> None:
+        """Show values of a person or robot, whose nodes are made when they are first needed; None removes them."""
+        if content is None:
+            await self._remove(key)
+            return
+        if key not in self._nodes and "Answer" not in content:
+            self._nodes[key] = await (self._person(key) if key.startswith("People/") else self._robot(key))
+        if key in self._nodes:  # unless the person has left meanwhile
+            for name, value in content.items():
+                await self._nodes[key].variables[name].write_value(self._typed(value))
+
     # Nodes.
 
-    async def _change(self) -> None:
-        """Change the nodes, one after the other."""
-        while True:
-            await (await self._changes.get())()
-
-    async def _object(self, folder: str, name: str) -> _Nodes:
-        ua = self._library.ua
+    async def _object(self, path: str) -> _Nodes:
+        ua, (folder, name) = self._library.ua, path.split("/", 1)
         parent = self._server.get_node(ua.NodeId(folder, self._space))
-        return _Nodes(await parent.add_object(ua.NodeId(f"{folder}/{name}", self._space), f"{self._space}:{name}"))
+        return _Nodes(await parent.add_object(ua.NodeId(path, self._space), f"{self._space}:{name}"))
 
     async def _variable(
-        self, nodes: _Nodes, name: str, value: Any, take: Callable[[str], Coroutine[Any, Any, None]] | None = None
+        self, nodes: _Nodes, name: str, value: Any, reports: Callable[[str], Message] | None = None
     ) -> None:
-        """Add a variable; if clients may write it, with what is done with the values."""
+        """Add a variable; if clients may write it, with what its values report."""
         ua = self._library.ua
         path = f"{nodes.object.nodeid.Identifier}/{name}"
         node = await nodes.object.add_variable(
             ua.NodeId(path, self._space), f"{self._space}:{name}", self._typed(value)
         )
         nodes.variables[name] = node
-        if take is not None:
+        if reports is not None:
             await node.set_writable()
-            self._inputs[node.nodeid.to_string()] = take
+            self._inputs[node.nodeid.to_string()] = reports
 
     def _typed(self, value: Any) -> Any:
         """Return a value with its type in OPC UA; None becomes an empty text."""
@@ -194,59 +152,36 @@ class OpcUaServer:
         kind = {bool: types.Boolean, int: types.Int64}.get(type(value), types.String)
         return self._library.ua.Variant("" if value is None else value, kind)
 
-    async def _show(self, nodes: _Nodes, seq: int, **values: Any) -> None:
-        """Show values of the service, unless newer ones are shown."""
-        if seq < nodes.seq:
-            return
-        nodes.seq = seq
-        for name, value in values.items():
-            await nodes.variables[name].write_value(self._typed(value))
+    async def _person(self, path: str) -> _Nodes:
+        types, person = self._library.ua.VariantType, path.removeprefix("People/")
+        nodes = await self._object(path)
+        for name, value in (("Suggestion", ""), ("Finished", False), ("Seq", UNKNOWN), ("Answer", "")):
+            await self._variable(nodes, name, value)
+        await self._variable(nodes, "Action", "", lambda text: Reported(self._report(person, text)))
+        await self._variable(nodes, "Begin", "", lambda text: Reported(_begun(person, text)))
+        await nodes.object.add_method(
+            self._library.ua.NodeId(f"{path}/Report", self._space), f"{self._space}:Report",
+            partial(self._called, person),
+            [types.String, types.String, types.Int64], [types.String, types.String, types.Int64],
+        )  # fmt: skip
+        return nodes
 
-    def _seen(self, person: str, view: dict[str, Any] | None) -> None:
-        """Show a person's advice after every change, and remove the nodes of those who have left."""
-        self._changes.put_nowait(partial(self._left, person) if view is None else partial(self._advised, person, view))
+    async def _robot(self, path: str) -> _Nodes:
+        nodes, robot = await self._object(path), int(path.removeprefix("Robots/"))
+        for name in ("Person", "Suggestion"):
+            await self._variable(nodes, name, "")
+        await self._variable(nodes, "Arrived", "", lambda person: Located(robot, person))
+        return nodes
 
-    async def _left(self, person: str) -> None:
-        nodes = self._people.pop(person, None)
+    async def _remove(self, path: str) -> None:
+        nodes = self._nodes.pop(path, None)
         if nodes is not None:
             for node in nodes.variables.values():
                 self._inputs.pop(node.nodeid.to_string(), None)
                 self._last.pop(node.nodeid.to_string(), None)
             await self._server.delete_nodes([nodes.object], recursive=True)
 
-    async def _advised(self, person: str, view: dict[str, Any]) -> None:
-        if person not in self._people:
-            types = self._library.ua.VariantType
-            nodes = await self._object("People", person)
-            for name, value in (("Suggestion", ""), ("Finished", False), ("Seq", UNKNOWN), ("Answer", "")):
-                await self._variable(nodes, name, value)
-            await self._variable(nodes, "Action", "", partial(self._acted, person, nodes))
-            await self._variable(nodes, "Begin", "", partial(self._began, person, nodes))
-            await nodes.object.add_method(
-                self._library.ua.NodeId(f"People/{person}/Report", self._space), f"{self._space}:Report",
-                partial(self._called, person, nodes),
-                [types.String, types.String, types.Int64], [types.String, types.String, types.Int64],
-            )  # fmt: skip
-            self._people[person] = nodes
-        await self._show_advice(self._people[person], view)
-
-    async def _show_advice(self, nodes: _Nodes, view: dict[str, Any]) -> None:
-        seq = view["seq"]
-        await self._show(nodes, seq, Suggestion=view["suggestion"], Finished=view["finished"], Seq=seq)
-
-    def _instructed(self, robot: int, errand: dict[str, Any]) -> None:
-        self._changes.put_nowait(partial(self._sent, robot, errand))
-
-    async def _sent(self, robot: int, errand: dict[str, Any]) -> None:
-        """Show where a robot is to go and what it suggests there."""
-        if robot not in self._robots:
-            nodes = self._robots[robot] = await self._object("Robots", str(robot))
-            for name in ("Person", "Suggestion"):
-                await self._variable(nodes, name, "")
-            await self._variable(nodes, "Arrived", "", partial(self._arrived, robot, nodes))
-        await self._show(self._robots[robot], errand["seq"], Person=errand["person"], Suggestion=errand["suggestion"])
-
-    # Reports.
+    # What is written and called.
 
     async def _written(self, event: Any, _: Any) -> None:
         """Take in what a client has written."""
@@ -259,27 +194,19 @@ class OpcUaServer:
             before, self._last[node] = self._last.get(node), value.Value
             if value.Value not in (None, "", before):
                 self.counts["values"] += 1
-                self._tasks.start(self._inputs[node](str(value.Value)))
+                self._received.put_nowait(self._inputs[node](str(value.Value)))
 
-    async def _acted(self, person: str, nodes: _Nodes, text: str) -> None:
-        await self._answered(nodes, self._report(person, text))
-
-    async def _began(self, person: str, nodes: _Nodes, identifier: str) -> None:
-        report = Report(person, "", identifier, begins=True)
-        if len(identifier) > LONGEST_ID:
-            report = replace(report, id="", fault=f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
-        await self._answered(nodes, report)
-
-    async def _called(self, person: str, nodes: _Nodes, _: Any, action: Any, identifier: Any, seq: Any) -> list[Any]:
+    async def _called(self, person: str, _: Any, action: Any, identifier: Any, seq: Any) -> list[Any]:
         """Answer a call of `Report` with its status, a refusal's reason, and the number of the event."""
         self.counts["calls"] += 1
         report = self._report(person, str(action.Value or ""), identifier.Value or uuid.uuid4().hex)
         if seq.Value is not None and seq.Value > UNKNOWN:
-            report = replace(report, seq=seq.Value)
-        answer = await self._delivered(nodes, report)
-        return [
-            self._typed(answer.get(name, other)) for name, other in (("status", ""), ("detail", ""), ("seq", UNKNOWN))
-        ]
+            report = replace(report, values={**report.values, "seq": str(seq.Value)})
+        answered = asyncio.get_running_loop().create_future()
+        self._received.put_nowait(Reported(report, answered=partial(_resolve, answered)))
+        answer: Answer = await answered
+        seq_now = UNKNOWN if answer.seq is None else answer.seq
+        return [self._typed(value) for value in (answer.status, answer.detail or "", seq_now)]
 
     def _report(self, person: str, text: str, identifier: str | None = None) -> Report:
         """Return what a text reports; a fault is part of it."""
@@ -294,32 +221,36 @@ class OpcUaServer:
                 fields["id"] = identifier
             return source.report(fields)
         except MessageError as error:
-            return Report(person, "", identifier or "", fault=str(error))
+            return Report(person, identifier or "", fault=str(error))
 
-    async def _delivered(self, nodes: _Nodes, report: Report) -> dict[str, Any]:
-        """Deliver a report to the service, show the advice after it, and return the answer."""
-        async with nodes.turn:
-            try:
-                view = await self._session.report(report)
-            except RefusedError as error:
-                LOG.warning("OPC UA: a report of %.80s: %s", report.person, error)
-                answer = {"id": report.id, "status": "refused", "detail": str(error)}
-            else:
-                with suppress(self._library.ua.UaError):  # the person has left meanwhile
-                    await self._show_advice(nodes, view)
-                answer = {"id": report.id, "status": "recorded", "seq": view["seq"]}
-            self.counts[answer["status"]] += 1
-            return answer
+    # What goes where.
 
-    async def _answered(self, nodes: _Nodes, report: Report) -> None:
-        answer = await self._delivered(nodes, report)
-        with suppress(self._library.ua.UaError):
-            await nodes.variables["Answer"].write_value(self._typed(json.dumps(answer)))
+    def advice(self, person: str, view: Mapping[str, Any] | None) -> Iterable[Output]:
+        """Yield a person's advice; when they have left, their nodes are removed."""
+        shown = None if view is None else {
+            "Suggestion": view["suggestion"], "Finished": view["finished"], "Seq": view["seq"],
+        }  # fmt: skip
+        yield Output(f"People/{person}", shown, keep=True)
 
-    async def _arrived(self, robot: int, nodes: _Nodes, person: str) -> None:
-        """Report that a robot is at a person."""
-        async with nodes.turn:
-            try:
-                await self._session.ask("POST", f"{robot_path(robot)}/arrived", {"person": person})
-            except RefusedError as error:
-                LOG.warning("OPC UA: arrival of a robot: %s", error)
+    def answer(self, answer: Answer) -> Iterable[Output]:
+        """Yield the answer to a value."""
+        yield Output(f"People/{answer.person}", {"Answer": json.dumps(answer.as_dict())})
+
+    def instruction(self, robot: int, errand: Mapping[str, Any]) -> Iterable[Output]:
+        """Yield where a robot is to go and what it suggests there."""
+        shown = {"Person": errand["person"], "Suggestion": errand["suggestion"]}
+        yield Output(f"Robots/{robot}", shown, keep=True)
+
+
+def _begun(person: str, identifier: str) -> Report:
+    """Return the report that a person begins the next task; the value is its id."""
+    report = Report(person, identifier, "began")
+    if len(identifier) > LONGEST_ID:
+        why = f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}"
+        return replace(report, id="", fault=why)
+    return report
+
+
+def _resolve(answered: asyncio.Future[Answer], answer: Answer) -> None:
+    with suppress(asyncio.InvalidStateError):  # the client has disconnected
+        answered.set_result(answer)

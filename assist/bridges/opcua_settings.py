@@ -11,7 +11,7 @@ from typing import Annotated
 from pydantic import Field
 
 from ..declare import tables as toml
-from ..declare.declared import Expected, Text, Truth, declared
+from ..declare.declared import Expected, Text, declared
 from ..declare.tables import convert, fault, located
 from .messages import Names, Source, Topic, source_of
 
@@ -37,7 +37,7 @@ class ObserveTable:
     id: Text | None = None
     pattern: Text | None = None
     answer: Text | None = None
-    begins: Truth = False
+    event: Text = "acted"
 
 
 @declared

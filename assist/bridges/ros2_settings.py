@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ..declare import tables as toml
-from ..declare.declared import AnyTable, Expected, Text, Texts, Truth, declared
+from ..declare.declared import AnyTable, Expected, Text, Texts, declared
 from ..declare.tables import convert, fault, located
 from .messages import (
     FIELD,
@@ -55,7 +55,7 @@ class ObserveTable:
     person: Text = "{person}"
     seq: Text | None = None
     pattern: Text | None = None
-    begins: Truth = False
+    event: Text = "acted"
 
 
 @declared

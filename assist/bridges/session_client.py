@@ -7,14 +7,12 @@ import hashlib
 import json
 from collections.abc import AsyncIterator
 from typing import Any
-from urllib.parse import quote, urlsplit
+from urllib.parse import urlsplit
 
 import httpx2
 
-from ..web.client import AGAIN, Client, EventReader, RefusedError
-from .messages import Report
-
-UNUSABLE = 422  # status of a report without an action
+from ..live.events import Event
+from ..web.client import AGAIN, Client, EventReader, RefusedError, request_of
 
 
 class SessionClient:
@@ -72,22 +70,15 @@ class SessionClient:
                 pass  # no answer, or one of a proxy
             await asyncio.sleep(self._pause)
 
-    async def report(self, report: Report) -> Any:
-        """Record what a message reports; return the person's new view.
+    async def send(self, event: Event) -> Any:
+        """Report an event; return the view of the person, or of the robot.
 
         Raises
         ------
         RefusedError
-            The service refused it, or the message has no usable action.
+            The service refused it.
         """
-        what, body = "begin", dict[str, Any](id=report.id)
-        if not report.begins:
-            what, body["action"] = "actions", report.action
-        if report.seq is not None:
-            body["seq"] = report.seq
-        if report.fault is not None:
-            raise RefusedError(UNUSABLE, report.fault)
-        return await self.ask("POST", f"/api/people/{quote(report.person, safe='')}/{what}", body)
+        return await self.ask(*request_of(event))
 
     async def changes(self) -> AsyncIterator[tuple[str, dict[str, Any]]]:
         """Yield what changes in the team, as `Client.changes` does. A lost connection is restored.

@@ -132,6 +132,9 @@ def kinds(base: type[Event]) -> dict[str, type[Any]]:
 class TeamEvent(Event):
     """An event of a team."""
 
+    reversible: ClassVar[bool] = False
+    """Whether all events of this kind can be taken back."""
+
     def recorded(self, desk: Desk) -> Self | None:  # noqa: ARG002
         """Return the event as it is recorded, after checking that it is possible; None if it changes nothing.
 
@@ -168,7 +171,7 @@ class TeamEvent(Event):
     @property
     def can_be_taken_back(self) -> bool:
         """Whether `take_back` undoes it."""
-        return False
+        return self.reversible
 
     def take_back(self, desk: Desk) -> Any:
         """Undo the event, the last of its kind in the person's task; return what it was."""
@@ -300,6 +303,7 @@ class Acted(OfPerson):
 
     path: ClassVar[str | None] = "/api/people/{person}/actions"
     nothing: ClassVar[str | None] = "nothing_done"
+    reversible: ClassVar[bool] = True
 
     def recorded(self, desk: Desk) -> Self | None:
         """Return the action in PDDL notation, with whether the suggestion was heard."""
@@ -313,11 +317,6 @@ class Acted(OfPerson):
         desk.acted(
             self.person, self.action, heard=self.heard, likelihoods=self.likelihoods, missed=self.missed, time=time
         )
-
-    @property
-    def can_be_taken_back(self) -> bool:
-        """Whether it can: always."""
-        return True
 
     def take_back(self, desk: Desk) -> str | None:
         """Return to the state and belief before the action. The suggestion before it is open again."""

@@ -324,7 +324,7 @@ async def _serve(
     bridge = None if beside is None else beside(f"{_local(listening)}/operator#{access.operator}")
     others = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))
     if bridge is not None:
-        service.bridges[type(bridge).__name__] = bridge
+        service.bridges[bridge.name] = bridge
         others = _both(others, bridge)
     service.changed_settings = changed_settings
     reloads: set[asyncio.Task[None]] = set()

@@ -45,6 +45,10 @@ class Bridge(Protocol):
     """A connection between the service and another protocol, which works while the service runs."""
 
     @property
+    def name(self) -> str:
+        """The name of the protocol."""
+
+    @property
     def counts(self) -> Mapping[str, int]:
         """The bridge's counts, such as those of messages, by name."""
 

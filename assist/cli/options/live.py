@@ -29,6 +29,7 @@ from .travel import travel_of
 if TYPE_CHECKING:
     from planner import CostToGo
 
+    from ...bridges.transport import Transport
     from ...live.events import TeamEvent
     from ...live.session import Session
     from ...people.goals import Goals
@@ -188,7 +189,7 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
         from ...bridges import mqtt, opcua, opcua_server
         from ...bridges.mqtt_settings import MqttSettings
         from ...bridges.opcua_settings import OpcUaSettings, OwnServerSettings
-        from ...bridges.ros2 import Ros2Bridge
+        from ...bridges.ros2 import Ros2
         from ...bridges.ros2_settings import Ros2Settings
         from ...declare import tables as toml
     except ImportError as error:  # of the library for typed tables
@@ -196,19 +197,26 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
     try:
         tables = toml.load(file)
         if "rosbridge" in tables:
-            return partial(Ros2Bridge, Ros2Settings.read(file, robots))
+            return partial(_bridge, partial(Ros2, Ros2Settings.read(file, robots)))
         if "own_server" in tables:
             opcua.library()
-            return partial(opcua_server.OpcUaServer, OwnServerSettings.read(file, robots))
+            return partial(_bridge, partial(opcua_server.OwnServer, OwnServerSettings.read(file, robots)))
         if "server" in tables:
             opcua.library()
-            return partial(opcua.OpcUaBridge, OpcUaSettings.read(file))
+            return partial(_bridge, partial(opcua.OpcUa, OpcUaSettings.read(file)))
         mqtt.library()
         settings = MqttSettings.read(file, robots)
         settings.context()
-        return partial(mqtt.MqttBridge, settings)
+        return partial(_bridge, partial(mqtt.Mqtt, settings))
     except (InputFileError, OSError) as error:
         raise click.UsageError(str(error)) from None
+
+
+def _bridge(transport: Callable[[], Transport], link: str, **options: Any) -> Bridge:
+    """Return the bridge of a transport, given the operator's link and options as in `assist.bridges.Bridge`."""
+    from ...bridges import kernel
+
+    return kernel.Bridge(transport(), link, **options)
 
 
 def _named(instances: list[Instance]) -> dict[str, Instance]:

@@ -428,15 +428,14 @@ at("ignore").addEventListener("click", single(() => {
 }));
 at("reasons").addEventListener("toggle", explain);
 at("against").addEventListener("change", compare);
-at("retract").addEventListener("click", single(() => {
-  complain(null);
-  if (outbox.send(pathOf(person, "/undo"), { of: "answered" })) show();
-  at("choices-title").focus({ preventScroll: true });
-}));
-at("undo").addEventListener("click", single(() => {
-  complain(null);
-  if (outbox.send(pathOf(person, "/undo"), {})) show();
-}));
+/** A button may report an event: its path is `data-event`, its fields are `data-fields`, and `data-then` gets the focus. */
+for (const button of all("button[data-event]")) {
+  button.addEventListener("click", single(() => {
+    complain(null);
+    if (outbox.send(pathOf(person, `/${button.dataset.event}`), JSON.parse(button.dataset.fields ?? "{}"))) show();
+    if (button.dataset.then) at(button.dataset.then).focus({ preventScroll: true });
+  }));
+}
 at("again").addEventListener("click", () => {
   remember(Date.now());
   if (outbox.send(pathOf(person, "/begin"), {})) show();

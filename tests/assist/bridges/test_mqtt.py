@@ -28,8 +28,9 @@ from serving import TINY, served
 from starlette.testclient import TestClient
 from test_docs import BLOCK
 
+from assist.bridges.kernel import Bridge
 from assist.bridges.messages import MessageError, Report, Source, Topic, fields_of, filled
-from assist.bridges.mqtt import MqttBridge
+from assist.bridges.mqtt import Mqtt
 from assist.bridges.mqtt_settings import MqttSettings
 from assist.bridges.opcua_settings import OpcUaSettings, OwnServerSettings
 from assist.bridges.ordering import Acknowledgements, InOrder
@@ -450,7 +451,7 @@ def test_texts_of_scanners_refusals_and_the_robot(broker: Broker, tmp_path: Path
         person = "{name}"
         [[observe]]
         topic = "next/{person}"
-        begins = true
+        event = "began"
         [answers]
         topic = "answers/{person}"
         [advice]
@@ -589,11 +590,12 @@ def test_reports_that_wait_for_a_missing_number_are_said(tmp_path: Path) -> None
     (file := tmp_path / "bridge.toml").write_text(SETTINGS.replace("PORT", "1"))
 
     async def waits() -> list[list[str]]:
-        bridge = MqttBridge(MqttSettings.read(file), "http://127.0.0.1:1/operator#t")
+        transport = Mqtt(MqttSettings.read(file))
+        bridge = Bridge(transport, "http://127.0.0.1:1/operator#t")
         found = []
         for number in (4, 6, 1, 2, 3):
             payload = json.dumps({"action": "(fetch box-a)", "id": str(number), "n": number}).encode()
-            bridge._observed("line/ann/action", payload, lambda: None)
+            bridge.take(transport.message("line/ann/action", payload, lambda: None))
             found.append(bridge.waits)
         await bridge._tasks.cancel()
         return found
@@ -652,7 +654,7 @@ def test_fields_of_payloads() -> None:
     }
     source = Source(Topic("line/{person}"), number="{n}", seq="{seq}")
     report = source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"})
-    assert (report.number, report.seq, report.fault) == (2, 0, None)
+    assert (report.number, report.values, report.fault) == (2, {"action": "(go)", "seq": "0"}, None)
     for wrong in ({"n": "0"}, {"n": "x"}, {"id": ""}, {"id": "i" * 129}, {"seq": "-1"}):
         with pytest.raises(MessageError, match="expected"):
             source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0", **wrong})
@@ -702,7 +704,7 @@ def test_the_settings_in_the_documentation(tmp_path: Path, monkeypatch: pytest.M
     (source,) = settings.sources
     payload = b'{"item": "4006381333931", "slot": "slot-1", "scan": "s-17", "n": 3}'
     report = source.report(source.fields("line/ann/action", payload))
-    assert report == Report("ann", "(place hammer slot-1)", "s-17", 3)
+    assert report == Report("ann", "s-17", values={"action": "(place hammer slot-1)"}, number=3)
     assert (settings.host, settings.port, settings.wait) == ("broker.example", 8883, 10.0)
 
 

@@ -59,7 +59,7 @@ def converse(
         await work(ros[0])
         await ros[0].stop()
 
-    here.run(file, all_of_it, every=0.2, again=0.05)
+    here.run(file, all_of_it, again=0.2, retry=0.05)
     assert ros[0].faults == []
     return ros[0]
 
@@ -143,7 +143,7 @@ def test_refusals_types_of_messages_and_people_who_leave(tmp_path: Path) -> None
         action = "({verb} {code})"
         [[observe]]
         topic = "/next"
-        begins = true
+        event = "began"
         [answers]
         topic = "/line/answers"
         [advice]

@@ -222,7 +222,7 @@ def test_nobody_fills_the_disk_with_actions_and_whoever_does_can_withdraw(tiny: 
     web = Web(tiny, tmp_path)
     with web.client:
         now = [0.0]
-        web.service.events = Allowance(rate=1.0, burst=20, clock=lambda: now[0])
+        web.service.often = Allowance(rate=1.0, burst=20, clock=lambda: now[0])
         ann, eve = (web.come(name).json()["person"] for name in ("ann", "eve"))
         for name in (ann, eve):
             for stage in ("consent", "instructions"):

@@ -91,7 +91,7 @@ def attacks(web: Web, table: Table) -> None:
         "a stage again": (409, by(ann, "POST", f"{hers}/onward", stage="consent")),
         "the last stage at once": (409, by(eve, "POST", f"{mine}/onward", stage="thanks")),
         "an action before the task": (409, by(eve, "POST", f"/api/people/{eve}/actions", action="(fetch box-a)")),
-        "an undone action": (409, by(eve, "POST", f"/api/people/{eve}/undo")),
+        "an undone action": (404, by(eve, "POST", f"/api/people/{eve}/undo")),
         # What is too large or of another form.
         "answers where none are asked": (422, by(eve, "POST", f"{mine}/onward", stage="consent", answers={"a": 1})),
         "a large form": (413, by(eve, "POST", f"{mine}/onward", stage="consent", answers={"a": "x" * LARGEST})),
