@@ -3,12 +3,12 @@
     python bench/enhsp.py [NAME...] [--drawn 24] [--seconds 60] [--record FILE]
 
 ENHSP (the package up-enhsp, which needs Java) searches with `opt-hrmax`, an optimal A*. The tasks are those of
-`domains/stock`, the numeric cases of `test_cases_numbers`, tasks that `tests/random_numeric.py` draws, and,
-where the environment variable NUMERIC_PDDL names a folder with a folder for each pair (`domain.pddl` and `p.pddl`),
-those without durations. Each runs in a process of its own, from the files to an optimal plan. Times are processor
-seconds of the whole process, Python's and Java's start included. Where
-costs differ, a direct search over the original meaning decides; if it does not agree with this project, the exit code
-is 1. Without Java or the package the script says so and does nothing.
+`domains/stock`, the numeric cases of `tests/planner/pddl/test_cases_numbers.py`, and some of `tests/random_numeric.py`.
+Where the environment variable NUMERIC_PDDL names a folder with a folder for each pair (`domain.pddl` and `p.pddl`),
+those without durations are too. Each runs in a process of its own, from the files to an optimal plan. Times are
+processor seconds of the whole process, Python's and Java's start included. Where costs differ, a direct search over the
+original meaning decides; if it does not agree with this project, the exit code is 1. Without Java or the package the
+script says so and does nothing.
 
 ENHSP reads its plan's cost from the metric; without a metric each action costs 1. A function without an initial value
 makes an effect that reads it impossible here; ENHSP may see that otherwise, so that such tasks are left out.
@@ -58,7 +58,7 @@ def tasks(folder: Path, drawn: int) -> Iterator[tuple[str, Path, Path]]:
     for problem in sorted(STOCK.glob("*.pddl")):
         if problem.stem != "domain":
             yield f"stock/{problem.stem}", STOCK / "domain.pddl", problem
-    sys.path.insert(0, str(ROOT / "tests"))
+    sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "tests" / "planner" / "pddl")]
     import random_numeric
     from test_cases_numbers import CASES
 

@@ -5,12 +5,12 @@
         [--record FILE]
 
 FOLDER has a folder for each pair, with `domain.pddl` and `p.pddl`, and a list `pairs.txt`: a line for each, with its
-name, repository, domain and problem. Each pair runs in a process of its own. It is compiled and grounded within a limit
-of processor time, so that the outcome does not depend on the load of the machine. An optimal plan is searched, and a
-direct search over the original meaning (`tests/direct_search.py`) answers, each within its own limit. A plan must
-replay in that meaning with the same cost, and where both searches end, their costs must agree. A difference is a
-violation: it is printed, and the exit code is 1. Pairs that --out has already are not run again. With --refusals the
-files are only read, and what is refused is counted by kind.
+name, repository, domain and problem. The record lists these too, each with its outcome. Each pair runs in a process of
+its own. It is compiled and grounded within a limit of processor time, so that the outcome does not depend on the load
+of the machine. An optimal plan is searched, and a direct search over the original meaning (`tests/direct_search.py`)
+answers, each within its own limit. A plan must replay in that meaning with the same cost, and where both searches end,
+their costs must agree. A difference is a violation: it is printed, and the exit code is 1. Pairs that --out has already
+are not run again. With --refusals the files are only read, and what is refused is counted by kind.
 """
 
 from __future__ import annotations
@@ -199,7 +199,8 @@ def main(
         if out is not None:
             with out.open("a") as stream:
                 stream.write(json.dumps(row) + "\n")
-    write_record(record, COLUMNS, summary(rows, Path(place) / "pairs.txt"))
+    listed = Path(place) / "pairs.txt"
+    write_record(record, COLUMNS, summary(rows, listed), pairs=each_outcome(rows, listed))
     sys.exit(any(row["violation"] for row in rows))
 
 
@@ -225,6 +226,12 @@ def refused(folders: list[Path], listed: Path) -> list[dict[str, Any]]:
         groups.setdefault(what, []).append(repositories[folder.name])
     rows = [*sorted(groups.items(), key=lambda each: -len(each[1])), ("all", [*repositories.values()])]
     return [{"what": what, "pairs": len(found), "repositories": len(set(found))} for what, found in rows]
+
+
+def each_outcome(rows: list[dict[str, Any]], listed: Path) -> list[str]:
+    """Return a line for each pair: its repository, domain, problem and outcome."""
+    files = {name: rest for name, *rest in (line.split("\t") for line in listed.read_text().splitlines())}
+    return sorted(" | ".join((*files[row["pair"]], row.get("kind") or row["status"])) for row in rows)
 
 
 def summary(rows: list[dict[str, Any]], listed: Path) -> list[dict[str, Any]]:

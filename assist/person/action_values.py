@@ -18,11 +18,14 @@ def _without_suggestion(expected: Floats, mean: Floats, value: Floats, x: int, h
     expected[:] = 0.0
     mean[:] = 0.0
     for a in range(m.counts[x]):
-        y, c, p = m.targets[x, a], m.costs[x, a], m.chosen[x, a, h]
+        y, c, p = np.uint64(m.targets[x, a]), m.costs[x, a], m.chosen[x, a, h]
         for t in range(len(m.theta)):
             u = m.gamma * value[y, h, t] - c
             expected[t] += p * u
-            mean[t] += u / m.counts[x]
+            mean[t] += u
+    share = 1.0 / max(1, m.counts[x])
+    for t in range(len(m.theta)):
+        mean[t] *= share
 
 
 # One function, since value iteration took 1.5 to 2 times as long with its inner loops in a function of their own.

@@ -10,7 +10,9 @@ then all other states. In a region, two steps alternate.
 
 The first policy is the given one, or else to do nothing. Theta has no effect on the latter, so that its equations have
 one unknown for each state. In a dead end, mostly no suggestion is worth its cost; then the first sweep is the last.
-A few sweeps are enough elsewhere. Equations that would take too much memory are left out; then sweeps alone go on.
+A few sweeps are enough elsewhere. Later equations leave out the smallest and largest thetas at which the policy still
+does nothing. Their values are known, as theta does not move there. Equations that would take too much memory are left
+out; then sweeps alone go on.
 
 **Bounds and the stopping rule.** For one type, let T be the Bellman operator on a region, or that of one policy, where
 all other states have fixed values.
@@ -74,6 +76,7 @@ KRYLOV_STEPS = 200  # of two products each; 20 to 60 converge in all tasks that 
 AT_ONCE = 20_000_000  # entries that are read before the clock is; they take about 0.02 s
 INEXACT = 0.05  # equations of a policy that will change are solved to this share of the last change
 FEW_CHANGES = 1e-3  # share of a policy; one that changes by less is nearly the best, and is solved precisely
+UNSIGNED, NEXT = np.uint64, np.uint64(1)  # compiled code asks of signed indices whether they count from the end
 SMALL = 20_000  # values; the sweeps over fewer take less time than to start threads
 
 
@@ -180,8 +183,7 @@ def load_compiled(arrays: ProblemArrays) -> None:
     policy = np.zeros((0, len(arrays.theta)), np.int32)
     _sweep(value, nothing, nothing, policy, arrays)
     _tighten(value, value, nothing, 0.0, below=False)
-    equations = _Equations.of(nothing, 0, arrays, len(arrays.theta))
-    assert equations is not None
+    equations = _Equations.of(nothing, 0, arrays, nothing, 0, len(arrays.theta))
     equations.solve(value, policy, 1.0, lambda: False)
     _krylov(np.zeros(1), equations.rows, _Krylov.of(np.zeros(1), equations.rows), 1.0, 1)
 
@@ -213,12 +215,14 @@ class _Region:
         m, order, tolerance = self.m, self.order, self.limits.tolerance
         if not len(order):
             return True
-        horizon, least = m.gamma / (1 - m.gamma), rounding(m.targets.shape[1]) / (1 - m.gamma)
+        horizon, exact = m.gamma / (1 - m.gamma), rounding(m.targets.shape[1]) / (1 - m.gamma)
         outwards = -horizon if self.below else horizon
         first = np.maximum(self.robot, 0).astype(np.int32)
         found, policy = self.value.copy(), first.repeat(len(m.theta)).reshape(-1, len(m.theta))
-        equations = _Equations.of(order, len(found), m, len(m.theta))
-        solved, settled = self._start(found, policy, equations, dead), equations is None
+        equations, room = None, _room(order, m)
+        few = int(room.sum()) * len(m.theta) <= MOST_ENTRIES
+        silent, solved = self._start(found, policy, room, dead, few)
+        settled = not few
         for number in range(self.limits.sweeps):
             if self.stop():
                 return False
@@ -231,10 +235,15 @@ class _Region:
             late = number >= FEW_SWEEPS
             # Bounds that are moved outwards by little are also good values; equations are solved that precisely.
             near = horizon * (100 * off + change) <= tolerance
-            if near or ((settled or late) and horizon * (off + change) <= max(tolerance, least * scale)):
+            if near or ((settled or late) and horizon * (off + change) <= max(tolerance, exact * scale)):
                 self.value[order] = found[order] + outwards * off
                 return True
-            if equations is not None and (not late or number.bit_count() == 1):
+            if few and (not late or number.bit_count() == 1):
+                # At other thetas the policy is that of the start.
+                suggested = np.flatnonzero(policy[order].any(axis=0)).tolist() if silent else []
+                least, last = (suggested[0], suggested[-1]) if suggested else (0, len(m.theta) - 1)
+                if equations is None or not equations.least <= least <= last < equations.end:
+                    equations = _Equations.of(order, len(found), m, room, least, last + 1 - least)
                 precise = self._precise(scale)
                 early = changed > FEW_CHANGES * len(order) * len(m.theta)
                 goal = max(INEXACT * change, precise) if early else precise
@@ -242,19 +251,23 @@ class _Region:
                 solved, settled = True, goal == precise
         return False
 
-    def _start(self, found: Floats, policy: NDArray[np.int32], equations: _Equations | None, dead: bool) -> bool:
-        """Replace the region's values by those of a first policy; return False if its equations would be too many."""
+    def _start(self, found: Floats, policy: NDArray[np.int32], room: Ints, dead: bool, few: bool) -> tuple[bool, bool]:
+        """Replace the region's values by those of a first policy, unless its equations would be too many.
+
+        Return whether the policy is to do nothing and theta has no effect on its values, and whether they were solved.
+        """
         m, order, asked = self.m, self.order, self.robot[self.order]
         outside = np.ones(len(found), dtype=bool)
         outside[order] = False
         silent = not policy[order].any() and not np.ptp(found[outside], axis=2).any()
-        if silent and (dead or equations is not None or (asked >= 0).all()):
-            equations = _Equations.of(order, len(found), m, 1)
-        if equations is None:
-            return False
+        if not few and not (silent and (dead or (asked >= 0).all())):
+            return False, False
+        equations = _Equations.of(order, len(found), m, room, 0, 1 if silent else len(m.theta))
         dearest = float(m.costs[order].max() + m.robot_costs[order].max())
         equations.solve(found, policy, self._precise(dearest / (1 - m.gamma)), self.stop)
-        return True
+        if silent:
+            found[order] = found[order, :, :1]
+        return silent, True
 
     def _precise(self, scale: float) -> float:
         """Return the largest change of a sweep over values that have converged, given the largest absolute value."""
@@ -278,46 +291,58 @@ class _Rows(NamedTuple):
     constant: Floats
 
 
+def _room(order: Ints, m: ProblemArrays) -> Ints:
+    """Return the largest number of choices after any robot action in each state of an order, for one theta."""
+    actions = np.arange(m.suggested.shape[1]) < m.robot_actions[order, None]
+    return np.asarray(np.where(actions, m.counts[m.afterstate[order]], 0).max(axis=1, initial=0))
+
+
 @dataclass(frozen=True)
 class _Equations:
-    """The equations of policies of one region and beta; `filled`, shape (states, thetas), is the policy of the rows."""
+    """The equations of policies of one region and type, for neighbouring values of theta from index `least` on.
+
+    `filled`, shape (states, thetas), is the policy of the rows.
+    """
 
     order: Ints
     place: NDArray[np.int32]
+    least: int
     filled: NDArray[np.int32]
     rows: _Rows
     m: ProblemArrays
 
     @classmethod
-    def of(cls, order: Ints, states: int, m: ProblemArrays, thetas: int) -> _Equations | None:
-        """Return equations that are to be filled in, or None if they would be too large.
+    def of(cls, order: Ints, states: int, m: ProblemArrays, room: Ints, least: int, thetas: int) -> _Equations:
+        """Return equations for some values of theta, from index `least` on, which are to be filled in.
 
-        With one theta, they are those of a policy on which theta has no effect.
+        The values of others are fixed.
         """
-        actions = np.arange(m.suggested.shape[1]) < m.robot_actions[order, None]
-        room = np.where(actions, m.counts[m.afterstate[order]], 0).max(axis=1, initial=0)
-        if (entries := int(room.sum()) * thetas) > MOST_ENTRIES:
-            return None
         first = np.concatenate([[0], np.cumsum(room.repeat(thetas))])
         place = np.full(states, -1, dtype=np.int32)
         place[order] = np.arange(len(order))
+        entries = int(first[-1])
         rows = _Rows(
             first, first[:-1].copy(), np.empty(entries, np.int32), np.empty(entries), np.empty(entries),
             np.empty(len(first) - 1),
         )  # fmt: skip
         filled = np.full((len(order), thetas), -1, dtype=np.int32)
-        return cls(order, place, filled, rows, m)
+        return cls(order, place, least, filled, rows, m)
+
+    @property
+    def end(self) -> int:
+        """The index after the last theta."""
+        return self.least + self.filled.shape[1]
 
     def solve(self, found: Floats, policy: NDArray[np.int32], goal: float, stop: Callable[[], bool]) -> None:
         """Replace the region's values by those of a policy, shape (n, T): a sweep changes them by `goal` at most.
 
         The change is larger if time is over, or if no method converges.
         """
-        thetas = self.filled.shape[1]
-        _fill_rows(self.rows, self.filled, self.order, self.place, policy, found, self.m)
-        value = np.append(found[self.order, 0, :thetas], 0.0)
+        thetas = slice(self.least, self.end)
+        _fill_rows(self.rows, self.filled, self.order, self.place, policy, found, self.least, self.m)
+        value = np.append(found[self.order, 0, thetas], 0.0)
         value = _solved(value, self.rows, goal, stop)
-        found[self.order, 0] = value[:-1].reshape(self.filled.shape)
+        found[self.order, 0, thetas] = value[:-1].reshape(self.filled.shape)
 
 
 def _solved(value: Floats, rows: _Rows, goal: float, stop: Callable[[], bool]) -> Floats:
@@ -406,8 +431,9 @@ def _sweep_rows(value: Floats, rows: _Rows, goal: float, sweeps: int) -> float:
         change = 0.0
         for i in range(len(rows.end)):
             total = rows.constant[i]
-            for k in range(rows.first[i], rows.end[i]):
-                total += rows.share[k] * value[rows.column[k]] + rows.further[k] * value[rows.column[k] + 1]
+            for k in range(UNSIGNED(rows.first[i]), UNSIGNED(rows.end[i])):
+                at = UNSIGNED(rows.column[k])
+                total += rows.share[k] * value[at] + rows.further[k] * value[at + NEXT]
             change = max(change, abs(total - value[i]))
             value[i] = total
         if change <= goal:
@@ -421,8 +447,9 @@ def _operate(image: Floats, step: Floats, rows: _Rows) -> None:
     image[:] = step
     for i in range(len(rows.end)):
         total = 0.0
-        for k in range(rows.first[i], rows.end[i]):
-            total += rows.share[k] * image[rows.column[k]] + rows.further[k] * image[rows.column[k] + 1]
+        for k in range(UNSIGNED(rows.first[i]), UNSIGNED(rows.end[i])):
+            at = UNSIGNED(rows.column[k])
+            total += rows.share[k] * image[at] + rows.further[k] * image[at + NEXT]
         image[i] = total
     for i in range(len(rows.end)):
         image[i] = step[i] - image[i]
@@ -479,20 +506,23 @@ def _fill_rows(
     place: NDArray[np.int32],
     policy: NDArray[np.int32],
     value: Floats,
+    least: int,
     m: ProblemArrays,
 ) -> None:
     """Fill in the equations of a policy, shape (n, T), where it is not the one that is `filled` in.
 
-    `place` is the index of each state in the order; -1 stands for states with fixed values, which become constants.
+    The first theta has the index `least`. `place` is the index of each state in the order; -1 stands for states with
+    fixed values, which become constants, as do those of other thetas.
     """
     thetas = filled.shape[1]
+    end = least + thetas
     for i in range(len(order)):
         x = order[i]
-        for t in range(thetas):
-            r, row = policy[x, t], i * thetas + t
-            if filled[i, t] == r:
+        for t in range(least, end):
+            r, row = policy[x, t], i * thetas + t - least
+            if filled[i, t - least] == r:
                 continue
-            filled[i, t] = r
+            filled[i, t - least] = r
             acting, slot = m.afterstate[x, r], m.suggested[x, r]
             constant, k = -m.robot_costs[x, r], rows.first[row]
             count = 0 if m.goal[0, acting] else m.counts[acting]
@@ -510,12 +540,16 @@ def _fill_rows(
                 constant -= p * m.costs[acting, a]
                 at, part = (followed_low, followed_up) if a == slot else (low, up)
                 y, p = m.targets[acting, a], m.gamma * p
-                if place[y] >= 0:
-                    rows.column[k] = place[y] * thetas + at
-                    rows.share[k], rows.further[k] = p * (1.0 - part), p * part
+                before = place[y] >= 0 and least <= at < end
+                after = place[y] >= 0 and least <= at + 1 < end
+                share, further = p * (1.0 - part), p * part
+                if not before:
+                    constant += share * value[y, 0, at]
+                if not after and part > 0.0:
+                    constant += further * value[y, 0, at + 1]
+                if before or after:
+                    rows.column[k] = place[y] * thetas + at - least if before else place[y] * thetas
+                    rows.share[k] = share if before else further
+                    rows.further[k] = further if before and after else 0.0
                     k += 1
-                else:
-                    constant += p * (1.0 - part) * value[y, 0, at]
-                    if part > 0.0:
-                        constant += p * part * value[y, 0, at + 1]
             rows.constant[row], rows.end[row] = constant, k

@@ -134,6 +134,14 @@ def test_numba_can_be_switched_off() -> None:
     assert (done.stdout, done.stderr) == ("0.5\n", "")
 
 
+def test_the_compiler_comes_without_the_part_of_scipy_that_it_does_not_need() -> None:
+    """It would take 0.1 s of each first step that is compiled."""
+    code = "import sys; from assist.people.influence_kernels import update_trust; update_trust(0.5, 0.0, 1.0)"
+    code += "; print('numba' in sys.modules, 'scipy.linalg' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("True False\n", "")
+
+
 @pytest.mark.parametrize("package", ["planner", "assist"])
 def test_all_compiled_code_is_cached_in_this_way(package: str) -> None:
     for file in (ROOT / package).rglob("*.py"):
