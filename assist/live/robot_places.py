@@ -77,7 +77,7 @@ class RobotPlaces:
 
     def cost(self, number: int, origin: int) -> Floats:
         """Return what it costs a robot to move from a place to each place, in cost units, shape (P + 1,)."""
-        return np.asarray(self.travel.c_move[number] * self.travel.distance[origin])
+        return self.travel.costs_of(number, origin)
 
     def takes_time(self, number: int, place: int) -> bool:
         """Return whether a robot that is sent to a place arrives in a later step."""

@@ -62,7 +62,7 @@ class TraceReasons:
         point = DecisionPoint(
             tuple(names), tuple(self._problem(int(model[one])) for one in own), policies,
             team.beliefs.of(row * count + np.arange(count)), own, np.zeros(count, dtype=np.int64), team.active[row],
-            ~team.active[row], {}, here, travel.c_move[number] * travel.distance[here], rule,
+            ~team.active[row], {}, here, travel.costs_of(number, here), rule,
             float(team.fleet.extra[number, SUGGESTION]),
         )  # fmt: skip
         found = point.suggested(place, robot, arrived=True)

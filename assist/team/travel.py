@@ -108,6 +108,10 @@ class Travel:
         """Return the costs of moves of robots, given by their numbers from 0, between pairs of places."""
         return np.asarray(self.c_move[robot] * self.distance[origin, to])
 
+    def costs_of(self, robot: int, origin: int) -> Floats:
+        """Return the costs of one robot's moves from a place to each place and the base, shape (K + 1,)."""
+        return self.costs_between(np.array(robot), np.array(origin), np.arange(len(self.distance)))
+
     def steps_between(
         self, robot: NDArray[np.int64], origin: NDArray[np.int64], to: NDArray[np.int64]
     ) -> NDArray[np.int64]:
