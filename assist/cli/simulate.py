@@ -52,7 +52,6 @@ def simulate(
     from ..simulation.episode import plain_summary
     from ..simulation.episodes import Episodes
     from ..simulation.illustration import Illustration
-    from ..simulation.pool import MAX_ENUMERATED
     from ..simulation.simulate import simulate as run
     from ..team.policies import UserPolicy
     from .output.episode_summaries import show_comparison
@@ -77,8 +76,7 @@ def simulate(
     with policy_errors():
         policies, results = policies_of(names), list[Episodes]()
         goals = several_goals(
-            instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states,
-            asked=None if setting.c_ask is None else MAX_ENUMERATED,
+            instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states
         )  # fmt: skip
         made = team_of(instance, setting, given, humans=humans, size=size, seed=seed, domain=domain, goals=goals)
         options: dict[str, Any] = {

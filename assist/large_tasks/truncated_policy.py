@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -30,9 +30,10 @@ from planner.system.progress import reporting
 from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.goals import Goals, each_of, first_of
+from ..people.hidden_type import HiddenType, OfGoals
 from ..people.human import Human, Population
 from ..people.trust_rules import counts_of
-from ..person.policy import Policy
+from ..person.policy import OfRows, Policy
 from ..person.policy_iteration import SOLVING
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays
@@ -51,6 +52,9 @@ REGION = {"sweep": 20_000, "orbits": 3_000, "on-demand": 200}
 
 A table answers at once; a query by symmetry takes longer, and a search may take seconds.
 """
+
+NEVER = (-1.0,)
+"""The key of estimates for a robot that never helps."""
 
 ROWS = 20_000
 """Number of rows, of some kilobytes each, that all policies for the people of a task keep together."""
@@ -104,8 +108,8 @@ class TruncatedPolicy(Policy):
     like : TruncatedPolicy or None
         Policy of another person, whose values are the start of value iteration; this saves time for many people.
     solved : dict
-        Cached estimates for each goal, by the parameters of the subproblem with a price of attention; the key is ()
-        without one.
+        Cached estimates for each goal, by the parameters of the subproblem with a price of attention. The key is () for
+        a robot that is always present, and `NEVER` for one that does not help.
     bounds : dict
         Cached problems for bounds, by the cost of coming and by whether the outer relaxation is included.
     """
@@ -283,13 +287,33 @@ class TruncatedPolicy(Policy):
             self.solved[key] = tuple(found)
         return self.solved[key]
 
+    @property
+    def helped(self) -> OfRows:
+        """Estimates of the values of a robot that helps a person whose type and theta it knows."""
+        return partial(self._in_rows, self.prepare())
+
+    @property
+    def unhelped(self) -> OfRows:
+        """Estimates of the values of a robot that never helps; they are computed by the first call."""
+        if NEVER not in self.solved:
+            problems = [self.problem(region) for region in self.regions]
+            self.solved[NEVER] = tuple(
+                LeafEstimates.of(replace(problem, robot_actions=np.ones_like(problem.robot_actions)), region)
+                for problem, region in zip(problems, self.regions, strict=True)
+            )
+        return partial(self._in_rows, self.solved[NEVER])
+
+    def _in_rows(self, each: tuple[LeafEstimates, ...], x: Ints) -> Floats:
+        pomdp = self.pomdp
+        return _values(each, self.places(x), pomdp.model.choices.goals.of_rows(x), pomdp.hidden)[:, 0]
+
     def q_values(self, x: Ints, belief: Floats) -> Floats:
         """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
         return self.growing.q_values("", self._backup, 0, x, belief)
 
     def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
         """Return Q-values in the first rows of a problem of one step, and their numbers, as `Backup` does."""
-        value = _values(self.prepare(), region, pomdp)[:, 0]
+        value = _values(self.prepare(), region.states, region.choices.goals, pomdp.hidden)[:, 0]
         return _look_ahead(pomdp, value, np.arange(count)[:, None])
 
 
@@ -309,16 +333,16 @@ class VisitedRows:
     def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
         visits = _visits(pomdp, self.robot)
         layout = visits.layout
-        value = _values(self.policy._visited(self.robot), region, pomdp)[layout.x, layout.position]
+        each = _values(self.policy._visited(self.robot), region.states, region.choices.goals, pomdp.hidden)
+        value = each[layout.x, layout.position]
         here = layout.number(0, np.arange(layout.positions), np.arange(count)[:, None])
         return _look_ahead(visits.at_price(_key(self.robot)[-1]), value, here)
 
 
-def _values(each: tuple[LeafEstimates, ...], region: TruncatedTask, pomdp: AssistPOMDP) -> Floats:
-    """Return estimates of the value of all states of a region, shape (n, P, H, T), from those of each goal."""
-    goals = region.choices.goals
-    found = np.concatenate([one.at(region.states, own) for one, own in zip(each, goals.h, strict=True)], axis=2)
-    return np.where(goals.goal[pomdp.hidden.goal_of].T[:, None, :, None], 0.0, found)
+def _values(each: tuple[LeafEstimates, ...], states: Ints, goals: OfGoals, hidden: HiddenType) -> Floats:
+    """Return estimates of the value of states, shape (N, P, H, T), from those of each goal."""
+    found = np.concatenate([one.at(states, own) for one, own in zip(each, goals.h, strict=True)], axis=2)
+    return np.where(goals.goal[hidden.goal_of].T[:, None, :, None], 0.0, found)
 
 
 def _look_ahead(pomdp: AssistPOMDP, value: Floats, states: Ints) -> tuple[Floats, Ints]:

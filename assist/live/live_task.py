@@ -185,13 +185,11 @@ def require_usable(task: CostToGo | Goals | Policy, setting: Setting, prior: Pop
     elif isinstance(task, Goals) and prior.weights:
         raise ValueError("people who remember what they did: expected one goal")
     elif not is_whole(task):
-        several = isinstance(task, Goals)
         for what, asked in (
             ("people who remember what they did", prior.weights), ("missed or confused actions", setting.observation),
-            ("questions about goals", several and setting.c_ask is not None),
         ):  # fmt: skip
             if asked:
-                rows = f", and {rows_within(WHOLE):,} for all goals together" if several else ""
+                rows = f", and {rows_within(WHOLE):,} for all goals together" if isinstance(task, Goals) else ""
                 raise ValueError(f"{what}: expected a task of at most {WHOLE:,} states{rows}")
 
 

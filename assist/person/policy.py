@@ -8,6 +8,7 @@ them: they ask for the rows of the places where people are (`Policy.rows`), and 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,9 @@ from .ties import first_best
 from .visiting_robot import VisitingRobot
 
 Ints = NDArray[np.int64]
+
+OfRows = Callable[[Ints], Floats]
+"""A function of rows, shape (N,), that returns values for known type and theta, shape (N, H, T), in cost units."""
 
 
 class Policy:
@@ -148,6 +152,16 @@ class Policy:
     def with_robot(self, robot: VisitingRobot) -> Any:
         """Return the person's solved problem with a robot that comes and goes (`VisitingRobot.solved`)."""
         return robot.solved(self)
+
+    @property
+    def helped(self) -> OfRows | None:
+        """Values of a robot that helps a person whose type and theta it knows; None if `pomdp` has to be solved."""
+        return None
+
+    @property
+    def unhelped(self) -> OfRows | None:
+        """Values of a robot that never helps; None if they follow from `pomdp` alone."""
+        return None
 
     def bounded(self, entry: float, **limits: Any) -> list[tuple[float, Any]] | None:
         """Return each goal's probability and the problem whose upper bound holds for the whole task.

@@ -203,12 +203,12 @@ class Pool(Result):
             "weights": population.weights or prior.weights,
             "execute": setting.fleet.executes,
             "solver": solver != qmdp,
-            "questions about goals": isinstance(table, Goals) and setting.c_ask is not None,
             "observation": isinstance(table, Goals) and setting.observation is not None,
         }
         people: Sequence[Human]
         choices: Choices | None = None
-        if isinstance(table, Choices) or is_whole(table, MAX_ENUMERATED if any(needed.values()) else states):
+        asks = isinstance(table, Goals) and setting.c_ask is not None  # worth of answers: exact where it is affordable
+        if isinstance(table, Choices) or is_whole(table, MAX_ENUMERATED if asks or any(needed.values()) else states):
             choices = affordable_choices(
                 table, setting, population, prior, size, memory_limit_mb, required=any(needed.values())
             )

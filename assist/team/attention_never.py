@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..person.policy import Policy
+from ..person.policy import OfRows, Policy
 from ..person.qmdp import evaluate
 from .attention import AttentionSwitching
 from .by_policy import ByPolicy
@@ -22,20 +22,16 @@ class AttentionAgainstNever(AttentionSwitching):
 
     Attributes
     ----------
-    never : ByPolicy of float arrays, shape (n, H, T)
-        This value, for known type and theta.
+    never : ByPolicy of functions
+        This value in rows, for known type and theta.
     """
 
-    never: ByPolicy[Floats]
+    never: ByPolicy[OfRows]
 
     @classmethod
     def of(cls, policies: Sequence[Policy]) -> AttentionAgainstNever:
         """Return the team policy for people with the given policies."""
-
-        def never(policy: Policy) -> Floats:
-            return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
-
-        return cls(ByPolicy(policies, never))
+        return cls(ByPolicy(policies, without_help))
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""
@@ -48,4 +44,11 @@ class AttentionAgainstNever(AttentionSwitching):
 
     def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         acting = policy.pomdp.hidden.acting(belief)
-        return np.einsum("nht,nht->n", self.never[policy][x], acting)[:, None]
+        return np.einsum("nht,nht->n", self.never[policy](x), acting)[:, None]
+
+
+def without_help(policy: Policy) -> OfRows:
+    """Return the values of never helping a person, as a function of rows."""
+    if policy.unhelped is not None:
+        return policy.unhelped
+    return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64)).__getitem__

@@ -58,8 +58,6 @@ def named(
     if name == "attention":
         return AttentionSwitching()
     if name == "attention-never":
-        for policy in policies:
-            policy.require_enumerated(f"policy {name!r}")
         return AttentionAgainstNever.of(policies)
     if name == "priority":
         return Priority.of(policies, travel, solver=solver)

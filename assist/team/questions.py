@@ -19,9 +19,10 @@ from ..people.decision import Floats
 from ..people.hidden_type import HiddenType
 from ..person.beliefs import Beliefs
 from ..person.joint_belief import JointBelief, expected_answers
-from ..person.policy import Policy
-from ..person.qmdp import QMDP, evaluate, qmdp
+from ..person.policy import OfRows, Policy
+from ..person.qmdp import QMDP, qmdp
 from ..person.ties import NEAR, first_best
+from .attention_never import without_help
 from .by_policy import ByPolicy
 from .state import by_model, worth_of_actions
 
@@ -76,7 +77,7 @@ class Questions:
 
     def __init__(self, policies: Sequence[Policy], cost: float, error: float = 0.0) -> None:
         self.policies, self.cost, self.error = policies, cost, error
-        self._benefit: ByPolicy[Floats] = ByPolicy(policies, benefit)
+        self._benefit: ByPolicy[OfRows] = ByPolicy(policies, benefit)
 
     def best(
         self, policy: Policy, x: NDArray[np.int64], belief: Floats, attention: Floats
@@ -91,7 +92,7 @@ class Questions:
         attention : float array, shape (N,)
             Share of a robot's attention that each person gets: robots per person who is at work, at most 1.
         """
-        each = policy.pomdp.hidden.marginal(belief * self._benefit[policy][x], "goal")
+        each = policy.pomdp.hidden.marginal(belief * self._benefit[policy](x), "goal")
         return self._best(each, attention)
 
     def of_teams(
@@ -143,7 +144,7 @@ class Questions:
         attention : float
             As in `best`.
         """
-        each = policy.pomdp.hidden.marginal(joint.joint * self._benefit[policy][joint.x], "goal").sum(axis=0)
+        each = policy.pomdp.hidden.marginal(joint.joint * self._benefit[policy](joint.x), "goal").sum(axis=0)
         goal, worth = self._best(each[None], np.array([attention]))
         return int(goal[0]), float(worth[0])
 
@@ -157,12 +158,14 @@ class Questions:
         return goal, worth[np.arange(len(each)), goal]
 
 
-def benefit(policy: Policy) -> Floats:
-    """Return the benefit of a robot that knows a person's type and theta, shape (n, H, T)."""
-    solved: Any = policy.prepare()
-    known = solved if isinstance(solved, QMDP) else qmdp(policy.pomdp)
-    never = evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
-    return np.maximum(known.value_mdp - never, 0.0)
+def benefit(policy: Policy) -> OfRows:
+    """Return the benefit of a robot that knows a person's type and theta, as a function of rows."""
+    helped, unhelped = policy.helped, without_help(policy)
+    if helped is None:
+        solved: Any = policy.prepare()
+        known = solved if isinstance(solved, QMDP) else qmdp(policy.pomdp)
+        helped = known.value_mdp.__getitem__
+    return lambda x: np.maximum(helped(x) - unhelped(x), 0.0)
 
 
 def worth_of_knowing(policy: Policy, joint: JointBelief) -> float:

@@ -100,24 +100,17 @@ def several_goals(
     *,
     domain: str | None,
     max_states: int = SolveOptions.max_states,
-    asked: int | None = None,
 ) -> Goals | None:
-    """Return the goals of INSTANCE and of further problems; None if there is one only.
-
-    `asked` is the largest number of states of a task about whose goals a robot can ask; None for a robot that does not.
-    A larger task ends the command before any goal is searched for.
-    """
+    """Return the goals of INSTANCE and of further problems; None if there is one only."""
     from ...people.goals import Goals
 
     if not problems:
         return None
     every = list(dict.fromkeys(str(found.problem) for found in find_instances([instance, *problems], domain)))
-    most = max_states if asked is None else min(max_states, asked)
     try:
-        known = goals_of(every, domain=domain, max_states=most, tables=True)
+        known = goals_of(every, domain=domain, max_states=max_states, tables=True)
     except LimitError as error:
-        option = "--goals" if most == max_states else "c_ask"
-        fail(f"{option}: {error}; expected a task of at most {most:,} states", ExitCode.FAILED)
+        fail(f"--goals: {error}; expected a task of at most {max_states:,} states", ExitCode.FAILED)
     try:
         return Goals(known, prior)  # type: ignore[arg-type]
     except ValueError as error:

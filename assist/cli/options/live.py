@@ -65,7 +65,6 @@ def plan_of(
 ) -> ServedTeam:  # fmt: skip
     """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
-    from ...large_tasks.person_problem import WHOLE
     from ...people.goals import first_of
     from ...web.server import ServedTeam
 
@@ -97,7 +96,6 @@ def plan_of(
             problems,
             setting.goal_prior,
             domain=domain,
-            asked=None if setting.c_ask is None else WHOLE,
         )
         tasks: dict[str, CostToGo | Goals] = {
             name: goals or costs_of(one, max_states=SolveOptions.max_states, memory_limit_mb=None)

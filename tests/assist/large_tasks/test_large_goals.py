@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import invoke
 from teams import equal
-from test_unknown_goals import KITS, TASKS
+from test_unknown_goals import TASKS
 
 from assist.certify import upper_bound
 from assist.large_tasks import PersonProblem, TruncatedTask
@@ -211,28 +210,35 @@ def test_the_size_of_a_part_counts_goals_and_memory() -> None:
         Pool.sample(goals, 3, seed=1, memory_limit_mb=0.5)
 
 
-def test_what_needs_an_enumerated_task_is_refused_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    goals = TASKS["tiny"]
+@pytest.mark.parametrize("policy", ["attention", "attention-never"])
+def test_a_robot_asks_as_on_the_whole_task(policy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Questions about goals are worth as much, and so is help against none."""
+    goals, setting = TASKS["sealed"], Setting(c_suggest=0.2, c_move=0.1, c_ask=0.05, ask_error=0.1, max_steps=60)
+    whole = Pool.sample(goals, 3, seed=1, setting=setting)
     monkeypatch.setattr("assist.simulation.pool.MAX_ENUMERATED", 5)
-    with pytest.raises(ValueError, match="questions about goals: expected an enumerated task, of at most 5 states"):
-        Pool.sample(goals, 2, seed=1, setting=Setting(c_ask=0.1))
-    monkeypatch.setattr(live, "is_whole", lambda _: False)
-    with pytest.raises(
-        ValueError, match=r"questions about goals: .* 20,000 states, and 200,000 for all goals together"
-    ):
-        Assistant(goals, ["ann"], setting=Setting(c_ask=0.1))
+    parts = [Pool.sample(goals, 3, seed=1, setting=setting, states=1, region=region) for region in (EVERYTHING, 20)]
+    assert all(isinstance(part.policies[0], TruncatedPolicy) for part in parts)
+    found = [simulate(pool, policy, **OPTIONS) for pool in (whole, *parts)]
+    assert equal(*found[:2])
+    assert all(one.questions is not None and one.questions.sum() > 20 for one in found)
 
 
-def test_the_command_refuses_questions_before_it_searches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("assist.simulation.pool.MAX_ENUMERATED", 100)
-    swept: list[Any] = []
-    monkeypatch.setattr("planner.costtogo.goals.distances", lambda *given: swept.append(given))
-    given = ["simulate", KITS / "travel.pddl", "--goals", KITS, "--humans", 1, "--policy", "none"]
-    for more, option in ((["--set", "c_ask=0.1"], "c_ask"), (["--set", "max_states=100"], "--goals")):
-        done = invoke(*given, *more)
-        assert (done.exit_code, done.stdout, swept) == (1, "", [])
-        said = f"{option}: more than 100 states; expected a task of at most 100 states"
-        assert done.stderr.splitlines()[-1] == said
+def test_a_live_robot_asks_about_goals_of_a_large_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    goals, said = TASKS["sealed"], list[list[Any]]()
+    for whole in (True, False):
+        monkeypatch.setattr(live, "is_whole", lambda _, whole=whole: whole)
+        desk = Assistant(goals, ["ann", "bob"], setting=Setting(c_suggest=0.2, c_move=0.0, c_ask=0.02))
+        said.append([])
+        for _ in range(8):
+            advice = desk.recommend()
+            asked = advice.question
+            said[-1].append((advice.suggestion, None if asked is None else (asked.person, asked.goal)))
+            if asked is not None:
+                desk.answer(asked.person, asked.goal == "b")
+            for person in desk.people:
+                desk.observe(person, desk.person(person).applicable[0])
+    assert said[0] == said[1]
+    assert any(question for _, question in said[0])
 
 
 @pytest.mark.parametrize("knowledge", [pytest.param("own", marks=pytest.mark.slow), "exact"])
