@@ -27,6 +27,8 @@ from .desk import Desk
 from .live_task import digest
 from .record import TeamRecord
 
+OTHER_VERSION = "{file}: was recorded by kitassist {version}, and only that version reads it; expected another folder"
+
 
 def header_of(desk: Desk, tasks: Mapping[str, CostToGo | Goals], distance: ArrayLike | None) -> dict[str, Any]:
     """Return the header of a session."""
@@ -61,6 +63,27 @@ def _chances(task: CostToGo | Goals, population: Population) -> str:
     return sha256(p.tobytes()).hexdigest()[:32]
 
 
+def require_version(file: Path, found: Mapping[str, Any], format: str) -> None:
+    """Check that a saved session is not one of another version.
+
+    Parameters
+    ----------
+    file : Path
+    found : mapping
+        Its header.
+    format : str
+        The format identifier of this version.
+
+    Raises
+    ------
+    ResultsExistError
+        It is; the message states which version reads it.
+    """
+    known = str(found.get("format", ""))
+    if known != format and _kind(known) == _kind(format):
+        raise ResultsExistError(OTHER_VERSION.format(file=file, version=found.get("version", "1.0")))
+
+
 def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
     """Check that the header of a saved session is the expected one.
 
@@ -69,12 +92,8 @@ def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, An
     ResultsExistError
         The file belongs to another session; the message states the difference.
     """
-    formats = [str(one.get("format", "")) for one in (found, expected)]
-    if "format" in expected and formats[0] != formats[1] and _kind(formats[0]) == _kind(formats[1]):
-        raise ResultsExistError(
-            f"{file}: was recorded by kitassist {found.get('version', '1.0')}, and only that version reads it; "
-            "expected another folder"
-        )
+    if "format" in expected:
+        require_version(file, found, expected["format"])
     files = expected.get("files", {})
     for name, value in expected.items():
         if name not in ("files", "version") and found.get(name) != value:

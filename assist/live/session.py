@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner import CostToGo
-from planner.system.errors import DamagedFileError
+from planner.system.errors import DamagedFileError, ResultsExistError
 
 from ..people.goals import Goals
 from ..people.human import Population
@@ -35,7 +35,7 @@ from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, InapplicableError, InvalidError, Refusal
 from .advice import Advice
 from .events import Event, Joined, Vacant
-from .header import header_of, require_same
+from .header import OTHER_VERSION, header_of, require_same
 from .history import History, Outlook
 from .names import LONGEST_REASON, name_of
 from .people_store import PeopleStore, model_of
@@ -104,6 +104,9 @@ class Session(Reports):
         self._clock, self._people, self._learned = clock, people, set[str]()
         self.changed: Callable[[set[str]], None] | None = None
         self.lock = threading.RLock()
+        former = Path(journal).with_suffix(".jsonl")
+        if former.exists() and not Path(journal).exists():
+            raise ResultsExistError(OTHER_VERSION.format(file=former, version="1.0"))
         self._store: EventStore[Any] = EventStore(Path(journal), self.kind)
         try:
             self._open()

@@ -18,6 +18,7 @@ from typing import Any
 
 from planner.system.errors import DamagedFileError
 
+from ..live.header import require_version
 from ..live.store import stored
 from .events import Acted, Onward
 from .participant_team import own_action
@@ -195,10 +196,13 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     ------
     DamagedFileError
         The file is not the journal of a user study.
+    ResultsExistError
+        It is that of another version.
     """
     header, records = stored(journal)
+    require_version(journal, header, StudyRecord.format)
     if header.get("format") != StudyRecord.format:
-        raise DamagedFileError(journal, None, "not the journal of a user study of this version")
+        raise DamagedFileError(journal, None, "not the journal of a user study")
     roll, found = Roll(study), _Rows(study)
     for utc, plain in records:
         record = StudyRecord.of(json.dumps(plain))

@@ -297,6 +297,19 @@ def test_a_journal_that_cannot_have_been_is_refused_with_its_event(opened: Open,
             opened(folder=folder)
 
 
+def test_tables_of_another_version_are_refused_in_one_line_that_names_it(opened: Open, tmp_path: Path) -> None:
+    session = opened()
+    study = session.study
+    session.close()
+    with closing(sqlite3.connect(tmp_path / "data" / JOURNAL)) as db, db:
+        db.execute(
+            """UPDATE header SET document =
+            json_remove(json_set(document, '$.format', 'kitassist user study 1'), '$.version')"""
+        )
+    with pytest.raises(ResultsExistError, match=r"recorded by kitassist 1\.0, and only that version reads it"):
+        tables(study, tmp_path / "data" / JOURNAL)
+
+
 def test_what_cannot_be_is_refused_and_changes_nothing(opened: Open) -> None:
     session = opened(PLAN.replace("seed = 3", "seed = 3\nparticipants = 1"))
     ann = Part(session, "ann")
