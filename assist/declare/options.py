@@ -327,7 +327,8 @@ def table(kind: Any) -> str:
     for name in names_of(kind):
         annotation, default = annotation_of(kind, name), default_of(kind, name)
         value = None if default is MISSING or is_declared(bare(annotation)) else plain(default)
-        cells = sentences(kind)[name], phrase(annotation), "" if value in (None, [], {}) else f"`{_toml(value)}`"
+        shown_as = "" if value in (None, [], {}) else f"`{_toml(value)}`"
+        cells = sentences(kind)[name], phrase(annotation), "required" if default is MISSING else shown_as
         rows.append(f"| `{name}` | {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
     return "\n".join(rows)
 

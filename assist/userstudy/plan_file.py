@@ -10,7 +10,7 @@ from dataclasses import field
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, Strict
 
@@ -26,11 +26,12 @@ from ..people.user_code import parse
 from ..team.policy_names import POLICIES
 from ..team.settings import Setting
 from ..texts.catalogue import FIRST, Catalogue, catalogue
-from .plan import BETWEEN, OUTCOMES, WITHIN, Condition, Grouping, UserStudy
+from .plan import OUTCOMES, WITHIN, Condition, Grouping, UserStudy
 from .questionnaire_file import QuestionnaireTable, questionnaires_of
 from .questionnaires import BEFORE, END, Questionnaire
 
 Minutes = Annotated[Number, Field(gt=0, le=10_000), Expected("a number of minutes above 0")]
+Seconds = Annotated[Number, Field(gt=0, le=86_400), Expected("a number of seconds above 0")]
 # More simulated people would keep the robot away from the participant.
 Mates = Annotated[Whole, Field(ge=0, le=20), Expected("a whole number from 0 to 20")]
 Members = Annotated[Whole, Field(ge=2, le=20), Expected("a whole number from 2 to 20")]
@@ -41,54 +42,116 @@ Day = Annotated[date, Strict(), Expected("a date such as 2027-03-31")]
 class ConditionTable:
     """A table of `conditions`."""
 
-    name: Text
-    policy: Text
-    setting: AnyTable = field(default_factory=dict)
-    reasons: Truth | None = None
+    name: Annotated[Text, Field(description="Name of the condition.")]
+    policy: Annotated[Text, Field(description="A shipped team policy, or FILE.py:FUNCTION.")]
+    setting: Annotated[AnyTable, Field(description="Fields of the setting that differ from the study's.")] = field(
+        default_factory=dict
+    )
+    reasons: Annotated[
+        Truth | None,
+        Field(description="Whether participants see the reasons of suggestions, if it differs from the study."),
+    ] = None
 
 
 @declared
 class GroupTable:
-    """The table `group`."""
+    """The table `group`: several participants share a robot."""
 
-    size: Members
-    wait: Minutes = 5.0
-    then: Text = "end"
+    size: Annotated[Members, Field(description="Participants of a group.")]
+    wait: Annotated[Minutes, Field(description="Minutes after which a participant no longer waits for the others.")] = (
+        5.0
+    )
+    then: Annotated[
+        Literal["end", "alone", "start"],
+        Field(description="What happens then: the study ends, or begins alone, or with those who are there."),
+    ] = "end"
 
 
 @declared
 class FileTable:
     """The whole file."""
 
-    tasks: Texts
-    conditions: tuple[ConditionTable, ...]
-    consent: Text
-    instructions: Text
-    language: Text = FIRST
-    title: Text | None = None
-    thanks: Text | None = None
-    practice: Text | None = None
-    design: Text = BETWEEN
-    reference: Text | None = None
-    participants: Count | None = None
-    simulated: Mates | None = None
-    again: Truth = True
-    reasons: Truth = False
-    cost_to_go: Truth = False
-    per_address: Count | None = None
-    replace: Truth = False
-    away: Minutes = 10.0
-    minutes: Minutes | None = None
-    tick: Number = 2.0
-    code: Text | None = None
-    withdraw_until: Day | None = None
-    exclude_failed_checks: Count | None = None
-    confirmatory: Texts | None = None
-    seed: Seed = 0
-    setting: AnyTable = field(default_factory=dict)
-    population: AnyTable = field(default_factory=dict)
-    group: GroupTable | None = None
-    questionnaires: tuple[QuestionnaireTable, ...] = ()
+    tasks: Annotated[Texts, Field(description="Problems, as files or names of shipped tasks, in order.")]
+    conditions: Annotated[
+        tuple[ConditionTable, ...],
+        Field(description="Conditions with name and policy, and with setting and reasons where they differ."),
+    ]
+    consent: Annotated[Text, Field(description="Text in Markdown to which participants consent.")]
+    instructions: Annotated[Text, Field(description="Text in Markdown before the first task.")]
+    language: Annotated[
+        Text,
+        Field(description="Language: en, de, or a file such as fr.toml with the texts of assist/texts/en.toml."),
+    ] = FIRST
+    title: Annotated[Text | None, Field(description="Title of the study; the name of the file unless given.")] = None
+    thanks: Annotated[Text | None, Field(description="Text in Markdown after the last task.")] = None
+    practice: Annotated[Text | None, Field(description="A problem for practice, without suggestions.")] = None
+    design: Annotated[
+        Literal["between", "within"],
+        Field(description="Whether a participant has one condition, or all of them in a balanced order."),
+    ] = "between"
+    reference: Annotated[
+        Text | None, Field(description="The condition with which the others are compared; the first unless given.")
+    ] = None
+    participants: Annotated[Count | None, Field(description="Number of places; unlimited unless given.")] = None
+    simulated: Annotated[
+        Mates | None,
+        Field(
+            description="Simulated people who share the robot with each participant; 2, or 0 in groups, unless given."
+        ),
+    ] = None
+    again: Annotated[Truth, Field(description="Whether simulated people start again when they have finished.")] = True
+    reasons: Annotated[Truth, Field(description="Whether participants see the reasons of suggestions.")] = False
+    cost_to_go: Annotated[
+        Truth, Field(description="Whether participants' views have the cost-to-go, which says how far they are.")
+    ] = False
+    per_address: Annotated[
+        Count | None,
+        Field(
+            description="Participants of one address (IPv6: a /64 network) who may hold a place before the first task."
+        ),
+    ] = None
+    replace: Annotated[
+        Truth, Field(description="Whether participants who leave after their task began are replaced.")
+    ] = False
+    away: Annotated[
+        Minutes, Field(description="Minutes without contact after which a participant counts as dropped out.")
+    ] = 10.0
+    minutes: Annotated[
+        Minutes | None, Field(description="Minutes after which a task may be left unfinished; never unless given.")
+    ] = None
+    tick: Annotated[Seconds, Field(description="Seconds without an action after which the robot decides again.")] = 2.0
+    code: Annotated[
+        Text | None, Field(description="Completion code of all; each participant has their own unless given.")
+    ] = None
+    withdraw_until: Annotated[
+        Day | None,
+        Field(
+            description="Last day, by the service's clock, for withdrawing data after the end; no limit unless given."
+        ),
+    ] = None
+    exclude_failed_checks: Annotated[
+        Count | None, Field(description="Failed attention checks that exclude from the report; never unless given.")
+    ] = None
+    confirmatory: Annotated[
+        Texts | None, Field(description="Outcomes that test your hypotheses; all others are exploratory.")
+    ] = None
+    seed: Annotated[Seed, Field(description="Seed of all randomness.")] = 0
+    setting: Annotated[AnyTable, Field(description="Fields of the setting, such as costs.")] = field(
+        default_factory=dict
+    )
+    population: Annotated[
+        AnyTable,
+        Field(
+            description="The people whom the robot expects; their influence is as wide as real people's unless given."
+        ),
+    ] = field(default_factory=dict)
+    group: Annotated[
+        GroupTable | None,
+        Field(description="How participants form groups that share a robot; each has a team unless given."),
+    ] = None
+    questionnaires: Annotated[
+        tuple[QuestionnaireTable, ...], Field(description="Questionnaires before, after and at the end.")
+    ] = ()
 
 
 def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
@@ -113,8 +176,6 @@ def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
 def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     names = _conditions(file, table.conditions, carried_out)
     found = partial(_instance, file, carried_out=carried_out)
-    if table.design not in (BETWEEN, WITHIN):
-        raise fault(file, "design", f"'{table.design}'; {meant(table.design, (BETWEEN, WITHIN))}")
     if table.design == WITHIN and len(names) < 2:
         raise fault(file, "design", f"'{WITHIN}' with one condition; expected two or more")
     reference = table.reference or names[0]
@@ -137,8 +198,6 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     )  # fmt: skip
     group = _group(file, table)
     simulated = table.simulated if table.simulated is not None else 2 if group is None else 0
-    if not 0 < table.tick <= 86_400:
-        raise fault(file, "tick", f"{table.tick:g}; expected a number of seconds above 0")
     return UserStudy(
         file, hashlib.sha256(file.read_bytes()).hexdigest()[:32], table.title or file.stem, table.seed,
         tuple(zip(stems, tasks, strict=True)),
@@ -158,8 +217,6 @@ def _group(file: Path, table: FileTable) -> Grouping | None:
     if table.group is None:
         return None
     size, then = table.group.size, table.group.then
-    if then not in ("start", "alone", "end"):
-        raise fault(file, "group.then", f"'{then}'; expected 'end', 'alone', or 'start' with those who are there")
     if table.simulated:
         raise fault(file, "simulated", f"{table.simulated}; expected 0 in a study with groups")
     if table.participants is not None and table.participants % size:

@@ -59,7 +59,7 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         ('name = "attention"', 'name = "none"', r"conditions\[2\].name: there are two conditions 'none'"),
         ('practice = "', 'practice = "x', "practice: .*no such file"),
         ("seed = 3", 'withdraw_until = "soon"', 'withdraw_until: "soon"; expected a date such as 2027-03-31'),
-        ("seed = 3", 'design = "mixed"', "design: 'mixed'; expected one of between, within"),
+        ("seed = 3", 'design = "mixed"', 'design: "mixed"; expected "between" or "within"'),
     ]
     for right, wrong, message in faults:
         file = written(tmp_path / "study.toml", PLAN.replace(right, wrong, 1))

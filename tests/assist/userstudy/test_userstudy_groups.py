@@ -290,7 +290,7 @@ def test_within_participants_the_differences_are_those_of_groups(opened: Open) -
         (
             "wait = 5",
             'then = "later"',
-            "group.then: 'later'; expected 'end', 'alone', or 'start' with those who are there",
+            'group.then: "later"; expected "end" or "alone" or "start"',
         ),
         ("seed = 3", "seed = 3\nsimulated = 1", "simulated: 1; expected 0 in a study with groups"),
         ("seed = 3", "seed = 3\nparticipants = 4", "participants: 4; expected a multiple of 3"),
