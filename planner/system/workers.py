@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
     from pebble import ProcessPool
+    from pebble.pool.process import WorkerManager
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -243,6 +244,7 @@ def _pool(workers: int, pipe: Connection | None) -> Iterator[ProcessPool]:
         others = set(active_children())
         begin = (processes.guarded_group(), pipe)
         pool = ProcessPool(max_workers=workers, context=get_context("spawn"), initializer=_begin, initargs=begin)
+        _hear_the_dead_out(pool._pool_manager.worker_manager)
         done = False
         try:
             yield pool
@@ -254,6 +256,31 @@ def _pool(workers: int, pipe: Connection | None) -> Iterator[ProcessPool]:
             for worker in set(active_children()) - others:
                 (worker.terminate if done else worker.kill)()
             pool.join()
+
+
+def _hear_the_dead_out(workers: WorkerManager) -> None:
+    """Let a pool learn that a worker died after it has read all that the worker sent, and no message has come since.
+
+    A pool of pebble otherwise looks for the work of a dead worker at once. If it has not read yet what the worker
+    began, which happens on a busy machine, it waits for that work for ever, or gives up all work.
+    """
+    from pebble.pool.process import NoMessage
+
+    receive, inspect, silences, dead = workers.receive, workers.inspect_workers, 0, list[tuple[int, Any]]()
+
+    def received(timeout: float) -> Any:
+        nonlocal silences
+        message = receive(timeout)
+        silences += isinstance(message, NoMessage)
+        return message
+
+    def expired() -> tuple[Any, ...]:
+        dead.extend((silences + 2, worker) for worker in inspect())  # one silence may have begun before the death
+        known = tuple(worker for after, worker in dead if silences >= after)
+        dead[:] = [each for each in dead if each[1] not in known]
+        return known
+
+    workers.receive, workers.inspect_workers = received, expired  # type: ignore[method-assign]
 
 
 _pipe: Connection | None = None  # in a worker: the pipe for its reports
