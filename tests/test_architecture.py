@@ -67,12 +67,12 @@ ROOMS = {
     "assist.coupled": """agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
-    "assist.plots": "style labels episode people policies study userstudy",
+    "assist.plots": "style labels episode watched people policies study userstudy",
     "assist.study": "study protocol tasks cells runner own_code",
     "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file codes
         participant_team participants places events record groups roll cohort session tables export""",
-    "assist.reports": """statistics policy_comparison effects hypothesis_tests repeated_measures wording templates
-        html_page study_summary study_claims study_figures study_report userstudy_summary
+    "assist.reports": """statistics watched_episode policy_comparison effects hypothesis_tests repeated_measures wording
+        templates html_page study_summary study_claims study_figures study_report userstudy_summary
         preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures schemas service authorization request_limits task_drawings
         event_routes event_table routes metrics streams openapi_page page_routes app connections server client""",

@@ -13,6 +13,7 @@ the fitted beta and theta.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 from planner.system.results import Result
 
 from ..people.decision import Floats
-from .maximum_likelihood import Fit
+from .maximum_likelihood import Fit, fits_of
 
 TERMS = ("repetition", "large_mistakes", "learning")
 
@@ -53,17 +54,18 @@ class Calibration(Result):
         return [dict(zip(vars(self), row, strict=True)) for row in np.column_stack(list(vars(self).values())).tolist()]
 
 
-def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:
+def calibrate(people: Mapping[str, Any] | Iterable[Any], bins: int = 10) -> Calibration:
     """Return predicted probabilities and observed frequencies, over all people and alternatives.
 
     Parameters
     ----------
-    fits : list of Fit
+    people : FittedPeople, or iterable of PersonEstimate or Fit
     bins : int
         Number of bins of predicted probabilities.
     """
     from scipy.stats import binomtest  # takes as long to import as everything else here together
 
+    fits = fits_of(people)
     p = np.concatenate([f.probabilities()[f.observations.applicable] for f in fits])
     hit = np.concatenate(
         [

@@ -45,6 +45,8 @@ class Reading(TypedDict, total=False):
         Probability of each goal at the beginning of an episode; all are equal unless given.
     drop, rename
         As in `replay`.
+    columns, gaps
+        As in `read_log`, for a log that was not read yet: `columns={"person": "participant"}`.
     strict : bool
         Whether a log that cannot be used completely is an error.
     """
@@ -52,6 +54,8 @@ class Reading(TypedDict, total=False):
     prior: Mapping[str, float] | None
     drop: Sequence[str]
     rename: Mapping[str, str] | None
+    columns: Mapping[str, str] | None
+    gaps: bool
     strict: bool
 
 
@@ -150,7 +154,8 @@ def replayed(
         A name in `drop` or `rename` does not exist, the tasks of goals differ in more than their goals, a goal cannot
         be reached, or the prior is no distribution.
     """
-    log, strict = log_of(log), reading.get("strict", False)
+    log = log_of(log, gaps=reading.get("gaps", False), columns=reading.get("columns"))
+    strict = reading.get("strict", False)
     several = isinstance(task, Mapping)
     tasks = (
         {name: known_costs(one) for name, one in task.items()} if isinstance(task, Mapping) else {"": known_costs(task)}
@@ -160,6 +165,8 @@ def replayed(
     states: CostToGo | JointStates = JointStates(tasks) if several else costs
     recording, found = replay(log, states, drop=reading.get("drop", ()), rename=reading.get("rename"))
     faults = tuple(sorted([*log.faults, *found], key=lambda fault: fault.line))
+    if not log.people and tell is None:
+        require_actions(log, recording, states)
     if faults and tell is not None:
         tell(log, faults)
     elif strict and faults:
@@ -205,6 +212,23 @@ def observed(
     return evidence(task, log, reading).observations(terms)
 
 
+def observations_of(
+    people: Evidence | Sequence[Observations], terms: Mapping[str, Term] | None = None
+) -> Sequence[Observations]:
+    """Return each person's observations, which may be given as a replayed log.
+
+    Raises
+    ------
+    TypeError
+        They are something else, such as the name of a log.
+    """
+    if isinstance(people, Evidence):
+        return people.observations(terms)
+    if isinstance(people, Sequence) and all(isinstance(one, Observations) for one in people):
+        return people
+    raise TypeError(f"a {type(people).__name__} where observations were expected; `replayed(task, log)` returns them")
+
+
 def evidence(task: Tasks | Evidence, log: Records | None, reading: Reading) -> Evidence:
     """Return a replayed log: `task` itself, or `log` replayed in it, with warnings about what was left out."""
     if isinstance(task, Evidence):
@@ -235,6 +259,8 @@ def require_actions(log: Log, recording: Recording, states: TransitionSystem) ->
     """Check that some episode of a log can be used."""
     if len(recording):
         return
+    if not log.people and log.faults:
+        raise LogError(f"{log.name}:{log.faults[0].line}: {log.faults[0]}")
     if not log.people:
         raise LogError(f"{log.name}: no recorded actions")
     if not log.entries:

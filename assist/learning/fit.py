@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, Unpack
@@ -13,6 +15,7 @@ from planner.system.errors import expected
 from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.results import Result
 
+from ..people.arguments import positive
 from ..people.choice_model import ChoiceModel
 from ..people.human import Population
 from ..people.terms import TERMS, Term
@@ -147,7 +150,8 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
 @shows_progress
 def fit(
     task: Tasks | Evidence, log: Records | None = None, method: Method | None = None, *, model: Model | None = None,
-    seed: int | np.random.Generator = 0, jobs: int = 1, progress: Wanted = None, **reading: Unpack[Reading],
+    seed: int | np.random.Generator = 0, jobs: int = 1, time_limit: float | None = None, progress: Wanted = None,
+    **reading: Unpack[Reading],
 ) -> FittedPeople:  # fmt: skip
     """Return estimates of people's expertise, influence and trust from a log of their actions.
 
@@ -166,6 +170,8 @@ def fit(
         Random seed of the model check.
     jobs : int
         Number of threads.
+    time_limit : float, optional
+        Seconds after which no further person's misconceptions are estimated; these people are in `unknown`.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes: states are evaluated, then people are fitted.
 
@@ -193,6 +199,7 @@ def fit(
     assert callable(progress)
     if not isinstance(task, Evidence):
         progress("evaluating states", 0, None)
+    ends = math.inf if time_limit is None else time.monotonic() + positive("time_limit", time_limit)
     seen, method = evidence(task, log, reading), method or Method()
     if seen.goals and model is not None:
         raise ValueError("several goals, and misconceptions, terms or a choice model: expected one of them")
@@ -214,15 +221,19 @@ def fit(
         fits, hierarchy = fit_terms(observations, method)
     else:
         fits = maximum_likelihood(observations, method, jobs=jobs, progress=None if slow else advance)
-    rng, records = np.random.default_rng(seed), list[PersonEstimate]()
+    rng, records, unknown = np.random.default_rng(seed), list[PersonEstimate](), _unknown(seen)
     for one in map(_with_likeliest, fits) if seen.goals else fits:
+        person = one.observations.person
+        if misconceptions and time.monotonic() > ends:
+            unknown[person] = nothing_known(person, "not estimated within the time limit", len(one.observations))
+            continue
         misconception = fit_misconception(one) if misconceptions else None
         checked = UNCHECKED if seen.goals or chooses is not None else check(one, rng)
-        records.append(PersonEstimate(one, checked, misconception, seen.left_out.get(one.observations.person, 0)))
+        records.append(PersonEstimate(one, checked, misconception, seen.left_out.get(person, 0)))
         if slow:
             advance(1)
     facts = FactsOf(seen.costs) if misconceptions else None
-    return FittedPeople(tuple(records), _unknown(seen), seen.faults, method, facts, hierarchy, chooses)
+    return FittedPeople(tuple(records), unknown, seen.faults, method, facts, hierarchy, chooses)
 
 
 def _unknown(seen: Evidence) -> dict[str, dict[str, Any]]:

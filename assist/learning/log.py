@@ -179,17 +179,24 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[
     return _log(rows, gaps, str(path), note)
 
 
-def log_of(log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]]) -> Log:
-    """Return a log in any form: itself, its file, records, or a data frame.
+def log_of(
+    log: Log | str | PathLike[str] | Iterable[Mapping[str, Any]], *, gaps: bool = False,
+    columns: Mapping[str, str] | None = None,
+) -> Log:  # fmt: skip
+    """Return a log in any form: itself, its file, records, or a data frame; options as in `read_log`.
 
     Raises
     ------
     TypeError
-        It is no log.
+        It is no log, or it was read already and there are options of reading.
     """
     if isinstance(log, Log):
+        if gaps or columns:
+            raise TypeError(f"{'columns' if columns else 'gaps'}: expected a file, records or a frame, not a log")
         return log
-    return read_log(log) if isinstance(log, str | PathLike) else Log.of(log)
+    if isinstance(log, str | PathLike):
+        return read_log(log, gaps=gaps, columns=columns)
+    return Log.of(log, gaps=gaps, columns=columns)
 
 
 def _records(records: Any) -> Iterable[Mapping[str, Any]]:

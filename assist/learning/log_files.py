@@ -455,7 +455,7 @@ def _matched(
             number,
             Broken(
                 f"no column is called {' or '.join(missing)}; expected {', '.join(COLUMNS[:5])}, or --columns "
-                f"{missing[0]}=NAME with one of {there}"
+                f"{missing[0]}=NAME (in Python columns={{'{missing[0]}': NAME}}) with one of {there}"
             ),
         )
         return

@@ -11,7 +11,7 @@ Estimates are finite: for a person who never errs, `largest_beta` is the estimat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,6 +21,7 @@ import numpy as np
 from planner.system.results import Result
 
 from ..people.decision import Floats, choice, influence, lapse
+from .evidence import Evidence, observations_of
 from .intervals import end_of, largest_fall
 from .likelihood import Method, goal_posteriors, thetas
 from .observations import Observations
@@ -128,6 +129,22 @@ class Fit(Result):
         return thetas(gain, self.observations.begins, self.theta.value, 0.0 if eta is None else eta)
 
 
+def fits_of(people: Mapping[str, Any] | Iterable[Any]) -> list[Fit]:
+    """Return the fits of people: of the result of `fit`, of estimates of persons, or fits themselves.
+
+    Raises
+    ------
+    TypeError
+        They are something else.
+    """
+    each = list(people.values() if isinstance(people, Mapping) else people)
+    found = [getattr(one, "fit", one) for one in each]
+    wrong = next((one for one in found if not isinstance(one, Fit)), None)
+    if wrong is not None:
+        raise TypeError(f"a {type(wrong).__name__} where a person's fit was expected; `fit(task, log)` returns them")
+    return found
+
+
 def largest_beta(observations: Sequence[Observations], method: Method) -> float:
     """Return the end of the range of beta: `Method.largest_beta`, or its default for these observations."""
     if method.largest_beta is not None:
@@ -138,7 +155,7 @@ def largest_beta(observations: Sequence[Observations], method: Method) -> float:
 
 
 def maximum_likelihood(
-    observations: Sequence[Observations],
+    observations: Evidence | Sequence[Observations],
     method: Method | None = None,
     *,
     jobs: int = 1,
@@ -148,15 +165,15 @@ def maximum_likelihood(
 
     Parameters
     ----------
-    observations : sequence of Observations
-        Observations of each person.
+    observations : Evidence, or sequence of Observations
+        A log that was replayed; or one for each person.
     method : Method, optional
     jobs : int
         Number of threads.
     progress : callable, optional
         Called with the number of people who have been finished since the last call.
     """
-    method = method or Method()
+    method, observations = method or Method(), observations_of(observations)
     largest = largest_beta(observations, method)
 
     def one(person: Observations) -> Fit:

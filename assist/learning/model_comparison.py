@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..people.terms import TERMS
 from .comparison import FOLDS, Comparison, compared, folds_of
+from .evidence import Evidence, observations_of
 from .hierarchy import RATES, fixed_of, start_of
 from .likelihood import Method
 from .logit_likelihood import BETA, FIRST_TERM, THETA, Likelihood, maximise
@@ -24,15 +26,16 @@ ALL_TERMS = "terms"
 
 
 def compare_models(
-    people: Sequence[Observations], method: Method | None = None, *, folds: int = FOLDS,
+    people: Evidence | Sequence[Observations], method: Method | None = None, *, folds: int = FOLDS,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of choice models by their predictions for people to whom they were not fitted.
 
     Parameters
     ----------
-    people : sequence of Observations
-        With terms, such as `observed(task, log, terms=TERMS)`; of one task, or of several.
+    people : Evidence, or sequence of Observations
+        A log that was replayed, compared with all `TERMS`; or observations with terms, such as those of `observed(task,
+        log, terms=TERMS)`, of one task or of several.
     method : Method, optional
     folds : int
         Number of groups of people, each of which is held out once.
@@ -45,7 +48,7 @@ def compare_models(
         There are fewer than two people.
     """
     method = method or Method()
-    likelihood = Likelihood.of(people, method)
+    likelihood = Likelihood.of(observations_of(people, TERMS), method)
     steps = likelihood.steps
     several = {ALL_TERMS: steps.terms} if len(steps.terms) > 1 else {}
     sets: dict[str, tuple[str, ...]] = {BOLTZMANN: (), **{term: (term,) for term in steps.terms}, **several}

@@ -31,6 +31,7 @@ from ..people.arguments import number
 from ..people.decision import NOTHING, Floats
 from ..people.human import Population, Range
 from ..people.trust_rules import Shipped, rule_of
+from .evidence import Evidence, observations_of
 from .hierarchy import Hierarchy
 from .intervals import largest_fall
 from .likelihood import Method, log_likelihood
@@ -267,7 +268,7 @@ def rate_of(record: dict[str, Any]) -> dict[str, float]:
 
 
 def fit_population(
-    observations: Sequence[Observations],
+    observations: Evidence | Sequence[Observations],
     method: Method | None = None,
     *,
     family: str | None = None,
@@ -277,8 +278,8 @@ def fit_population(
 
     Parameters
     ----------
-    observations : sequence of Observations
-        Observations of each person.
+    observations : Evidence, or sequence of Observations
+        A log that was replayed; or one for each person.
     method : Method, optional
         If its eta is None, one rate for all people is estimated.
     family : str, optional
@@ -286,7 +287,7 @@ def fit_population(
     progress : callable, optional
         Called with the number of the `ETAS` rates that have been tried since the last call.
     """
-    method = method or Method()
+    method, observations = method or Method(), observations_of(observations)
     if not observations:
         raise ValueError("a population needs people; there are no observations")
     if family not in (None, "histogram", *BETA_FAMILIES):

@@ -15,6 +15,7 @@ from .advice_fit import COMPARED, base_of, fit_to, fold_of
 from .advice_log import AdviceLog
 from .advice_model import AdviceModel
 from .comparison import FOLDS, Comparison, FitTo, compared, folds_of
+from .evidence import Evidence, observations_of
 from .influence_population import InfluencePopulation
 from .likelihood import Method
 from .observations import Observations
@@ -29,7 +30,7 @@ Rules: TypeAlias = Mapping[str, Any]
 
 
 def compare_rules(
-    people: Sequence[Observations] | AdviceLog, method: Method | None = None, *,
+    people: Evidence | Sequence[Observations] | AdviceLog, method: Method | None = None, *,
     rules: Rules | None = None, folds: int = FOLDS, carry: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:  # fmt: skip
@@ -39,8 +40,8 @@ def compare_rules(
 
     Parameters
     ----------
-    people : sequence of Observations, or AdviceLog
-        Observations as for `fit_influence`, or judgements with advice.
+    people : Evidence, sequence of Observations, or AdviceLog
+        A log that was replayed, or observations, as for `fit_influence`; or judgements with advice.
     method : Method, optional
         As for `fit_influence`; of advice, only the level of the intervals is used.
     rules : mapping of str to RuleFamily, or to Rule or None
@@ -61,6 +62,7 @@ def compare_rules(
         There are fewer than two folds, or "constant" is missing, or the likelihood is not finite.
     """
     method = method or Method()
+    people = people if isinstance(people, AdviceLog) else observations_of(people)
     rules = rules_of(people, method) if rules is None else rules
     fits: dict[str, FitTo[Any]]
     if REFERENCE not in rules:

@@ -22,6 +22,7 @@ from planner.system.results import Result
 
 from ..people.decision import Floats
 from ..people.trust_rules import TrustRule, plain_rule
+from .evidence import Evidence, observations_of
 from .influence_population import InfluencePopulation
 from .intervals import Interval, equal_tailed
 from .likelihood import Method
@@ -130,14 +131,15 @@ class InfluenceFit(Result):
 
 
 def fit_influence(
-    observations: Sequence[Observations], rule: str | TrustRule, method: Method | None = None, *, carry: bool = True
-) -> InfluenceFit:
+    observations: Evidence | Sequence[Observations], rule: str | TrustRule, method: Method | None = None, *,
+    carry: bool = True,
+) -> InfluenceFit:  # fmt: skip
     """Return each person's influence under a trust rule.
 
     Parameters
     ----------
-    observations : sequence of Observations
-        One for each person.
+    observations : Evidence, or sequence of Observations
+        A log that was replayed; or one for each person.
     rule : str or TrustRule
         The name of a shipped rule, whose parameters are estimated; or a rule, taken unchanged.
     method : Method, optional
@@ -157,7 +159,7 @@ def fit_influence(
     if isinstance(rule, str) and rule not in known:
         raise ValueError(f"trust '{rule}': expected one of {', '.join(known)}, or a rule")
     family = known[rule] if isinstance(rule, str) else RuleFamily.of(rule)
-    log = TrustLog.of(observations, method)
+    log = TrustLog.of(observations_of(observations), method)
     search = RuleSearch(log, family, carry)
     values, intervals = search.best(), {}
     # A person's belief is averaged over what the parameters of the rule may be: with the best ones alone, intervals of

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import Table, Transitions
+from planner import AnyTask, Table, Transitions, known_costs
 from planner.system.arrays import outline, read_only
 
 from .hidden_type import KNOWN, OfGoals
@@ -91,8 +91,17 @@ class Choices:
         read_only(self)
 
     @classmethod
-    def of(cls, table: Table) -> Choices:
-        """Return the choices of a cost-to-go table."""
+    def of(cls, table: Table | AnyTask) -> Choices:
+        """Return the choices of a cost-to-go table, or of a task in any form that `planner.load` takes.
+
+        Raises
+        ------
+        TypeError
+            The task has no table, as it is too large.
+        """
+        table = table if isinstance(table, Table) else known_costs(table)
+        if not isinstance(table, Table):
+            raise TypeError(f"{table.task.name}: expected a task whose states have a table; this one is too large")
         space, task, rows = table.space, table.task, table.space.transitions
         return cls.arranged(
             table.h.copy(), space.goal.copy(), rows._replace(actions=task.first_of_name[rows.actions]),

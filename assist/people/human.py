@@ -155,6 +155,8 @@ class Population:
     ] = ()
     shares: Annotated[tuple[Number, ...], Field(description="Share of each part; they add up to 1.")] = ()
 
+    __repr__ = outline
+
     def __post_init__(self) -> None:
         if self.chooses is not None and self.weights:
             raise ValueError(f"weights of {', '.join(self.weights)}, and a choice model: expected one of them")

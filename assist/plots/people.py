@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from ..learning.comparison import Comparison
 from ..learning.diagnostics import calibrate
-from ..learning.maximum_likelihood import Fit
+from ..learning.maximum_likelihood import Fit, fits_of
 from ..people.decision import NOTHING
 from .style import BLUE, GREEN, GREY, ORANGE, require, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+People: TypeAlias = Mapping[str, Any] | Iterable[Any]
+"""The result of `assist.fit`, some of its estimates, or fits."""
 
 
 def draw(fits: list[Fit], folder: Path) -> list[Path]:
@@ -93,15 +98,15 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
     return figure, axis
 
 
-def calibration_figure(fits: list[Fit]) -> Figure:
+def calibration_figure(people: People) -> Figure:
     """Plot the observed frequency of choices against their predicted probability.
 
     Parameters
     ----------
-    fits : list of Fit
+    people : FittedPeople, or iterable of PersonEstimate or Fit
     """
     figure, axis = _figure(6, 5.4)
-    c = calibrate(fits)
+    c = calibrate(people)
     axis.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1.2, label="as predicted")
     axis.errorbar(
         c.predicted, c.observed, yerr=np.abs(np.array([c.observed - c.low, c.high - c.observed])),
@@ -115,15 +120,16 @@ def calibration_figure(fits: list[Fit]) -> Figure:
     return figure
 
 
-def expertise_figure(fits: list[Fit], most: int = 60) -> Figure:
+def expertise_figure(people: People, most: int = 60) -> Figure:
     """Plot beta with its interval for each person, and theta where it is known.
 
     Parameters
     ----------
-    fits : list of Fit
+    people : FittedPeople, or iterable of PersonEstimate or Fit
     most : int
         Largest number of people, each with a line; more cannot be read.
     """
+    fits = fits_of(people)
     from matplotlib.figure import Figure
 
     shown = sorted(fits, key=lambda f: (f.beta.value, f.beta.interval[0]))
@@ -157,13 +163,14 @@ def expertise_figure(fits: list[Fit], most: int = 60) -> Figure:
     return figure
 
 
-def errors_figure(fits: list[Fit]) -> Figure:
+def errors_figure(people: People) -> Figure:
     """Plot beta against the share of suboptimal actions.
 
     Parameters
     ----------
-    fits : list of Fit
+    people : FittedPeople, or iterable of PersonEstimate or Fit
     """
+    fits = fits_of(people)
     figure, axis = _figure(6.4, 4.6)
     for is_open, marker, label in ((False, "o", "estimate"), (True, "^", "not bounded above")):
         own = [f for f in fits if f.beta.open_above == is_open]
@@ -183,15 +190,16 @@ def errors_figure(fits: list[Fit]) -> Figure:
     return figure
 
 
-def episodes_figure(fits: list[Fit], most: int = 12) -> Figure:
+def episodes_figure(people: People, most: int = 12) -> Figure:
     """Plot the cost-to-go along each person's episodes, and the suggestions.
 
     Parameters
     ----------
-    fits : list of Fit
+    people : FittedPeople, or iterable of PersonEstimate or Fit
     most : int
         Largest number of people, each with a panel.
     """
+    fits = fits_of(people)
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 

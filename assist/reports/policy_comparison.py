@@ -27,6 +27,7 @@ from planner.system.results import Result, html_table
 
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
+from ..person.policy import not_worth_its_cost
 from ..simulation.episode import SHOWN
 from ..simulation.episodes import Episodes, Summary
 from ..simulation.pool import Pool, require_pool
@@ -206,6 +207,13 @@ class PolicyComparison(Result):
         ]  # fmt: skip
         return head, lines
 
+    def notes(self) -> list[str]:
+        """Return a sentence for each policy and condition without suggestions, as none was worth its cost."""
+        return [
+            f"{', '.join(self._condition(row)[::-1])}: {not_worth_its_cost(row.summary.c_suggest_too_high)}"
+            for row in self.rows if row.summary.c_suggest_too_high is not None
+        ]  # fmt: skip
+
     def note(self) -> str:
         """Return the sentence below the table of means, which says what its numbers are."""
         count = {row.summary.episodes for row in self.rows}
@@ -215,15 +223,16 @@ class PolicyComparison(Result):
 
     def _condition_head(self) -> list[str]:
         several = len({row.humans for row in self.rows}) > 1
-        return [*([self.varied] if self.varied else []), *(["people"] if several else []), "policy"]
+        return [*([self.varied] if self.varied else []), *(["humans"] if several else []), "policy"]
 
     def _condition(self, row: ComparedPolicy) -> list[str]:
-        named = {self.varied: f"{row.varied}", "people": f"{row.humans}", "policy": row.policy}
+        named = {self.varied: f"{row.varied}", "humans": f"{row.humans}", "policy": row.policy}
         return [named[name] for name in self._condition_head()]
 
     def __str__(self) -> str:
         means, differences = (_lines(*cells) for cells in (self.means(), self.differences()))
-        return "\n".join([*means, self.note(), *(["", *differences] if len(differences) > 1 else [])])
+        below = [self.note(), *self.notes()]
+        return "\n".join([*means, *below, *(["", *differences] if len(differences) > 1 else [])])
 
     __repr__ = __str__
 
@@ -233,7 +242,8 @@ class PolicyComparison(Result):
             for head, lines in (self.means(), self.differences())
         )
         several = any(row.differences is not None for row in self.rows)
-        return f"{means}<p>{html.escape(self.note())}</p>{differences * several}"
+        below = "".join(f"<p>{html.escape(line)}</p>" for line in [self.note(), *self.notes()])
+        return f"{means}{below}{differences * several}"
 
 
 @shows_progress

@@ -20,6 +20,7 @@ from planner.system.workers import outcomes
 from ..declare.declared import plain, sentences
 from ..person.policy import not_worth_its_cost
 from ..plots import style
+from ..study.protocol import study_of
 from ..study.runner import load_study
 from ..study.study import OWN, Study, StudyPlan
 from . import study_claims
@@ -88,8 +89,9 @@ class Report(Result):
         ]  # fmt: skip
 
     @classmethod
-    def of(cls, study: Study, folder: str | Path) -> Report:
-        """Build the report of a study's results."""
+    def of(cls, study: Study | str | Path, folder: str | Path) -> Report:
+        """Build the report of a study's results; the study may be given by its file or shipped name."""
+        study = study_of(study)
         found = Found(study, load_study(Path(folder)))
         summary = found.summary()
         shown = tuple(pictures(found, summary))
@@ -101,18 +103,19 @@ class Report(Result):
         return html_page(title, self.text, dark=True)
 
 
-def write_report(study: Study, folder: str | Path, *, jobs: int = 1) -> Report:
+def write_report(study: Study | str | Path, folder: str | Path, *, jobs: int = 1) -> Report:
     """Write `summary.json`, the figures, `report.md` and `report.html` to a study's folder; return the report.
 
     Parameters
     ----------
-    study : Study
+    study : Study, or str or Path
+        A study, or its file or shipped name.
     folder : path
         Folder of the results.
     jobs : int
         Number of processes that draw figures.
     """
-    folder = Path(folder)
+    folder, study = Path(folder), study_of(study)
     report = Report.of(study, folder)
     _draw_all(report.pictures, folder / FIGURES, jobs)
     for name, text in {

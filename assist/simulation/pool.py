@@ -90,6 +90,9 @@ class Pool(Result):
         known, given = ((one.setting, one.people, one.model) for one in (self, other))
         return same(known, given) and same(problems, others)
 
+    def __repr__(self) -> str:
+        return f"<Pool of {len(self.people)} people, {len(self.policies)} policies: {self.setting.knowledge} knowledge>"
+
     def records(self) -> list[dict[str, Any]]:
         """Return a row for each person: `beta` (per cost unit), `theta`, `sigma` (cost units) and weights of terms."""
         return [

@@ -10,6 +10,7 @@ depend on how episodes are divided among processes.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -22,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner.system.progress import Wanted, adding, parts_shown, shows_progress
 from planner.system.threads import on_threads
 
-from ..people.arguments import Seed, entropy, whole, wholes
+from ..people.arguments import Seed, entropy, positive, whole, wholes
 from ..person.memory_needed import MEMORY_LIMIT_MB
 from ..team.attention import AttentionSwitching
 from ..team.policies import prepare
@@ -62,6 +63,7 @@ def simulate(
     reasons: Reasons | None = None,
     jobs: int = 1,
     memory_limit_mb: float = MEMORY_LIMIT_MB,
+    time_limit: float | None = None,
     progress: Wanted = None,
 ) -> Episodes:
     """Simulate episodes of teams drawn from a pool.
@@ -98,6 +100,8 @@ def simulate(
         given one after another.
     memory_limit_mb : float
         Memory of the records of all episodes, in MB.
+    time_limit : float, optional
+        Seconds after which no further episodes begin. Those that were simulated by then are returned, at least some.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes. The stages are the solution of people's
         problems and the simulation of episodes. Episodes count as done once those simulated with them are done, too.
@@ -164,9 +168,10 @@ def simulate(
 
     advance = adding(progress, f"simulating {called}" + " and explaining its suggestions" * explained, count)
     done, size, found = 0, 1 if explained else BLOCK, list[Episodes]()
+    ends = math.inf if time_limit is None else time.monotonic() + positive("time_limit", time_limit)
     # A function of the user may solve people's problems in its first step; only the function knows.
     with nullcontext() if hasattr(policy, "prepare") else parts_shown(progress, lambda: advance(0)):
-        while done < count:
+        while done < count and (not done or time.monotonic() < ends):
             threads = 1 if explained else jobs
             each = min(size, together, math.ceil((count - done) / threads))
             first = range(done, min(count, done + threads * each), each)

@@ -108,6 +108,17 @@ def shipped() -> list[str]:
     return sorted(path.stem for path in PROTOCOLS.glob("*.toml"))
 
 
+def study_of(study: Study | str | Path) -> Study:
+    """Return a study: itself, or from its file or shipped name, as `read` does.
+
+    Raises
+    ------
+    InputFileError
+        There is no such study, or its file is invalid.
+    """
+    return study if isinstance(study, Study) else read(study)
+
+
 def read(study: str | Path, *, repeats: int | None = None) -> Study:
     """Read a study from a file, or a bundled one by name.
 

@@ -22,6 +22,7 @@ from planner.system.resumable import ResumableFolder
 from planner.system.workers import outcomes
 
 from .cells import Outcome, carry_out
+from .protocol import study_of
 from .study import SCHEMA, Cell, Study
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ EPISODE = ("policy", "humans", "draw", "trial")
 
 @shows_progress
 def run_study(
-    study: Study,
+    study: Study | str | Path,
     out: str | Path,
     *,
     jobs: int = 1,
@@ -48,7 +49,8 @@ def run_study(
 
     Parameters
     ----------
-    study : Study
+    study : Study, or str or Path
+        A study, or a file or a shipped name, as `read` takes them.
     out : path
         Folder of results.
     jobs : int
@@ -73,6 +75,7 @@ def run_study(
         `study.json` does not identify the study of the results.
     """
     assert callable(progress)
+    study = study_of(study)
     out = Path(out)
     order = {cell: number for number, cell in enumerate(study.cells())}
     results: ResumableFolder[Cell] = ResumableFolder(out / EPISODES, out / PROFILE, resume=resume)

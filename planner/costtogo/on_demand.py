@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.semantics import derived, plan_cost
-from ..grounding.task import Task
 from ..search.distances import UNREACHED
 from ..search.kernels import packed_successors
 from ..search.kernels.packed_successors import PackedOperators
@@ -41,6 +40,7 @@ from ..system.threads import on_threads
 from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
 from .cache import Cache
 from .cost_to_go import optimal_plan
+from .load import AnyTask, task_of
 from .shown import Plan, State
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class OnDemand:
 
     Parameters
     ----------
-    task : Task
+    task : Task, or whatever `load` takes
     cache : Cache, optional
         Stores results on disk; by default they are kept in memory only.
     jobs : int, optional
@@ -78,7 +78,7 @@ class OnDemand:
 
     def __init__(
         self,
-        task: Task,
+        task: AnyTask,
         *,
         cache: Cache | None = None,
         jobs: int | None = None,
@@ -86,7 +86,7 @@ class OnDemand:
         reason: str | None = None,
         orbits: OrbitTable | None = None,
     ) -> None:
-        self.task = task
+        self.task = task = task_of(task)
         self.orbits = orbits
         self._priced, self._unit = priced(task)
         self.reason = reason

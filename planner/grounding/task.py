@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..pddl import instances
-from ..system.arrays import outline
 from ..system.pictures import Pictured
 
 Fact = tuple[int, int]
@@ -127,7 +126,8 @@ class Task(Pictured):
     note: str | None = None
     unit: Fraction = Fraction(1)
 
-    __repr__ = outline
+    def __repr__(self) -> str:
+        return f"<Task {self.name}: {len(self.actions):,} actions, {len(self.variables):,} variables>"
 
     def __post_init__(self) -> None:
         """Check the costs, the initial state and the goal."""

@@ -10,12 +10,14 @@ import functools
 import hashlib
 import linecache
 import pickle
+import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, cached_property
 from importlib import import_module
-from types import FunctionType, ModuleType
+from types import FrameType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -33,9 +35,14 @@ _loading = threading.RLock()
 @cache
 def _numba() -> Any:
     """Import numba, and let it announce each function that is compiled because it is not in the cache."""
-    _load_without_scipy()
-    import numba
-    from numba.core import event
+    with _interrupted_later():
+        _load_without_scipy()
+        import numba
+        from numba.core import event
+        from numba.core.registry import cpu_target
+
+        cpu_target.typing_context.refresh()  # what the first compilation would do
+        cpu_target.target_context.refresh()
 
     class Listener(event.Listener):
         def on_start(self, event: Any) -> None:  # noqa: ARG002
@@ -46,6 +53,23 @@ def _numba() -> Any:
 
     event.register("numba:compile", Listener())
     return numba
+
+
+@contextmanager
+def _interrupted_later() -> Iterator[None]:
+    """Let Ctrl-C take effect after this block, within a second or two: an interrupted numba would stay half-loaded."""
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield
+        return
+    come: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: come.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    if come:
+        handler(*come[0])
 
 
 def _load_without_scipy() -> None:

@@ -101,12 +101,23 @@ def stages(after: float = 0.0) -> Iterator[Progress]:
 
 
 def shows_progress(function: F) -> F:
-    """Add the argument `progress` to a function, as this module describes; the function receives a callable."""
+    """Add the argument `progress` to a function, as this module describes; the function receives a callable.
+
+    An interrupt (Ctrl-C) that comes while compiled code is called is a `KeyboardInterrupt` like any other.
+    """
 
     @functools.wraps(function)
     def shown(*args: Any, progress: Wanted = None, **others: Any) -> Any:
-        with reporting(progress) as tell:
-            return function(*args, progress=tell, **others)
+        try:
+            with reporting(progress) as tell:
+                return function(*args, progress=tell, **others)
+        except SystemError as error:  # numba returns with the exception set, which Python makes this error of
+            behind: BaseException | None = error
+            while isinstance(behind, SystemError):
+                behind = behind.__cause__ or behind.__context__
+            if isinstance(behind, KeyboardInterrupt):
+                raise behind from None
+            raise
 
     return cast(F, shown)
 

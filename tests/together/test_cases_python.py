@@ -16,7 +16,20 @@ from assist import Assistant, Pool, fit, simulate
 from assist.certify import certify, upper_bound
 from assist.drawing import draw
 from assist.large_tasks.person_problem import PersonProblem
-from assist.learning import Log, compare_models, infer_goals, observed, read_log
+from assist.learning import (
+    Log,
+    LogError,
+    calibrate,
+    compare_models,
+    fit_population,
+    infer_goals,
+    maximum_likelihood,
+    observed,
+    read_log,
+    replayed,
+)
+from assist.people import TERMS, Choices
+from assist.plots import expertise_figure
 from planner import OnDemand, astar, cost_to_go, load, sweep, sweep_goals
 
 pytestmark = pytest.mark.cases
@@ -47,9 +60,17 @@ OF_A_TASK: dict[str, Callable[[Any], Any]] = {
     "fit with goals": lambda task: round(fit({"kit": task}, LOG)["ann"].beta or 0.0, 9),
     "PersonProblem.of": lambda task: len(PersonProblem.of(task).states),
     "draw": lambda task: draw(task).svg,
+    "Choices.of": lambda task: len(Choices.of(task)),
+    "OnDemand": lambda task: OnDemand(task).lookup([0]).tolist(),
 }
 GOALS = ("fit", "compare_models")  # which take a task for each goal's name, too
-SEARCHED = ("Assistant", "Assistant by name", "Pool.sample", "PersonProblem.of")  # a truncated task is another problem
+SEARCHED = (
+    "Assistant",
+    "Assistant by name",
+    "Pool.sample",
+    "PersonProblem.of",
+    "Choices.of",
+)  # a truncated task is another problem
 
 
 @pytest.mark.filterwarnings("ignore:suggestions are ignored")
@@ -83,6 +104,18 @@ def test_a_log_may_be_given_in_any_form(tmp_path: Path, form: str) -> None:
     assert fit("kitting/tiny", LOGS[form](file))["bob"].actions == len(ACTIONS)
 
 
+def test_a_log_with_other_columns_is_read_by_fit(tmp_path: Path) -> None:
+    renamed = [{("worker" if name == "person" else name): value for name, value in row.items()} for row in ROWS]
+    pandas = pytest.importorskip("pandas")
+    pandas.DataFrame(renamed).to_csv(tmp_path / "log.csv", index=False)
+    for log in (tmp_path / "log.csv", renamed, pandas.DataFrame(renamed)):
+        assert fit("kitting/tiny", log, columns={"person": "worker"})["bob"].actions == len(ACTIONS)
+    with pytest.raises(LogError, match=r"log.csv:1: no column is called person; .*columns=\{'person': NAME\}"):
+        fit("kitting/tiny", tmp_path / "log.csv")
+    with pytest.raises(TypeError, match="columns: expected a file"):
+        fit("kitting/tiny", LOG, columns={"person": "worker"})
+
+
 @pytest.mark.parametrize("function", [fit, observed, lambda task, log: infer_goals({"kit": task}, log)])
 def test_what_is_no_log_gets_one_sentence(function: Callable[..., Any]) -> None:
     for wrong in (5, None, {"person": ["ann"]}, b"log.csv"):
@@ -103,6 +136,38 @@ def test_a_task_where_a_pool_was_expected() -> None:
             call("kitting/tiny", "reactive", humans=2, episodes=2, seed=0)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=said):
         upper_bound("kitting/tiny")  # type: ignore[arg-type]
+
+
+def test_results_of_fit_are_what_figures_and_comparisons_take() -> None:
+    people, seen = fit("kitting/tiny", LOG), replayed("kitting/tiny", LOG)
+    for given in (people, list(people.values()), [one.fit for one in people.values()]):
+        assert calibrate(given) == calibrate(people)
+        assert expertise_figure(given).axes
+    for estimate in (compare_models, fit_population, maximum_likelihood):
+        assert estimate(seen) == estimate(seen.observations(TERMS if estimate is compare_models else None))
+        with pytest.raises(TypeError, match="a str where observations were expected; `replayed"):
+            estimate("log.csv")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="a str where a person's fit was expected"):
+        calibrate(["ann"])
+
+
+def test_long_calls_end_within_their_time_with_what_is_done() -> None:
+    pool = Pool.sample("kitting/tiny", 3, seed=1)
+    whole = simulate(pool, "reactive", humans=2, episodes=200, seed=1)
+    some = simulate(pool, "reactive", humans=2, episodes=200, seed=1, time_limit=1e-9)
+    assert 0 < len(some) < len(whole)
+    assert (some.actions == whole.actions[: len(some)]).all()
+    people = fit("kitting/tiny", LOG, model="misconceptions", time_limit=1e-9)
+    assert [one["error"] for one in people.unknown.values()] == ["not estimated within the time limit"] * 2
+    for wrong in (0, -1.0):
+        with pytest.raises(ValueError, match="time_limit"):
+            simulate(pool, "none", humans=1, episodes=1, seed=0, time_limit=wrong)
+
+
+def test_a_state_is_drawn_as_it_is() -> None:
+    table = cost_to_go("kitting/tiny")
+    state = table.state(3)
+    assert draw(state).svg == draw(table, state.values).svg != draw(table).svg
 
 
 def test_policies_need_no_names() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import click
 from rich.table import Table
 
-from ...person.policy import not_worth_its_cost
 from ...reports.policy_comparison import Cells, PolicyComparison
 from ..terminal.console import print_table
 
@@ -14,9 +13,9 @@ def show_comparison(found: PolicyComparison, drawn: int, pool: int) -> None:
     """Print what policies led to, and how they differ; and how many people of the pool were in a team."""
     _print(found.means())
     click.echo(found.note() if drawn == pool else f"{found.note()}; {drawn} of {pool} people drawn")
+    for line in found.notes():
+        click.echo(f"{line} (--c-suggest)")
     for row in found:
-        if row.summary.c_suggest_too_high is not None:
-            click.echo(f"{row.policy}: {not_worth_its_cost(row.summary.c_suggest_too_high)} (--c-suggest)")
         if row.summary.questions is not None:
             click.echo(f"{row.policy}: {row.summary.questions:.2f} questions per episode")
     if len(found) > 1 and found[0].summary.episodes > 1:

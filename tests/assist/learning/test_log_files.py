@@ -154,7 +154,7 @@ def test_objects_are_read_as_programs_write_them(tmp_path: Path, form: str) -> N
         (HEAD + ROWS.replace(f",{RIGHT},", ",TRUE,"), "'action' is true; expected an action as text"),
         (HEAD + re.sub(r"1,(\d),", r"1,\1,0,", ROWS), "6 cells; expected 5, as in the first line"),
         (HEAD.replace("step", "person") + ROWS, "2 columns are called person; expected one"),
-        (HEAD.replace("person", "worker") + ROWS, "--columns person=NAME with one of worker, episode, step"),
+        (HEAD.replace("person", "worker") + ROWS, "columns={'person': NAME}) with one of worker, episode, step"),
         (json.dumps(BASE)[:-9], "not JSON; expected a list of objects; what comes after it is not read"),
         (json.dumps(BASE) + "\nBASE", "there is more after the list; what comes after it is not read"),
         (json.dumps({**BASE[0], "Person": "bob"}) + "\n", "two fields are called person"),

@@ -72,6 +72,13 @@ def test_pools_are_conditions_and_have_a_column(pool: Pool) -> None:
     assert [axis.get_xlabel() for axis in found.figure().axes] == ["c_suggest"] * 3
 
 
+def test_it_says_where_no_suggestion_was_worth_its_cost(pool: Pool) -> None:
+    found = compare(pool, ["none", "attention"], humans=2, episodes=5, c_suggest=[0.05, 40.0])
+    assert found.notes() == ["attention, 40.0: no suggestion was worth its cost (c_suggest 40)"]
+    assert found.notes()[0] in str(found)
+    assert found.notes()[0] in found._repr_html_()
+
+
 def test_a_setting_is_changed_for_the_same_people(pool: Pool) -> None:
     found = compare(pool, ["none", "attention"], humans=2, episodes=20, c_move=3.0)
     other = Pool.sample(cost_to_go("kitting/tiny"), 6, seed=0, setting=Setting(c_suggest=0.5, c_move=3.0))

@@ -165,3 +165,33 @@ def test_arithmetic_is_that_of_the_function_and_not_of_its_first_caller() -> Non
     """The reciprocal of a subnormal number is infinite, and its ratio to itself is one."""
     ratio_by_a_reciprocal(1.0, 2.0)
     assert ratio(1e-310, 1e-310) == 1.0
+
+
+def test_an_interrupt_while_the_compiler_is_imported_leaves_it_whole(tmp_path: Path) -> None:
+    """Otherwise no later call in the same session could use it."""
+    script = """
+import _thread, signal, sys
+from planner.system.jit import njit
+
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numba.core.typing.templates":
+            sys.meta_path.remove(self)
+            signal.raise_signal(signal.SIGINT)
+
+@njit()
+def doubled(x):
+    return 2 * x
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Interrupts())
+try:
+    doubled(2)
+except KeyboardInterrupt:
+    print("interrupted")
+print(doubled(3))
+"""
+    (tmp_path / "script.py").write_text(script)
+    inside = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, env=inside)
+    assert done.stdout.split() == ["interrupted", "6"], done.stderr

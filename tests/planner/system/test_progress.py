@@ -234,3 +234,18 @@ def test_a_person_who_is_solved_when_first_asked_is_shown(tiny: Table, monkeypat
 def test_worker_processes_show_nothing_by_themselves() -> None:
     ((_, shown),) = outcomes(os.getenv, [progress.UNSHOWN])
     assert shown == "0"
+
+
+@pytest.mark.parametrize("behind", [KeyboardInterrupt(), KeyError("x")])
+def test_an_interrupt_of_compiled_code_is_an_interrupt(behind: BaseException) -> None:
+    """Python makes a `SystemError` of an exception that is set when compiled code returns."""
+
+    @progress.shows_progress
+    def calls_compiled_code(progress: progress.Wanted = None) -> None:  # noqa: ARG001
+        try:
+            raise SystemError("returned a result with an exception set") from behind
+        except SystemError as error:
+            raise SystemError("and again") from error
+
+    with pytest.raises(KeyboardInterrupt if isinstance(behind, KeyboardInterrupt) else SystemError):
+        calls_compiled_code()
