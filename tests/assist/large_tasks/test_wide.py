@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from random import Random
 from threading import Thread
 from typing import Any
 
@@ -18,6 +19,7 @@ from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.large_tasks import truncated_bound, truncated_policy
 from assist.large_tasks.truncated_task import never_erring
+from assist.live import Assistant, live_task
 from assist.people.human import Population
 from assist.person.solver import solve
 from assist.simulation.episodes import Episodes
@@ -138,6 +140,43 @@ def test_whoever_holds_rows_keeps_them(tiny: Table, monkeypatch: Any) -> None:
         part.rows(np.array([state]))
     assert part.stamps[rows[0]].tolist() == stamps[0]
     assert part.stamps[rows[1]].tolist() != stamps[1]
+
+
+def test_threads_do_not_evict_each_others_rows(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(truncated_policy, "ROWS", 25)
+    setting = Setting(c_suggest=0.1, knowledge="exact")
+    whole, part = (
+        Pool.sample(tiny, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
+    )
+    options: dict[str, Any] = {"humans": 2, "episodes": 256, "seed": 3}
+    assert_same(simulate(whole, "attention", **options), simulate(part, "attention", jobs=2, **options), 256)
+
+
+def test_a_live_team_keeps_the_rows_of_people_and_decisions(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beliefs, suggestions, what is taken back and later explanations are those of the whole task."""
+    monkeypatch.setattr(truncated_policy, "ROWS", 25)
+    said = list[list[Any]]()
+    for whole in (True, False):
+        monkeypatch.setattr(live_task, "is_whole", lambda _, whole=whole: whole)
+        desk = Assistant(
+            tiny, ["ann", "bob"], setting=Setting(c_suggest=0.05, c_move=0.0), population=Population(beta=(0.1, 0.5))
+        )  # fmt: skip
+        rng, advice = Random(1), []
+        found: list[Any] = []
+        for step in range(14):
+            advice.append(desk.recommend())
+            for person in desk.people:
+                if actions := desk.person(person).applicable:
+                    desk.observe(person, rng.choice(actions))
+                if step % 5 == 4:
+                    desk.undo(person)
+                found.append((advice[-1].suggestion, desk.person(person).belief.tobytes()))
+        found += [
+            None if one.explanation is None or one.suggestion is None else one.explanation.text() for one in advice
+        ]
+        said.append(found)
+    assert said[0] == said[1]
+    assert sum(isinstance(one, str) for one in said[0]) >= 3
 
 
 def test_people_of_enumerated_tasks_and_of_others_are_in_one_team(tiny: Table) -> None:
