@@ -188,7 +188,7 @@ def _check_steps(rows: Sequence[Mapping[str, Any]]) -> None:
 
 def _robot_places(rows: Iterable[Mapping[str, Any]], step: int) -> list[int | None]:
     row = next((row for row in rows if row["step"] == step), {})
-    return row.get("robot_places", [row.get("robot_place")])
+    return row.get("robot_places", [])
 
 
 def _frame(
@@ -200,7 +200,7 @@ def _frame(
         return Frame(tuple(values), title, "has finished" if row is None else "waits")
     action, suggestion, executed = row.get("action"), row.get("suggestion"), row.get("executed")
     helped = suggestion or executed
-    there = place in robots if {"robot_place", "robot_places"} & set(row) else helped is not None
+    there = place in robots if "robot_places" in row else helped is not None
     done = artist.say(str(action)) if action else "waits"
     advice = ""
     if executed:

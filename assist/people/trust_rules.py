@@ -212,21 +212,24 @@ class Reliability:
 
 
 def moved(rule: TrustRule, theta: Floats, count: NDArray[np.int64], event: Event) -> tuple[Floats, NDArray[np.int64]]:
-    """Return theta and the number of outcomes after an event; the number stays 0 for rules without `counts`.
+    """Return theta and the count of a rule after an event; the count stays 0 for rules without `counts`.
+
+    It is the number of outcomes that the person has seen, unless the rule has a method `counted(count, event)`.
 
     Parameters
     ----------
     rule : TrustRule
     theta : float array
     count : int array
-        Number of outcomes that the person has seen, at most the rule's `counts`.
+        From 0 to the rule's `counts`.
     event : Event
     """
     most = counts_of(rule)
     if not most:
         return rule.update(theta, event), count
     counting: Any = rule
-    return counting.update(theta, event, count), np.minimum(count + event.shown, most)
+    counted = getattr(rule, "counted", lambda count, event: np.minimum(count + event.shown, most))
+    return counting.update(theta, event, count), counted(count, event)
 
 
 def counts_of(rule: TrustRule) -> int:

@@ -147,7 +147,15 @@ class Beliefs(Protocol):
         ...
 
     def expected(self, ask: Ask, policy: Policy, rows: Ints) -> Floats:
-        """Return the answers about some people of one policy, shape (m, W), expected over what is uncertain."""
+        """Return the answers about some people of one policy, shape (m, W), expected over what is uncertain.
+
+        Parameters
+        ----------
+        ask : Ask
+        policy : Policy
+        rows : int array, shape (m,)
+            Ascending numbers of the people.
+        """
         ...
 
     def finished(self, person: int, arrays: ProblemArrays) -> float:
@@ -216,6 +224,8 @@ class Seen:
         """Return the answers about some people, as in `Beliefs`."""
         if not len(self.belief):
             raise ValueError("the policy has said that it uses no beliefs")
+        if len(rows) == len(self.x):  # all of them, so that nothing needs to be copied
+            return ask(policy, self.x, self.belief)
         return ask(policy, self.x[rows], self.belief.take(rows, axis=0))  # faster than by an index
 
     def finished(self, person: int, arrays: ProblemArrays) -> float:

@@ -18,13 +18,18 @@ class CommonRandomNumbers:
     """The random numbers of some episodes, independent of the other episodes that are simulated."""
 
     def __init__(self, seed: int, numbers: NDArray[np.int64], places: int) -> None:
-        blocks, self.block = np.unique(numbers // BLOCK, return_inverse=True)
-        self.row, self.places = numbers % BLOCK, places
-        self.streams = [
-            [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, kind, int(b)))) for b in blocks]
-            for kind in range(8)
-        ]
-        self.drawn = np.empty((len(blocks), BLOCK, places))
+        self.blocks, self.block = np.unique(numbers // BLOCK, return_inverse=True)
+        self.seed, self.row, self.places = seed, numbers % BLOCK, places
+        self.drawn = np.empty((len(self.blocks), BLOCK, places))
+        self._streams: dict[int, list[np.random.Generator]] = {}
+
+    def streams(self, kind: int) -> list[np.random.Generator]:
+        """Return the stream of each block for a kind of numbers, made when the first of them is drawn."""
+        if kind not in self._streams:
+            keys = [(1, kind, int(block)) for block in self.blocks]
+            seeds = [np.random.SeedSequence(self.seed, spawn_key=key) for key in keys]
+            self._streams[kind] = [np.random.default_rng(one) for one in seeds]
+        return self._streams[kind]
 
     def draw(self, kind: int, rows: NDArray[np.int64]) -> Floats:
         """Return uniform numbers for some episodes.
@@ -32,13 +37,16 @@ class CommonRandomNumbers:
         Kind 0 is for people's types, 1 for choices, 2 for trust updates, 4 for goals, 5 and 6 for observations, and 7
         for answers.
         """
-        for block in np.unique(self.block[rows]):  # the streams of finished episodes need not advance
-            self.streams[kind][block].random(out=self.drawn[block])
+        advances = np.zeros(len(self.drawn), dtype=bool)  # the streams of finished episodes need not
+        advances[self.block[rows]] = True
+        streams = self.streams(kind)
+        for block in np.flatnonzero(advances).tolist():
+            streams[block].random(out=self.drawn[block])
         return self.drawn[self.block[rows], self.row[rows]]
 
     def team(self, pool: int) -> NDArray[np.int64]:
         """Return K distinct numbers of a pool for each episode, shape (N, K)."""
-        order = [stream.permuted(np.tile(np.arange(pool), (BLOCK, 1)), axis=1) for stream in self.streams[3]]
+        order = [stream.permuted(np.tile(np.arange(pool), (BLOCK, 1)), axis=1) for stream in self.streams(3)]
         return np.stack(order)[self.block, self.row, : self.places]
 
 

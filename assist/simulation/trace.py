@@ -22,5 +22,5 @@ class Reasons(Protocol):
 
 
 def robot_is_at(row: Mapping[str, Any], place: int) -> bool:
-    """Whether a row of a trace says that a robot was at a person's place: its only robot, or one of several."""
-    return place in row.get("robot_places", [row.get("robot_place")])
+    """Whether a row of a trace says that a robot was at a person's place."""
+    return place in row["robot_places"]

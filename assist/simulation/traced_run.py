@@ -82,7 +82,7 @@ class Tracer:
                 **({"executed": pomdp.executes(x, r)} if executes else {}),
                 "policy": self.name,
                 "place": k,
-                **({"robot_place": there[0]} if len(there) == 1 else {"robot_places": there}),
+                "robot_places": there,
                 "cost": float(choices.costs[place, slot]) if slot >= 0 else 0.0,
                 "cost_to_go": finite(choices.goals.h[goal, x]),
                 "cost_to_go_after": finite(choices.goals.h[goal, people.row[e, k]]),

@@ -41,6 +41,8 @@ def check(team: TeamState, action: TeamAction) -> None:
         raise refused("speaks to a person before the robot has arrived")
     if not team.free[goes].all():
         raise refused("sends a robot that is under way")
+    if not len(to):
+        return
     # Robots that are not sent make room.
     after = np.where(action.person != NOBODY, action.person, np.where(team.free, BASE, team.location))
     crowded = np.flatnonzero((after != BASE).sum(axis=1) > 1)

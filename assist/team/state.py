@@ -124,7 +124,8 @@ class TeamState:
     __repr__ = outline
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "free", np.broadcast_to(self.free, self.location.shape))
+        if self.free.shape != self.location.shape:
+            object.__setattr__(self, "free", np.broadcast_to(self.free, self.location.shape))
         if len(self.fleet) == 1 < self.robots:
             object.__setattr__(self, "fleet", Fleet(self.fleet.robots * self.robots))
         for name in ("x", "active", "erred", "location", "model", "belief", "free"):

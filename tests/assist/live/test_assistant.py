@@ -78,7 +78,7 @@ def test_step_by_step_it_is_what_is_simulated(tiny: Table, policy: str, setting:
                 assert (known.belief == watched.beliefs[step][row["place"]]).all()
             assert known.cost_to_go == row["cost_to_go"]
             assert known.suggestion == row["suggestion"] == (advice.suggestion if advice.person == name else None)
-            assert row["robot_place"] == (int(desk.robot) if desk.robot and there_at <= step else None)
+            assert row["robot_places"] == [int(desk.robot) if desk.robot and there_at <= step else None]
             spoken += row["suggestion"] is not None
             desk.observe(name, row["action"])
     assert desk.finished

@@ -253,7 +253,7 @@ def test_what_was_believed_is_what_the_episode_had(pool: Pool) -> None:
     assert episode == expected
     assert sum(row["suggestion"] for row in rows) == episode.interventions > 0
     assert [(row["place"], row["step"], row["theta_true"], row["robot_here"]) for row in rows] == [
-        (row["place"], row["step"], row["theta"], row["robot_place"] == row["place"]) for row in trace
+        (row["place"], row["step"], row["theta"], row["place"] in row["robot_places"]) for row in trace
     ]
     for place in range(2):
         own = [row for row in rows if row["place"] == place]

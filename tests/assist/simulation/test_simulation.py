@@ -45,7 +45,7 @@ def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
         discounted = sum(pool.setting.gamma ** row["step"] * row["reward"] for row in rows)
         assert episode.discounted_return == pytest.approx(discounted, abs=1e-9)
         assert episode.interventions == sum(row["suggestion"] is not None for row in rows)
-        places = [next(r["robot_place"] for r in rows if r["step"] == step) for step in range(episode.steps)]
+        places = [next(r["robot_places"][0] for r in rows if r["step"] == step) for step in range(episode.steps)]
         assert episode.moves == sum(a != b for a, b in zip([None, *places], places, strict=False))
         paid = -sum(row["reward"] + row["cost"] for row in rows)
         expected = pool.setting.c_suggest * episode.interventions + pool.setting.c_move * episode.moves
