@@ -94,7 +94,7 @@ def swept_alone(pomdp: AssistPOMDP, limit: float) -> tuple[Floats | None, int, f
         own_arrays = arrays._replace(chosen=chosen, unsuggested=unsuggested, goal_of=goal)
         change = math.inf
         while change * pomdp.gamma / (1 - pomdp.gamma) > TOLERANCE:
-            rise, fall, _ = iteration._sweep(own, order, robot, policy, own_arrays)
+            rise, fall, _ = iteration.sweep(own, order, iteration.ONLY, robot, policy, iteration.NOWHERE, own_arrays)
             change, number = max(rise, fall), number + 1
             if time.process_time() > begun + limit:
                 return None, number, time.process_time() - begun
@@ -105,18 +105,18 @@ def swept_alone(pomdp: AssistPOMDP, limit: float) -> tuple[Floats | None, int, f
 def iterated(pomdp: AssistPOMDP) -> tuple[Floats, int, float]:
     """Return the values by policy iteration, the number of sweeps over a region, and the seconds."""
     done: list[None] = []
-    one, begun = iteration._sweep, time.process_time()
+    one, begun = iteration.sweep, time.process_time()
 
     def counted(*given: Any) -> tuple[float, float, int]:
         done.append(None)
         return one(*given)
 
-    iteration._sweep = counted
+    iteration.sweep = counted
     try:
         value = initial_upper_bounds(pomdp)
         value_iteration(pomdp, value, tolerance=TOLERANCE)
     finally:
-        iteration._sweep = one
+        iteration.sweep = one
     return value, len(done), time.process_time() - begun
 
 

@@ -72,6 +72,7 @@ MOST_ENTRIES = 12_000_000
 FEW_SWEEPS = 20  # over a region, after which equations are solved rarely; a dozen are enough almost everywhere
 PLAIN_SWEEPS = 12  # sweeps over equations before a Krylov method takes over: they converge fast, or slowly
 ONLY = np.int64(0)  # the place of the only type; numba would compile again for a literal
+NOWHERE = np.empty((0, 0, 0, 0))  # in the place of Q-values that are not wanted
 KRYLOV_STEPS = 200  # of two products each; 20 to 60 converge in all tasks that were tried
 AT_ONCE = 20_000_000  # entries that are read before the clock is; they take about 0.02 s
 INEXACT = 0.05  # equations of a policy that will change are solved to this share of the last change
@@ -181,11 +182,10 @@ def load_compiled(arrays: ProblemArrays) -> None:
     """Load, or compile, the code that `improve` needs."""
     value, nothing = np.zeros((0, 1, len(arrays.theta))), read_only(np.zeros(0, dtype=np.int64))
     policy = np.zeros((0, len(arrays.theta)), np.int32)
-    _sweep(value, nothing, nothing, policy, arrays)
+    sweep(value, nothing, ONLY, nothing, policy, NOWHERE, arrays)
     _tighten(value, value, nothing, 0.0, below=False)
     equations = _Equations.of(nothing, 0, arrays, nothing, 0, len(arrays.theta))
     equations.solve(value, policy, 1.0, lambda: False)
-    _krylov(np.zeros(1), equations.rows, _Krylov.of(np.zeros(1), equations.rows), 1.0, 1)
 
 
 def rounding_error(value: Floats, arrays: ProblemArrays) -> Floats:
@@ -226,7 +226,7 @@ class _Region:
         for number in range(self.limits.sweeps):
             if self.stop():
                 return False
-            rise, fall, changed = _sweep(found, order, self.robot, policy, m)
+            rise, fall, changed = sweep(found, order, ONLY, self.robot, policy, NOWHERE, m)
             self.count()
             off = 0.0 if not solved else fall if self.below else rise
             change = max(rise, fall)
@@ -347,66 +347,109 @@ class _Equations:
 
 def _solved(value: Floats, rows: _Rows, goal: float, stop: Callable[[], bool]) -> Floats:
     """Return an approximate solution of equations from a first one, as `_Equations.solve` describes."""
-    together = max(1, AT_ONCE // (1 + len(rows.column)))  # steps without a look at the clock
+    together = max(1, AT_ONCE // (1 + len(rows.column)))  # sweeps without a look at the clock
     for _ in range(3):
         for done in range(0, PLAIN_SWEEPS, together):
             if _sweep_rows(value, rows, goal, min(together, PLAIN_SWEEPS - done)) <= goal or stop():
                 return value
-        tried, krylov = value.copy(), _Krylov.of(value, rows)
-        before = np.abs(krylov.residual).max()
-        for _ in range(0, KRYLOV_STEPS, together):
-            if _krylov(tried, rows, krylov, 0.5 * goal, together) <= 0.5 * goal or stop():
-                break
-        if _sweep_rows(tried, rows, goal, 1) < before:  # the method may fail
+        residual = value.copy()
+        _sweep_rows(residual, rows, 0.0, 1)
+        residual -= value
+        before = np.abs(residual).max()
+        with np.errstate(over="ignore", invalid="ignore"):  # the method may fail
+            tried = value + _krylov(residual, rows._replace(constant=np.zeros_like(rows.constant)), 0.5 * goal, stop)
+        if np.isfinite(tried).all() and _sweep_rows(tried, rows, goal, 1) < before:
             value = tried
     return value
 
 
-class _Krylov(NamedTuple):
-    """The state of BiCGSTAB on (I - G) v = b, where v -> G v + b is a Gauss-Seidel sweep; vectors as in `_Rows`."""
+def _krylov(r: Floats, rows: _Rows, goal: float, stop: Callable[[], bool]) -> Floats:
+    """Return the solution of (I - G) v = r by BiCGSTAB, where v -> G v is a Gauss-Seidel sweep; constants are 0.
 
-    residual: Floats
-    shadow: Floats
-    direction: Floats
-    image: Floats
-    second: Floats
+    The method goes on, and changes `r`, until its largest residual is at most `goal`, or until it cannot go on.
+    """
+    solution, shadow, p = np.zeros_like(r), r.copy(), r.copy()
+    v, t, work = np.empty_like(r), np.empty_like(r), np.empty_like(r)  # new arrays take as long as the arithmetic
 
-    @classmethod
-    def of(cls, value: Floats, rows: _Rows) -> _Krylov:
-        """Return the state before the first step."""
-        swept = value.copy()
-        _sweep_rows(swept, rows, 0.0, 1)
-        residual = swept - value
-        return cls(residual, residual.copy(), residual.copy(), np.empty_like(value), np.empty_like(value))
+    def operate(image: Floats, step: Floats) -> None:
+        image[:] = step
+        _sweep_rows(image, rows, 0.0, 1)
+        np.subtract(step, image, out=image)
+
+    def product(a: Floats, b: Floats) -> float:  # which is the same with any number of threads
+        return float(np.multiply(a, b, out=work).sum())
+
+    def add(to: Floats, factor: float, step: Floats) -> None:
+        to += np.multiply(step, factor, out=work)
+
+    along = product(shadow, r)
+    for _ in range(KRYLOV_STEPS):
+        operate(v, p)
+        bent = product(shadow, v)
+        if not math.isfinite(bent) or bent == 0.0 or along == 0.0:
+            break
+        alpha = along / bent
+        add(r, -alpha, v)
+        operate(t, r)
+        square = product(t, t)
+        omega = product(t, r) / square if square > 0.0 else 0.0
+        add(solution, alpha, p)
+        add(solution, omega, r)
+        add(r, -omega, t)
+        if np.abs(r, out=work).max() <= goal or omega == 0.0 or stop():
+            break
+        along, before = product(shadow, r), along
+        add(p, -omega, v)
+        p *= along / before * alpha / omega
+        p += r
+    return solution
 
 
-@njit(nogil=True)
-def _sweep(
-    value: Floats, order: Ints, robot: Ints, policy: NDArray[np.int32], m: ProblemArrays
+@njit(nogil=True, error_model="numpy")
+def sweep(
+    value: Floats, order: Ints, h: int, robot: Ints, policy: NDArray[np.int32], q: Floats, m: ProblemArrays
 ) -> tuple[float, float, int]:
-    """Do a Bellman backup of every state, in place; `policy`, shape (n, T), receives the robot actions.
+    """Do a Bellman backup of every state of an order for one type; `policy`, shape (n, T), receives the robot actions.
+
+    The values, shape (n, H, T), are replaced one after the other. If `q` is not empty, they stay, and `q`, shape
+    (n, R, H, T), receives the Q-values of all robot actions; minus infinity in padding. Where the problem has ended for
+    the type, a suggestion costs, and does no more.
 
     Return the largest rise and the largest fall of a value, and the number of changes of the policy. A negative entry
     of `robot` stands for the best action. Actions that are equal up to rounding do not change the policy.
     """
-    thetas, least = len(m.theta), rounding(m.targets.shape[1])
-    q = np.empty((m.suggested.shape[1], thetas))
+    robots, thetas, least = m.suggested.shape[1], len(m.theta), rounding(m.targets.shape[1])
+    row = np.empty((robots, thetas))
     expected, mean, declined = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     rise, fall, changed = 0.0, 0.0, 0
     for x in order:
-        action_values(q, expected, mean, declined, value, x, ONLY, robot[x], m)
+        if m.final[m.goal_of[h], x]:
+            for r in range(m.robot_actions[x]):
+                for t in range(thetas):
+                    row[r, t] = value[x, h, t] - (m.robot_costs[x, r] if r > 0 else 0.0)
+        else:
+            action_values(row, expected, mean, declined, value, x, h, robot[x], m)
+        if len(q) > 0:
+            for r in range(robots):
+                for t in range(thetas):
+                    q[x, r, h, t] = row[r, t] if r < m.robot_actions[x] else -np.inf
+            continue
         first, end = (robot[x], robot[x] + 1) if robot[x] >= 0 else (0, m.robot_actions[x])
         for t in range(thetas):
-            best, which = q[first, t], first
+            best, which = row[first, t], first
             for r in range(first + 1, end):
-                if q[r, t] > best:
-                    best, which = q[r, t], r
+                if row[r, t] > best:
+                    best, which = row[r, t], r
             now = policy[x, t]
-            if which != now and not (first <= now < end and q[now, t] >= best - least * abs(best)):
+            if which != now and not (first <= now < end and row[now, t] >= best - least * abs(best)):
                 policy[x, t] = which
                 changed += 1
-            rise, fall = max(rise, best - value[x, 0, t]), max(fall, value[x, 0, t] - best)
-            value[x, 0, t] = best
+            change = best - value[x, h, t]
+            if change > rise:
+                rise = change
+            if -change > fall:
+                fall = -change
+            value[x, h, t] = best
     return rise, fall, changed
 
 
@@ -417,88 +460,34 @@ def _tighten(value: Floats, found: Floats, order: Ints, shift: float, below: boo
     for x in order:
         for t in range(value.shape[2]):
             bound = found[x, 0, t] + shift
-            scale = max(scale, abs(bound))
+            if abs(bound) > scale:
+                scale = abs(bound)
             if (bound > value[x, 0, t]) == below:
                 value[x, 0, t] = bound
     return scale
 
 
-@njit(nogil=True)
+@njit(nogil=True, error_model="numpy")
 def _sweep_rows(value: Floats, rows: _Rows, goal: float, sweeps: int) -> float:
     """Do Gauss-Seidel sweeps over equations, in place, until the largest change is at most `goal`; return the last."""
+    first, end, column, share, further, constant = rows
     change = 0.0
     for _ in range(sweeps):
         change = 0.0
-        for i in range(len(rows.end)):
-            total = rows.constant[i]
-            for k in range(UNSIGNED(rows.first[i]), UNSIGNED(rows.end[i])):
-                at = UNSIGNED(rows.column[k])
-                total += rows.share[k] * value[at] + rows.further[k] * value[at + NEXT]
-            change = max(change, abs(total - value[i]))
+        for i in range(len(end)):
+            total = constant[i]
+            for k in range(UNSIGNED(first[i]), UNSIGNED(end[i])):
+                at = UNSIGNED(column[k])
+                total += share[k] * value[at] + further[k] * value[at + NEXT]
+            if abs(total - value[i]) > change:
+                change = abs(total - value[i])
             value[i] = total
         if change <= goal:
             break
     return change
 
 
-@njit(nogil=True)
-def _operate(image: Floats, step: Floats, rows: _Rows) -> None:
-    """Fill `image` with (I - G) step."""
-    image[:] = step
-    for i in range(len(rows.end)):
-        total = 0.0
-        for k in range(UNSIGNED(rows.first[i]), UNSIGNED(rows.end[i])):
-            at = UNSIGNED(rows.column[k])
-            total += rows.share[k] * image[at] + rows.further[k] * image[at + NEXT]
-        image[i] = total
-    for i in range(len(rows.end)):
-        image[i] = step[i] - image[i]
-
-
-@njit(nogil=True)
-def _krylov(value: Floats, rows: _Rows, state: _Krylov, goal: float, steps: int) -> float:
-    """Do steps of BiCGSTAB, in place, until the largest residual is at most `goal`; return the last.
-
-    It is 0 if the method cannot go on.
-    """
-    r, shadow, p, v, t = state
-    n = len(rows.end)
-    left = 0.0
-    along = 0.0
-    for i in range(n):
-        along += shadow[i] * r[i]
-    for _ in range(steps):
-        _operate(v, p, rows)
-        bent = 0.0
-        for i in range(n):
-            bent += shadow[i] * v[i]
-        if bent == 0.0 or along == 0.0:
-            return 0.0
-        alpha = along / bent
-        for i in range(n):
-            r[i] -= alpha * v[i]
-        _operate(t, r, rows)
-        down, square = 0.0, 0.0
-        for i in range(n):
-            down += t[i] * r[i]
-            square += t[i] * t[i]
-        omega = down / square if square > 0.0 else 0.0
-        now, left = 0.0, 0.0
-        for i in range(n):
-            value[i] += alpha * p[i] + omega * r[i]
-            r[i] -= omega * t[i]
-            now += shadow[i] * r[i]
-            left = max(left, abs(r[i]))
-        if left <= goal or omega == 0.0:
-            return left if left <= goal else 0.0
-        turn = now / along * alpha / omega
-        for i in range(n):
-            p[i] = r[i] + turn * (p[i] - omega * v[i])
-        along = now
-    return left
-
-
-@njit(nogil=True)
+@njit(nogil=True, error_model="numpy")
 def _fill_rows(
     rows: _Rows,
     filled: NDArray[np.int32],
@@ -514,8 +503,9 @@ def _fill_rows(
     The first theta has the index `least`. `place` is the index of each state in the order; -1 stands for states with
     fixed values, which become constants, as do those of other thetas.
     """
-    thetas = filled.shape[1]
-    end = least + thetas
+    thetas, end = filled.shape[1], least + filled.shape[1]
+    targets, costs, chosen = m.targets, m.costs, m.chosen
+    first, last, column, shares, furthers = rows.first, rows.end, rows.column, rows.share, rows.further
     for i in range(len(order)):
         x = order[i]
         for t in range(least, end):
@@ -524,22 +514,22 @@ def _fill_rows(
                 continue
             filled[i, t - least] = r
             acting, slot = m.afterstate[x, r], m.suggested[x, r]
-            constant, k = -m.robot_costs[x, r], rows.first[row]
+            constant, k = -m.robot_costs[x, r], first[row]
             count = 0 if m.goal[0, acting] else m.counts[acting]
             followed, declined = 1.0, 1.0  # factors of the choice probabilities (equation 6)
             low, up, followed_low, followed_up = t, 0.0, t, 0.0
             if slot >= 0:
-                total = m.theta[t] * m.chosen[acting, slot, 0] + (1.0 - m.theta[t]) * m.unsuggested[x, r, 0]
+                total = m.theta[t] * chosen[acting, slot, 0] + (1.0 - m.theta[t]) * m.unsuggested[x, r, 0]
                 if total > 0.0:
                     followed, declined = m.theta[t] / total, (1.0 - m.theta[t]) / total
                 low, up = m.low[x, r, 0, t], m.weight[x, r, 0, t]
                 followed_low, followed_up = m.followed_low[x, r, 0, t], m.followed_weight[x, r, 0, t]
-            lapse = m.lapse / max(1, count)
+            lapse = m.lapse / count if count > 0 else 0.0
             for a in range(count):
-                p = (1.0 - m.lapse) * m.chosen[acting, a, 0] * (followed if a == slot else declined) + lapse
-                constant -= p * m.costs[acting, a]
+                p = (1.0 - m.lapse) * chosen[acting, a, 0] * (followed if a == slot else declined) + lapse
+                constant -= p * costs[acting, a]
                 at, part = (followed_low, followed_up) if a == slot else (low, up)
-                y, p = m.targets[acting, a], m.gamma * p
+                y, p = targets[acting, a], m.gamma * p
                 before = place[y] >= 0 and least <= at < end
                 after = place[y] >= 0 and least <= at + 1 < end
                 share, further = p * (1.0 - part), p * part
@@ -548,8 +538,8 @@ def _fill_rows(
                 if not after and part > 0.0:
                     constant += further * value[y, 0, at + 1]
                 if before or after:
-                    rows.column[k] = place[y] * thetas + at - least if before else place[y] * thetas
-                    rows.share[k] = share if before else further
-                    rows.further[k] = further if before and after else 0.0
+                    column[k] = place[y] * thetas + at - least if before else place[y] * thetas
+                    shares[k] = share if before else further
+                    furthers[k] = further if before and after else 0.0
                     k += 1
-            rows.constant[row], rows.end[row] = constant, k
+            rows.constant[row], last[row] = constant, k

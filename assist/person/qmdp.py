@@ -24,9 +24,9 @@ from planner.system.jit import njit
 from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
-from .action_values import BEST, action_values
+from .action_values import BEST
 from .policy import Policy
-from .policy_iteration import SOLVING, Limits, improve, rounding_error
+from .policy_iteration import SOLVING, Limits, improve, rounding_error, sweep
 from .policy_iteration import load_compiled as load_iteration
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
@@ -140,10 +140,7 @@ def qmdp(
 
 def load_compiled(pomdp: AssistPOMDP) -> None:
     """Load, or compile, the code that `qmdp` needs. Compilation takes seconds, once after an installation."""
-    arrays, nothing = ProblemArrays.of(pomdp), read_only(np.zeros(0, dtype=np.int64))
-    value = np.zeros((0, 0, 0))
-    load_iteration(arrays)
-    _q_values(value[None], value, nothing, arrays)
+    load_iteration(ProblemArrays.of(pomdp))
 
 
 def initial_upper_bounds(pomdp: AssistPOMDP) -> Floats:
@@ -196,7 +193,12 @@ def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | No
     """
     # Rows of other states are never written to, so that they take neither time nor physical memory.
     q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
-    _q_values(q, value, read_only(np.arange(len(value)) if states is None else states), ProblemArrays.of(pomdp))
+    asked = read_only(np.arange(len(value)) if states is None else states, np.int64)
+    best, policy = read_only(np.full(len(value), BEST)), np.zeros((len(value), value.shape[2]), dtype=np.int32)
+    arrays = ProblemArrays.of(pomdp)
+    own = value if value.flags.writeable else value.copy()  # the same compiled code may also replace values
+    for h in range(value.shape[1]):
+        sweep(own, asked, np.int64(h), best, policy, q, arrays)
     return QMDP(pomdp, value, q)
 
 
@@ -272,24 +274,3 @@ def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, ro
             for cell in range(len(b)):
                 total += b[cell] * row[cell]
             q[i, r] = total
-
-
-@njit()
-def _q_values(q: Floats, value: Floats, states: NDArray[np.int64], m: ProblemArrays) -> None:
-    """Fill `q`, shape (n, R, H, T), with the Q-values of all robot actions in some states; minus infinity in padding.
-
-    Where the problem has ended for a type, a suggestion costs, and does no more.
-    """
-    robots, thetas = q.shape[1], len(m.theta)
-    row, expected, mean, declined = np.empty((robots, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas)
-    for x in states:
-        for h in range(value.shape[1]):
-            if m.final[m.goal_of[h], x]:
-                for r in range(m.robot_actions[x]):
-                    for t in range(thetas):
-                        row[r, t] = value[x, h, t] - (m.robot_costs[x, r] if r > 0 else 0.0)
-            else:
-                action_values(row, expected, mean, declined, value, x, h, BEST, m)
-            for r in range(robots):
-                for t in range(thetas):
-                    q[x, r, h, t] = row[r, t] if r < m.robot_actions[x] else -np.inf

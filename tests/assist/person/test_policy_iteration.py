@@ -175,9 +175,9 @@ def test_one_state_alone_may_be_alive() -> None:
 
 def sweeps_of(pomdp: AssistPOMDP, monkeypatch: pytest.MonkeyPatch) -> int:
     """Return the number of sweeps that QMDP needs."""
-    done, sweep_once = [], policy_iteration._sweep
+    done, sweep_once = [], policy_iteration.sweep
     with monkeypatch.context() as patch:
-        patch.setattr(policy_iteration, "_sweep", lambda *given: done.append(None) or sweep_once(*given))
+        patch.setattr(policy_iteration, "sweep", lambda *given: done.append(None) or sweep_once(*given))
         qmdp(pomdp)
     return len(done)
 
