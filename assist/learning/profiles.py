@@ -180,7 +180,9 @@ def _on_lines(data: Data, betas: Floats, others: Floats, line: Line) -> tuple[Fl
         silent[b] = alone(data, betas[b], chances[b, 0], chances[b, 1], chances[b, 2], parts[b])
     for e in range(len(others)):
         places = _places(line, others[e])
-        other = np.full(len(places), others[e])
+        other = np.empty(len(places))
+        for i in range(len(places)):
+            other[i] = others[e]
         path = by_equation_seven(data, places, other) if line.axis == THETA else by_equation_seven(data, other, places)
         for b in range(len(betas)):
             values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], parts[b], path)
@@ -194,7 +196,9 @@ def _places(line: Line, other: float) -> Floats:
     """Return points along theta or eta: a regular grid, the kinks, and the midpoints between any two of these."""
     axis, low, high, count, sums, gaps = line
     if count == 1:
-        return np.full(1, low)
+        only = np.empty(1)
+        only[0] = low
+        return only
     points = np.empty(count + 2 * len(sums) + len(gaps))
     n = 0
     for i in range(count):
@@ -207,7 +211,12 @@ def _places(line: Line, other: float) -> Floats:
     for gap in gaps:
         points[n] = 1.0 / gap if axis == ETA else low
         n += 1
-    points = np.sort(points)
+    for i in range(1, n):  # sorted by insertion: np.sort would take a second to compile
+        point, k = points[i], i
+        while k > 0 and points[k - 1] > point:
+            points[k] = points[k - 1]
+            k -= 1
+        points[k] = point
     result = np.empty(2 * n)
     kept = 0
     for point in points:
