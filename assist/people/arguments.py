@@ -61,15 +61,6 @@ def one_of(name: str, value: object, choices: Sequence[str]) -> None:
         raise ValueError(f"{name} {value!r}: expected {' or '.join(map(repr, choices))}")
 
 
-def span(name: str, value: object) -> tuple[float, float]:
-    """Return a value as a range of two numbers."""
-    pair = list(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else []
-    if len(pair) != 2:
-        raise ValueError(f"{name} {value!r}: expected two numbers, low and high")
-    low, high = pair
-    return number(name, low), number(name, high)
-
-
 def positive(name: str, value: object) -> float:
     """Return a value as a float above 0, such as a limit."""
     limit = number(name, value)

@@ -17,7 +17,6 @@ from planner.system import files
 if TYPE_CHECKING:
     pass
 
-Range = tuple[float, float]
 Command = TypeVar("Command", bound=Callable[..., Any])
 Option = Callable[[Command], Command]
 
@@ -38,7 +37,6 @@ class Number(click.FloatRange):
         return "" if self.min is self.max is None else super()._describe_range()
 
 
-NUMBER = Number()
 GAP = Number(min=0)
 SECONDS = Number(min=0, max=1e9, min_open=True)
 MEGABYTES = Number(min=0, max=1e12, min_open=True)
@@ -76,21 +74,6 @@ GIVEN = {ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, ParameterSour
 def is_given(name: str) -> bool:
     """Whether the user set this parameter of the running command, in whatever way."""
     return click.get_current_context().get_parameter_source(name) in GIVEN
-
-
-def refuse_unused(names: Sequence[str], reason: str) -> None:
-    """Raise a usage error if the user set one of these parameters, which have no effect.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Parameters of the running command; those that it does not have are not given.
-    reason : str
-        Why, such as "without --goals".
-    """
-    for parameter in click.get_current_context().command.params:
-        if parameter.name in names and is_given(parameter.name):
-            raise click.UsageError(f"{parameter.opts[0]} has no effect {reason}")
 
 
 def separate_files(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:
@@ -137,11 +120,6 @@ def apart(options: Mapping[str, object]) -> None:
         raise click.UsageError(f"{' and '.join(given)}: expected one of them")
 
 
-def range_option(name: str, default: Range, text: str) -> Option[Command]:
-    """Return an option that takes two numbers."""
-    return click.option(name, nargs=2, type=NUMBER, metavar="LOW HIGH", default=default, show_default=True, help=text)
-
-
 def gap_option(text: str) -> Option[Any]:
     """Return the option `--gap`, the relative gap between the bounds at which a solver stops."""
     return click.option("--gap", type=GAP, default=1e-3, show_default=True, help=text)
@@ -161,11 +139,6 @@ def megabytes_option(text: str, default: float | None = None) -> Option[Any]:
     )
 
 
-def region_states_option(text: str) -> Option[Any]:
-    """Return the option `--region-states`, the number of states in the truncated problem of a large task."""
-    return click.option("--region-states", type=click.IntRange(min=1), default=20_000, show_default=True, help=text)
-
-
 def max_states_option(text: str) -> Option[Any]:
     """Return the option `--max-states`, the largest number of states that is enumerated."""
     return click.option(
@@ -173,18 +146,6 @@ def max_states_option(text: str) -> Option[Any]:
     )
 
 
-def lapse_option(text: str) -> Option[Any]:
-    """Return the option `--lapse`, the probability of a uniformly random choice."""
-    return click.option("--lapse", type=NUMBER, default=1e-3, show_default=True, help=text)
-
-
-scale_option = click.option(
-    "--utility-scale",
-    type=NUMBER,
-    default=1.0,
-    show_default=True,
-    help="Unit of utility in the trust update (cost units).",
-)
 instance_argument = click.argument("instance", metavar="INSTANCE")
 domain_option = click.option(
     "--domain",

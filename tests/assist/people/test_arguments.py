@@ -13,7 +13,7 @@ import pytest
 
 from assist.certify.team_bound import upper_bound
 from assist.large_tasks.person_problem import PersonProblem
-from assist.people.arguments import number, span
+from assist.people.arguments import number
 from assist.people.belief import Grid
 from assist.people.human import Human, Population
 from assist.simulation.pool import Pool
@@ -64,8 +64,6 @@ def said(error: pytest.ExceptionInfo[ValueError]) -> str:
 def test_what_is_no_number(value: Any) -> None:
     with pytest.raises(ValueError, match=r"^gamma .*: expected a number$"):
         number("gamma", value)
-    with pytest.raises(ValueError, match=r"^beta .*: expected a number$"):
-        span("beta", (0.0, value))
 
 
 @pytest.mark.parametrize("value", [5, None, (1,), (1, 2, 3), "01", np.zeros((1, 2)), np.zeros((3, 1))], ids=repr)
