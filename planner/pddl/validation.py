@@ -18,7 +18,6 @@ import threading
 import types
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,6 +29,7 @@ from . import writer
 from .reader import Reading
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
     from multiprocessing.connection import Connection
 
     from unified_planning.model import Problem
@@ -54,6 +54,8 @@ class SecondReader:
     """unified-planning reading one instance, from the constructor on. Use it as a context manager."""
 
     def __init__(self, reading: Reading, limits: Limits = NO_LIMITS) -> None:
+        from concurrent.futures import Future  # slow to import, and only `solve` needs it
+
         self._process: _Process | None = None
         self._plan: Future[list[str] | None] = Future()
         self._said: Future[str | None] = Future()

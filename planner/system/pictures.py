@@ -8,7 +8,10 @@ other by name, and users need not import the one that draws.
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "planner.pictures"
 
@@ -16,6 +19,8 @@ GROUP = "planner.pictures"
 @cache
 def _drawers() -> tuple[EntryPoint, ...]:
     """Return the installed functions that draw. To find them takes some milliseconds."""
+    from importlib.metadata import entry_points  # slow to import
+
     return tuple(entry_points(group=GROUP))
 
 
