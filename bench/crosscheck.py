@@ -31,7 +31,6 @@ from unittest.mock import patch
 
 import click
 import numpy as np
-from assist.simulation.hidden_goals import GoalKnowledge
 from graphs import graph_task
 from tables import Columns, cell, record_option, write_record
 
@@ -45,6 +44,7 @@ from assist.people.goals import Goals
 from assist.people.human import Population
 from assist.people.state_keys import mix
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
+from assist.simulation.goal_knowledge import GoalKnowledge
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
