@@ -9,6 +9,8 @@ Influence theta goes on from task to task in both.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -21,61 +23,91 @@ from tables import Columns, cell, record_option, write_record
 from assist.people.decision import Floats
 from assist.people.real_people import advice_takers
 from assist.reports.statistics import IntervalEstimate, mean
+from assist.simulation.beginning import Beginning
+from assist.simulation.common_random_numbers import CommonRandomNumbers
 from assist.simulation.model_group import ModelGroup
 from assist.simulation.pool import Pool
-from assist.simulation.run import Run, StepTaken
+from assist.simulation.run import Ints, Simulation, Watcher
 from assist.simulation.schedule import Schedule
+from assist.team.engine import Engine, StepTaken
+from assist.team.questions import Asked
 from assist.team.settings import Setting
+from assist.team.state import TeamAction, TeamState
 from planner import CostToGo, cost_to_go, load
 
 MEASURES = "cost", "return", "actions", "suggestions", "declined"
 
 
-class Task(Run):
+@dataclass(frozen=True)
+class Task(Simulation):
     """A task that everybody in a pool does alone.
 
     Attributes
     ----------
-    declined : int array, shape (N, 1)
-        Numbers of suggestions that were not followed.
+    before : Engine or None
+        The same people after the task before.
+    carries : bool
+        Whether the robot begins with its beliefs after the task before.
     """
 
-    def __init__(self, pool: Pool, group: ModelGroup, seed: int, before: Task | None, *, carries: bool) -> None:
-        people = np.arange(len(pool.people))
-        super().__init__(
-            pool, pool.policy("attention"), teams=people[:, None], numbers=people, seed=seed, name="attention",
-            travel=pool.setting.travel(1), presence=Schedule.of(1), world="people", over=Event(),
-            groups={0: group}, questions=None, goals="inferred",
-        )  # fmt: skip
-        self.declined = np.zeros(self.places.shape, dtype=np.int64)
-        if before is not None:
-            self.theta, self.seen = before.theta.copy(), before.seen.copy()
-        if before is not None and before.belief is not None and carries:
-            self.belief = before.belief.copy()
+    before: Engine | None = None
+    carries: bool = False
 
-    def watch(self, taken: StepTaken) -> None:
-        """Count the suggestions that are not followed."""
-        (group,) = self.groups.values()  # one for all, since the robot does not know what people are mistaken about
-        rows = taken.flat[taken.robot.reshape(-1)[taken.flat] > 0]
-        suggested = group.arrays.suggested[taken.before.reshape(-1)[rows], taken.robot.reshape(-1)[rows]]
-        self.declined.reshape(-1)[rows] += taken.slot[rows] != suggested
+    def begin(self, people: Ints, began: Beginning, draws: CommonRandomNumbers, *, beliefs: bool) -> Engine:
+        """Return the people as the task before has left them."""
+        engine = super().begin(people, began, draws, beliefs=beliefs)
+        if self.before is not None:
+            engine.people.theta[:], engine.people.seen[:] = self.before.people.theta, self.before.people.seen
+            if self.carries:
+                engine.beliefs.belief[:] = self.before.beliefs.belief
+        return engine
 
-    def measures(self) -> Floats:
-        """Return the measures of each person, shape (N, len(MEASURES))."""
-        done = self.run()
-        cost = self.costs[:, 0] + self.pool.setting.c_suggest * done.interventions
-        return np.column_stack(
-            (cost, self.discounted, self.actions[:, 0], done.interventions, self.declined[:, 0])
-        ).astype(float)
+
+class Declined(Watcher):
+    """Counts the suggestions that are not followed.
+
+    Attributes
+    ----------
+    number : int array, shape (N, 1)
+    engine : Engine
+        The people, after the task.
+    """
+
+    engine: Engine
+
+    def __init__(self, people: int) -> None:
+        self.number = np.zeros((people, 1), dtype=np.int64)
+
+    def asked(self, engine: Engine, asked: Sequence[tuple[Asked, bool]]) -> None:
+        """See questions, of which there are none."""
+
+    def decided(self, engine: Engine, team: TeamState, action: TeamAction, teams: Ints) -> None:
+        """See what robots do."""
+
+    def took(self, engine: Engine, taken: StepTaken) -> None:
+        """Count what is not followed in a step."""
+        self.engine = engine
+        (group,) = engine.tasks.groups.values()  # one, since the robot does not know what people are mistaken about
+        told = taken.now.active & (taken.robot > 0)
+        self.number[told] += taken.slot[told] != group.arrays.suggested[taken.before[told], taken.robot[told]]
 
 
 def measured(table: CostToGo, setting: Setting, people: int, tasks: int, seed: int, *, carries: bool) -> Floats:
     """Return the measures of each person in each task, shape (people, tasks, len(MEASURES))."""
     pool = Pool.sample(table, people, population=advice_takers(), setting=setting, seed=seed)
-    group, before, found = ModelGroup(pool, 0, "people"), None, list[Floats]()
+    policy, travel, presence = pool.policy("attention"), setting.travel(1), Schedule.of(1)
+    groups, numbers = {0: ModelGroup(pool, 0, "people")}, np.arange(people)
+    before, found = None, list[Floats]()
     for number in range(tasks):
-        before = Task(pool, group, tasks * seed + number, before, carries=carries)
-        found.append(before.measures())
+        declined = Declined(people)
+        done = Task(
+            pool, policy, "attention", tasks * seed + number, travel, presence, "people", "inferred", groups,
+            questions=None, over=Event(), before=before, carries=carries,
+        ).chunk(numbers, numbers[:, None], declined)  # fmt: skip
+        before = declined.engine
+        cost = done.costs[:, 0] + setting.c_suggest * done.interventions
+        measures = cost, done.discounted_return, done.actions[:, 0], done.interventions, declined.number[:, 0]
+        found.append(np.column_stack(measures).astype(float))
     return np.stack(found, axis=1)
 
 

@@ -119,7 +119,7 @@ class Simulation:
         every = np.arange(len(numbers))
         began = Beginnings(pool, self.world).of(people, lambda kind: draws.draw(kind, every))
         uses_beliefs = getattr(self.policy, "uses_belief", True)
-        engine = self._engine(people, began, draws, beliefs=uses_beliefs or keeps_beliefs)
+        engine = self.begin(people, began, draws, beliefs=uses_beliefs or keeps_beliefs)
         first_theta, tally = engine.people.theta.copy(), Tally(people.shape, pool.setting.gamma)
         questions = self.questions if uses_beliefs else None
         for step in range(pool.setting.max_steps):
@@ -148,8 +148,19 @@ class Simulation:
             pruned=None if engine.beliefs.sees_states else engine.beliefs.pruned.reshape(people.shape).sum(axis=1),
         )  # fmt: skip
 
-    def _engine(self, people: Ints, began: Beginning, draws: CommonRandomNumbers, *, beliefs: bool) -> Engine:
-        """Return the teams at work, at the beginning."""
+    def begin(self, people: Ints, began: Beginning, draws: CommonRandomNumbers, *, beliefs: bool) -> Engine:
+        """Return the teams at work, at the beginning.
+
+        Parameters
+        ----------
+        people : int array, shape (N, K)
+            Numbers of the people in the pool.
+        began : Beginning
+            How these people begin.
+        draws : CommonRandomNumbers
+        beliefs : bool
+            Whether the robot keeps beliefs.
+        """
         pool, place = self.pool, began.place.copy()
         tasks = TaskView(pool, self.groups, self.world, began.model, people, began.mind, began.goal)
         them = PeopleAtWork(
