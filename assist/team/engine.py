@@ -1,6 +1,6 @@
 """Teams at work, one step at a time, for given actions of their robots.
 
-An `Engine` joins four parts. Each has its own affairs:
+An `Engine` joins four parts. What each of them holds:
 
 - `Tasks` are the people's problems: the row of each person in theirs, and how people choose there.
 - `PeopleAtWork` are the people as they are: states, theta, goals, and the random numbers of all that happens.
@@ -92,7 +92,7 @@ class Tasks(Protocol):
 
 
 class Draws(Protocol):
-    """The random numbers of a them."""
+    """The random numbers of the episodes of teams."""
 
     def draw(self, kind: int, rows: Ints) -> Floats:
         """Return uniform numbers of a kind for some teams, shape (m, K); `CommonRandomNumbers.draw` has the kinds."""
