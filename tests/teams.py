@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from assist.person.beliefs import Seen
 from assist.person.lazy_policy import LazyPolicy
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
@@ -16,16 +17,17 @@ from assist.team.travel import Travel
 
 
 def state(
-    pool: Pool, x: list[int], *, erred: list[bool] | None = None, location: int = BASE, travel: Travel | None = None
-) -> TeamState:
+    pool: Pool, x: list[int], *, erred: list[bool] | None = None, location: int = BASE, travel: Travel | None = None,
+    belief: np.ndarray | None = None,
+) -> TeamState:  # fmt: skip
     """Return the state of one team of the pool's first people, with all robots at one place."""
     people = np.arange(len(x))[None]
     choices, model = pool.choices(0), pool.model[people]
     at = np.array([x])
-    prior = np.array([policy.pomdp.prior for policy in pool.policies])[model]
+    prior = np.array([policy.pomdp.prior for policy in pool.policies])[model[0]]
+    known = Seen(at[0], prior if belief is None else belief, np.array(erred or [False] * len(x)))
     return TeamState(
-        0, at, ~choices.goal[at], np.array([erred or [False] * len(x)]),
-        np.full((1, len(pool.setting.robots)), location), model, prior, pool.policies,
+        0, ~choices.goal[at], np.full((1, len(pool.setting.robots)), location), model, known, pool.policies,
         travel or pool.setting.travel(len(x)), fleet=pool.setting.fleet,
     )  # fmt: skip
 

@@ -147,7 +147,7 @@ class Decisions:
     def _as_policies_see_it(self, active: NDArray[np.bool_], step: int) -> TeamState:
         t = self._team
         return _LiveTeam(
-            step, t.x[None], active[None], t.erred[None], np.array([self._places.at]), t.model[None], t.belief[None],
+            step, active[None], np.array([self._places.at]), t.model[None], t.beliefs,
             [task.policy for task in t.tasks], self._places.travel, t,
             free=~np.array([self._places.under_way]), fleet=self._setting.fleet,
         )  # fmt: skip

@@ -248,11 +248,9 @@ class Engine:
         if self._acted_on is not None:
             known = self._acted_on(known)
         return TeamState(
-            step=int(self.clock[every].max()), x=known.x.reshape(-1, K), active=now.active[every],
-            erred=known.erred.reshape(-1, K), location=self.robots.location[every], model=self.tasks.model[every],
-            belief=known.belief.reshape(-1, K, *known.belief.shape[1:]) if len(known.belief) else None,
-            policies=self.tasks.policies, travel=self.robots.travel, free=self.robots.free(self.clock)[every],
-            fleet=self.robots.fleet, beliefs=known,
+            step=int(self.clock[every].max()), active=now.active[every], location=self.robots.location[every],
+            model=self.tasks.model[every], beliefs=known, policies=self.tasks.policies, travel=self.robots.travel,
+            free=self.robots.free(self.clock)[every], fleet=self.robots.fleet,
         )  # fmt: skip
 
     def ask(self, questions: Questions) -> list[tuple[Asked, bool]]:

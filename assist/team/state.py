@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,7 @@ from planner.system.arrays import outline
 
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
-from ..person.beliefs import Ask, Beliefs, Seen
+from ..person.beliefs import Ask, Beliefs
 from ..person.policy import Policy
 from .robots import EXECUTION, SUGGESTION, Fleet, Robot
 from .travel import Travel
@@ -83,19 +83,14 @@ class TeamState:
     ----------
     step : int
         Number of steps since the beginning of the episodes.
-    x : int array, shape (N, K)
-        Task state of each person, the most probable one if it is uncertain.
     active : bool array, shape (N, K)
         Whether the person is present and has not finished.
-    erred : bool array, shape (N, K)
-        Whether the person's last action was a mistake: optimal for no goal that was possible.
     location : int array, shape (N,), or (N, M) if each team has M > 1 robots
         The person at whose place the robot is, or `BASE`; of a robot that is under way, the person to whom it goes.
     model : int array, shape (N, K)
         Index of the policy that models each person.
-    belief : float array, shape (N, K, H, T), or None
-        The belief in each person's type. None if the policy has declared that it does not use beliefs (`uses_belief =
-        False`).
+    beliefs : Beliefs
+        What the robot knows of the people, in the order of the flattened arrays.
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
@@ -103,23 +98,27 @@ class TeamState:
         Which robots are not under way; all, by default.
     fleet : Fleet
         The robots, whose actions may cost more than in people's problems; by default they are alike.
-    beliefs : Beliefs
-        What the robot knows of the people, in the order of the flattened arrays; by default, that their states are `x`,
-        and `belief`.
+    x : int array, shape (N, K)
+        Task state of each person, the most probable one if it is uncertain; from `beliefs`.
+    erred : bool array, shape (N, K)
+        Whether the person's last action was a mistake: optimal for no goal that was possible; from `beliefs`.
+    belief : float array, shape (N, K, H, T), or None
+        The belief in each person's type, from `beliefs`. None if the policy has declared that it does not use beliefs
+        (`uses_belief = False`).
     """
 
     step: int
-    x: NDArray[np.int64]
     active: NDArray[np.bool_]
-    erred: NDArray[np.bool_]
     location: NDArray[np.int64]
     model: NDArray[np.int64]
-    belief: Floats | None
+    beliefs: Beliefs
     policies: Sequence[Policy]
     travel: Travel
     free: NDArray[np.bool_] = field(default_factory=lambda: np.ones((), dtype=bool), kw_only=True)
     fleet: Fleet = field(default=Fleet.of((Robot(),)), kw_only=True)
-    beliefs: Beliefs = field(default=None, kw_only=True)  # type: ignore[assignment]
+    x: NDArray[np.int64] = field(init=False)
+    erred: NDArray[np.bool_] = field(init=False)
+    belief: Floats | None = field(init=False)
 
     __repr__ = outline
 
@@ -128,15 +127,15 @@ class TeamState:
             object.__setattr__(self, "free", np.broadcast_to(self.free, self.location.shape))
         if len(self.fleet) == 1 < self.robots:
             object.__setattr__(self, "fleet", Fleet(self.fleet.robots * self.robots))
-        for name in ("x", "active", "erred", "location", "model", "belief", "free"):
-            array = getattr(self, name)
+        known, shape = self.beliefs, self.active.shape
+        belief = known.belief.reshape(*shape, *known.belief.shape[1:]) if len(known.belief) else None
+        given = {name: getattr(self, name) for name in ("active", "location", "model", "free")}
+        of_people = {"x": known.x.reshape(shape), "erred": known.erred.reshape(shape), "belief": belief}
+        for name, array in (given | of_people).items():
             if array is not None and array.flags.writeable:  # the owner of the array may still write to it
-                view = array.view()
-                view.flags.writeable = False
-                object.__setattr__(self, name, view)
-        if cast(Any, self.beliefs) is None:
-            belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
-            object.__setattr__(self, "beliefs", Seen(self.x.reshape(-1), belief, self.erred.reshape(-1)))
+                array = array.view()
+                array.flags.writeable = False
+            object.__setattr__(self, name, array)
 
     @property
     def robots(self) -> int:

@@ -17,7 +17,7 @@ from assist.people.choices import Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_cost, perceived_value, trust
 from assist.people.human import HumanModel
 from assist.people.misconception import perceived_cost_to_go
-from assist.person import belief_filter, dynamics
+from assist.person import belief_filter
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays, read_only
@@ -104,7 +104,7 @@ def test_every_step_of_a_problem_is_that_of_the_equations(
                     updated = problem.update(belief[None], state, robot, action)[0]
                     np.testing.assert_allclose(updated, joint / joint.sum(), rtol=1e-11, atol=1e-200)
                     own = belief.copy()
-                    dynamics.update(own, np.empty(own.shape), x, r, a, arrays)
+                    belief_filter.update(own, np.empty(own.shape), x, r, a, arrays)
                     np.testing.assert_allclose(own, joint / joint.sum(), rtol=1e-11, atol=1e-200)
                 future = best.value_mdp[y] @ theta.T if not choices.goal[y] else np.zeros(problem.grid.shape)
                 expected += chance[:, :, a] * (problem.gamma * future - choices.costs[x, a])

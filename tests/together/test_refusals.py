@@ -191,7 +191,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "travel for 3, presence for 2: expected 2 people",
     ),
     "beliefs of none": (
-        lambda g: replace(state(g.pool, [0, 0]), belief=None).q_values(),
+        lambda g: state(g.pool, [0, 0], belief=np.empty((0, 1, 1))).q_values(),
         ValueError, "the policy has said that it uses no beliefs",
     ),
     "actions of floats": (

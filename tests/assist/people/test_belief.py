@@ -426,8 +426,8 @@ def test_compiled_filters_are_the_equations(
 
 def test_a_belief_does_not_depend_on_where_it_is_in_memory(tiny: Table) -> None:
     """Sessions have the same beliefs after a restart, bit for bit."""
-    part = LiveTask(tiny, Setting(c_suggest=0.05).for_real_people(), advice_takers()).at(0)[0]
-    arrays, prior = part.arrays, part.policy.pomdp.prior
+    policy = LiveTask(tiny, Setting(c_suggest=0.05).for_real_people(), advice_takers()).policy
+    arrays, prior = policy.arrays, policy.pomdp.prior
     before = np.random.default_rng(0).dirichlet(np.ones(prior.size)).reshape(prior.shape)
     silent = np.full_like(arrays.suggested, -1)
     silent.flags.writeable = False

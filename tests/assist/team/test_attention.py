@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from assist.people.choices import Choices
+from assist.person.beliefs import Seen
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, evaluate, qmdp
@@ -40,12 +41,11 @@ def random_state(pool: Pool, seed: int, robots: int, *, equally_far: bool, trave
     x = rng.integers(len(choices), size=(TEAMS, PEOPLE))
     model = np.broadcast_to(pool.model, x.shape)
     prior = pool.policies[0].pomdp.prior
-    belief = rng.dirichlet(np.ones(prior.size), x.shape).reshape(*x.shape, *prior.shape)
+    belief = rng.dirichlet(np.ones(prior.size), x.size).reshape(-1, *prior.shape)
     location = np.array([rng.choice([BASE, *range(PEOPLE)], robots, replace=False) for _ in range(TEAMS)])
-    return TeamState(
-        0, x, ~choices.goal[x] & (rng.random(x.shape) < 0.8), rng.random(x.shape) < 0.6,
-        location, model, belief, pool.policies, travel,
-    )  # fmt: skip
+    active = ~choices.goal[x] & (rng.random(x.shape) < 0.8)
+    known = Seen(x.ravel(), belief, rng.random(x.size) < 0.6)
+    return TeamState(0, active, location, model, known, pool.policies, travel)
 
 
 def is_best(team: TeamState, action: TeamAction, worth: np.ndarray, robot: np.ndarray) -> None:
@@ -132,4 +132,4 @@ def test_what_a_policy_needs_is_computed_beforehand(tiny_choices: Choices) -> No
     AttentionAgainstNever(ByPolicy(one, lambda policy: never.append(policy))).prepare(one[1])  # type: ignore[arg-type]
     assert (solved, never) == ([one[0].pomdp, one[1].pomdp], [one[1]])
     exact = evaluate(one[1].pomdp, np.zeros(len(tiny_choices), dtype=np.int64))
-    np.testing.assert_array_equal(AttentionAgainstNever.of(one).never[one[1]], exact)
+    np.testing.assert_array_equal(AttentionAgainstNever.of(one).never[one[1]](np.arange(len(exact))), exact)

@@ -28,6 +28,7 @@ from assist.declare.declared import plain
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
 from assist.people.human import Population
+from assist.person.beliefs import Seen
 from assist.person.qmdp import qmdp
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
@@ -134,7 +135,8 @@ def test_the_assignment_of_different_robots_is_the_best_of_all(
 ) -> None:
     travel, location, free, worth = found
     nobody = np.zeros((1, 3), dtype=np.int64)
-    team = TeamState(0, nobody, nobody == 0, nobody > 0, location, nobody, None, [], travel, free=free)
+    known = Seen(nobody[0], np.empty((0, 1, 1)), nobody[0] > 0)
+    team = TeamState(0, nobody == 0, location, nobody, known, [], travel, free=free)
     net = worth - team.to()
     person = assigned(team, net)
     check(team, TeamAction(person, np.zeros_like(person)))

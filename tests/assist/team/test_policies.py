@@ -91,7 +91,9 @@ def test_attention_goes_to_nobody_to_say_nothing(pool: Pool) -> None:
     dear = replace(pool, policies=tuple(qmdp(replace(p.pomdp, robot_costs=1e3 * p.pomdp.robot_costs))
                                         for p in pool.policies))  # fmt: skip
     team = state(dear, x, travel=Travel.of(2, c_move=0.0))
-    switching = AttentionAgainstNever(ByPolicy(dear.policies, lambda policy: np.full_like(policy.value_mdp, -1e6)))
+    switching = AttentionAgainstNever(
+        ByPolicy(dear.policies, lambda policy: np.full_like(policy.value_mdp, -1e6).__getitem__)
+    )
     robot, score = switching.scores(team)
     assert robot.tolist() == [[[0, 0]]]
     assert np.isneginf(score).all()
@@ -144,9 +146,8 @@ def test_a_policy_cannot_write_into_the_simulation(pool: Pool) -> None:
 
 
 def test_a_team_state_leaves_its_makers_arrays_alone(pool: Pool) -> None:
-    x = np.zeros((1, 2), dtype=np.int64)
-    team = replace(state(pool, [0, 0]), x=x)
-    x[0, 1] = 3
+    team = state(pool, [0, 0])
+    team.beliefs.x[1] = 3
     assert team.x.tolist() == [[0, 3]]
     with pytest.raises(ValueError, match="read-only"):
         team.x[0, 0] = 1

@@ -23,6 +23,7 @@ from assist.coupled import Agents, joint_optimum
 from assist.declare.declared import plain
 from assist.people.choices import Choices
 from assist.people.human import Population
+from assist.person.beliefs import Seen
 from assist.person.qmdp import qmdp
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
@@ -81,7 +82,8 @@ def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndar
 def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray]) -> None:
     travel, location, free, worth = found
     nobody = np.zeros((1, 4), dtype=np.int64)
-    team = TeamState(0, nobody, nobody == 0, nobody > 0, location, nobody, None, [], travel, free=free)
+    known = Seen(nobody[0], np.empty((0, 1, 1)), nobody[0] > 0)
+    team = TeamState(0, nobody == 0, location, nobody, known, [], travel, free=free)
     net = worth[:, None] - team.to()
     person = assigned(team, net)
     check(team, TeamAction(person, np.zeros_like(person)))

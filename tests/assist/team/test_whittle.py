@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from graphs import graph_task
@@ -58,9 +56,9 @@ def test_indices_equal_those_by_bisection(tiny: Table) -> None:
     compared = 0
     for x in np.flatnonzero(~pomdp.ends).tolist():
         b, t = int(rng.integers(B // 2)), int(rng.integers(T // 2, T))
-        belief = np.zeros((1, 2, B, T))
-        belief[:, :, b, t] = 1
-        _, going, _ = policy.worth(replace(state(pool, [x, x]), belief=belief))
+        belief = np.zeros((2, B, T))
+        belief[:, b, t] = 1
+        _, going, _ = policy.worth(state(pool, [x, x], belief=belief))
         if (going[0] > 0).all():  # people who do not need the robot have a negative index, which is not exact
             assert going[0] == pytest.approx(index_of(pomdp, x, b, t), abs=2e-3)
             compared += 1
