@@ -11,6 +11,7 @@ that started it.
 
 from __future__ import annotations
 
+import atexit
 import os
 import subprocess
 import sys
@@ -164,6 +165,15 @@ class _Process:
 
 
 _idle: list[_Process] = []
+
+
+@atexit.register
+def _end_idle() -> None:
+    """End the processes that wait for a next instance."""
+    while _idle:
+        process = _idle.pop()
+        if process.owner == os.getpid():
+            process.release(reusable=False)
 
 
 def validate(problem: Problem, plan: Sequence[str]) -> None:
