@@ -83,7 +83,7 @@ class Roll:
                 person.consented = record.at
             person.at = self.study.next_stage(person.at, person.condition)
             self._enter(person, record.time)
-        elif isinstance(event, Erased):
+        elif isinstance(event, Erased) and not person.removed:
             person.at = next(number for number, one in enumerate(self.stages) if one.kind == "task")
         elif isinstance(event, Excluded):
             person.excluded = event.reason

@@ -107,9 +107,9 @@ def test_nothing_of_what_was_withdrawn_is_in_the_folder(opened: Open, late: bool
     assert eve.name in session.people  # who cannot take part again
     again = Part(session, own)
     assert again.come() == {"person": own}  # the same browser is recognised
-    for kind in ("returned", "onward", "acted"):
+    for kind, fields in (("returned", {}), ("onward", {"stage": "consent"}), ("acted", {"action": "(fetch box-a)"})):
         with pytest.raises(InapplicableError):
-            again.report(kind, stage="consent", action="(fetch box-a)")
+            again.report(kind, **fields)
     with pytest.raises(InapplicableError):
         session.place(own)
     new = Part(session, "dora")
