@@ -231,4 +231,4 @@ def test_a_session_goes_on_with_as_many_people_as_it_began_with(tiny: Table, tmp
 
 def test_an_event_carries_a_persons_name_in_one_form() -> None:
     assert Acted(person=" Zoe\u0308 ").person == Acted(person="Zo\u00eb").person == "Zo\u00eb"
-    assert Elapsed().person is None
+    assert Elapsed().who is None
