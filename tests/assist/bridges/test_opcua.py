@@ -327,7 +327,7 @@ def test_a_server_with_a_password_at_an_address_that_is_taken_for_some_time(
 
     async def work() -> None:
         with socket.create_server(("127.0.0.1", port)):
-            while f"no server at opc.tcp://127.0.0.1:{port}" not in caplog.text:
+            while f"no connection to opc.tcp://127.0.0.1:{port}" not in caplog.text:
                 await asyncio.sleep(0.05)
             assert not here.bridge.connected
         for options in ({}, {"user": "plc", "password": "secrets"}):
