@@ -184,6 +184,10 @@ class Study(StudyPlan):
     contrasts: tuple[Contrast, ...]
     reference: Reference | None
 
+    def __repr__(self) -> str:
+        cells = list(self.cells())
+        return f"<Study {self.title!r}: {len(cells):,} pools, {sum(map(self.episodes, cells)):,} episodes>"
+
     def condition(self, name: str) -> Condition:
         """Return the condition of this name."""
         return next(condition for condition in self.conditions if condition.name == name)
