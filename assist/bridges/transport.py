@@ -91,7 +91,17 @@ class Reported(Message):
 
 @dataclass(frozen=True)
 class Faulty(Message):
-    """A message that reports nothing usable, and why; person and id as far as they are known."""
+    """A message that reports nothing usable.
+
+    Attributes
+    ----------
+    why : str
+        What is wrong with it.
+    person, id : str or None
+        As far as they are known.
+    origin : str or None
+        Handed on to the answer.
+    """
 
     why: str
     person: str | None = None
@@ -101,7 +111,17 @@ class Faulty(Message):
 
 @dataclass(frozen=True)
 class Located(Message):
-    """The location of a robot, as its number from 1: at a person, or at its base."""
+    """The location of a robot.
+
+    Attributes
+    ----------
+    robot : int
+        Its number, from 1.
+    person : str or None
+        Where it is; None at its base.
+    id : str or None
+        Of the message; a repeated id changes nothing.
+    """
 
     robot: int
     person: str | None
@@ -110,7 +130,14 @@ class Located(Message):
 
 @dataclass(frozen=True)
 class Resumed(Message):
-    """The number that the last answer to a person said comes next; a broker has kept it."""
+    """The number of the next report, as the last answer to a person said it; a broker has kept it.
+
+    Attributes
+    ----------
+    person : str
+    next : int
+        The number.
+    """
 
     person: str
     next: int
@@ -118,7 +145,17 @@ class Resumed(Message):
 
 @dataclass(frozen=True)
 class Drove(Message):
-    """A robot has ended a drive that `Transport.drive` began, with success or not."""
+    """A robot has ended a drive that `Transport.drive` began, with success or not.
+
+    Attributes
+    ----------
+    id : str
+        Of the drive.
+    reached : bool
+        Whether the robot has reached its goal.
+    why : str
+        Why not.
+    """
 
     id: str
     reached: bool

@@ -92,6 +92,7 @@ class TeamRecord(Record):
     """The record of an event of a team."""
 
     event: Annotated[SerializeAsAny[TeamEvent], PlainValidator(partial(event_of, TeamEvent))]
+    """What happened."""
     step: Whole = Field(ge=0)
     """Number of decisions of the robots, this one included."""
     advices: Annotated[tuple[Advice, ...], AfterValidator(_for_somebody)] = ()

@@ -14,6 +14,19 @@ from test_architecture import PACKAGES, handed_on
 
 
 def entries(documented: Any) -> set[str]:
+    """The names that a docstring lists, or a sentence beside a declared field; also those of the bases of a class."""
+    if not inspect.isclass(documented):
+        return listed(documented)
+    return set().union(*(listed(base) | declared(base) for base in documented.__mro__))
+
+
+def declared(kind: type) -> set[str]:
+    """The fields of a class that are declared with a sentence."""
+    fields = vars(kind).get("__pydantic_fields__", {})
+    return {name for name, field in fields.items() if field.description}
+
+
+def listed(documented: Any) -> set[str]:
     """The parameters and attributes that a docstring lists."""
     parts = re.split(r"\n([A-Z][A-Za-z ]+)\n-{3,}\n", inspect.cleandoc(documented.__doc__ or ""))
     sections = dict(zip(parts[1::2], parts[2::2], strict=True))
