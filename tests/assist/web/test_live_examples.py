@@ -46,9 +46,9 @@ def test_the_client_says_what_was_refused_and_tries_again_what_passes() -> None:
         ann = Client(service.links["person-1"])
         watched = ann.watch()
         assert next(watched)["steps"] == 0
-        assert ann.observe("ann", "(fetch box-a)")["steps"] == next(watched)["steps"] == 1
+        assert ann.observe("person-1", "(fetch box-a)")["steps"] == next(watched)["steps"] == 1
         with pytest.raises(RefusedError, match="not applicable here") as refused:
-            ann.observe("ann", "(fetch box-b)")
+            ann.observe("person-1", "(fetch box-b)")
         assert refused.value.status == 409
         with pytest.raises(RefusedError, match="only the operator may do this"):
             ann.team()
