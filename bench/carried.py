@@ -22,6 +22,7 @@ from tables import Columns, cell, record_option, write_record
 
 from assist.people.decision import Floats
 from assist.people.real_people import advice_takers
+from assist.person.settings import Setting
 from assist.reports.statistics import IntervalEstimate, mean
 from assist.simulation.beginning import Beginning
 from assist.simulation.common_random_numbers import CommonRandomNumbers
@@ -31,7 +32,6 @@ from assist.simulation.run import Ints, Simulation, Watcher
 from assist.simulation.schedule import Schedule
 from assist.team.engine import Engine, StepTaken
 from assist.team.questions import Asked
-from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
 from planner import CostToGo, cost_to_go, load
 

@@ -36,9 +36,9 @@ from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.simulation.pool import Pool
-from assist.team.settings import Setting
 from planner import cost_to_go, load
 
 SETTINGS = [(0.95, 0.2, 0.3), (0.95, 0.05, 0.1), (0.9, 0.1, 0.0), (0.95, 0.4, 0.0), (0.8, 0.02, 0.02)]

@@ -44,14 +44,14 @@ from assist.people.goals import Goals
 from assist.people.human import Population
 from assist.people.state_keys import mix
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
+from assist.person.settings import Setting
+from assist.person.travel import Travel
 from assist.simulation.goal_knowledge import GoalKnowledge
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.priority import Priority
-from assist.team.settings import Setting
 from assist.team.state import TeamPolicy
-from assist.team.travel import Travel
 from assist.team.whittle import Whittle
 from planner import Instance, Table, load, sweep, sweep_goals
 

@@ -20,7 +20,7 @@ from tables import cell, record_option, write_record
 
 from assist.live import Assistant
 from assist.people import Population
-from assist.team import Setting
+from assist.person import Setting
 from planner import cost_to_go, load
 
 ANSWERS: dict[str, Callable[[int], bool]] = {

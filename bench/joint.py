@@ -23,9 +23,9 @@ import numpy as np
 from joint_problem import Ints, JointProblem, check, product_of, written_out
 
 from assist.people.decision import Floats
+from assist.person.travel import Travel
 from assist.simulation.pool import Pool
 from assist.team.state import NOBODY
-from assist.team.travel import Travel
 
 DEPTH = 500
 """Largest number of steps of a trial."""

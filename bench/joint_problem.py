@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from assist.people.decision import Floats
 from assist.person.pomdp import AssistPOMDP
+from assist.person.travel import Travel
 from assist.team.state import NOBODY
-from assist.team.travel import Travel
 
 Ints = NDArray[np.int64]
 

@@ -28,9 +28,9 @@ import numpy as np
 from tables import ROOT, Columns, cell, record_option, write_record
 
 from assist.people import Goals, Human
+from assist.person import Setting
 from assist.person.solver import solve
 from assist.simulation import Pool, simulate
-from assist.team import Setting
 from planner import load, sweep_goals
 
 KITS = ROOT / "docs" / "examples" / "kits"

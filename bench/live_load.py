@@ -38,7 +38,7 @@ from tables import Columns, cell, record_option, write_record
 from assist.live.events import Acted
 from assist.live.session import Session
 from assist.person.observation_model import ObservationModel
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from planner import cost_to_go, load
 
 PAPER = Path(__file__).parent.parent / "domains/kitting/paper.pddl"

@@ -21,7 +21,7 @@ from tables import Columns, cell, record_option, write_record
 from assist.live.assistant import Assistant
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.human import Population
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from planner import CostToGo, cost_to_go, load
 
 KITTING = Path(__file__).parent.parent / "domains/kitting"

@@ -39,9 +39,9 @@ from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.person.settings import Setting
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamPolicy, TeamState
 from planner import load, sweep
 from planner.system.machine import peak_memory_mb, processors

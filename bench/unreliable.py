@@ -22,9 +22,8 @@ from tables import Columns, cell, record_option, write_record
 from assist.live import Assistant
 from assist.people.choices import Choices
 from assist.people.decision import Floats
-from assist.person import ObservationModel
+from assist.person import ObservationModel, Setting
 from assist.simulation import Pool, simulate
-from assist.team import Setting
 from assist.texts import InapplicableError
 from planner import instance as find
 from planner import load, sweep

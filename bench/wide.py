@@ -21,7 +21,7 @@ import numpy as np
 from tables import cell, record_option, write_record
 
 from assist import Pool, simulate
-from assist.team import Setting
+from assist.person import Setting
 from planner import cost_to_go, load
 
 WHOLE = 10**9  # states

@@ -29,11 +29,11 @@ from assist.cli import main
 from assist.cli.options import task
 from assist.cli.output import solve_progress
 from assist.people.choices import Choices
+from assist.person.settings import Setting
 from assist.reports import study_report
 from assist.simulation.pool import Pool
 from assist.study.protocol import read
 from assist.study.study import Study
-from assist.team.settings import Setting
 from planner import Instance, Limits, Table, find_instances, load, sweep
 from planner.grounding import fast_downward
 from planner.pddl import reader, writer

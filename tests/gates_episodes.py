@@ -15,12 +15,12 @@ from gates_records import first_difference, hashed, weights
 
 from assist.people import Goals, Population
 from assist.people.real_people import advice_takers
-from assist.person import ObservationModel
+from assist.person import ObservationModel, Setting
+from assist.person.robots import Robot
 from assist.simulation import Episodes, Pool, simulate
 from assist.simulation.schedule import Schedule
 from assist.simulation.trace import Trace
-from assist.team import POLICIES, Setting
-from assist.team.robots import Robot
+from assist.team import POLICIES
 from planner import CostToGo, LimitError, OnDemand, load, sweep, sweep_goals
 
 HUMANS, EPISODES, SEED, PEOPLE = 3, 16, 5, 4

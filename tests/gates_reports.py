@@ -11,9 +11,8 @@ from gates_episodes import task
 from gates_records import NEAR, NEAR_ELSEWHERE, near, weights
 
 from assist.live import Assistant
-from assist.person import ObservationModel
-from assist.team import Setting
-from assist.team.robots import Robot
+from assist.person import ObservationModel, Setting
+from assist.person.robots import Robot
 from planner import LimitError
 
 CALLS = 40

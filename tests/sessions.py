@@ -10,7 +10,7 @@ from assist.live.events import Acted, Elapsed, Paused, TeamEvent, kinds
 from assist.live.session import Session
 from assist.live.team import Team
 from assist.people.human import Population
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 
 # People to whom the robot says something after one mistake, too, that they made against its advice.
 EASY = Population()

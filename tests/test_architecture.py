@@ -39,7 +39,7 @@ ROOMS = {
     "assist.people": """arguments state_keys hidden_type choices misconception decision goals terms memory choice_model
         weighted_choice user_code human real_people spread belief influence_kernels type_kernels trust_rules
         action_names signals""",
-    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp visiting_robot
+    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp robots travel settings visiting_robot
         problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics joint_belief beliefs
         rounding action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
         memory_needed further_beliefs solver""",
@@ -48,7 +48,7 @@ ROOMS = {
         maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit
         goals model_comparison rule_families trust_log posterior_sample influence_population rule_search trust_fit
         rule_comparison""",
-    "assist.team": """policy_names by_policy robots travel state action_check settings
+    "assist.team": """policy_names by_policy state action_check
         assignment attention attention_never questions robots_at_work engine time_expansion
         subproblem_frontier attention_subproblem priority whittle rollout policies""",
     "assist.large_tasks": """truncated_task state_cache growing_problem leaf_estimates backups

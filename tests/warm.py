@@ -57,7 +57,7 @@ def people() -> None:
     from assist.learning.advice_model import AdviceModel
     from assist.learning.advice_rules import RULES
     from assist.learning.log import Log
-    from assist.team.settings import Setting
+    from assist.person.settings import Setting
 
     case(test_solver.test_bounds_are_ordered_everywhere)("tiny", 0)
     case(test_upper_bound.test_upper_bound_holds_wherever_the_pivots_end)(0)

@@ -12,11 +12,11 @@ import numpy as np
 from planner.system.results import Result
 
 from ..people.decision import Floats
+from ..person.travel import Travel
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.policies import prepare
 from ..team.state import TeamPolicy
-from ..team.travel import Travel
 
 
 @dataclass(frozen=True, repr=False)

@@ -23,9 +23,9 @@ from ..people.arguments import whole
 from ..people.decision import Floats
 from ..person.policy import Policy
 from ..person.solver import Solution, solve
+from ..person.travel import Travel
 from ..simulation.pool import Pool
 from ..team.attention_subproblem import AttentionSubproblem
-from ..team.travel import Travel
 from .action_prices import needed, paid
 from .options import BoundOptions
 from .prices import SubproblemKind, kinds_of, search, window_of

@@ -31,13 +31,13 @@ from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, lik
 from ..people.decision import Floats
 from ..person.memory_needed import first_bounds_bytes, policy_bytes, require_room
 from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
+from ..person.travel import Travel
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
 from ..team.attention_subproblem import AttentionSubproblem, backwards
 from ..team.state import TeamAction, TeamState
 from ..team.time_expansion import HERE, TimeExpansion
-from ..team.travel import Travel
 from .action_prices import supply
 
 Ints = NDArray[np.int64]

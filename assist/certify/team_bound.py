@@ -32,7 +32,7 @@ without prices need no step in their states, so that the solver gets further in 
 account for the conflicts.
 
 Why the bound also holds for people with unknown goals and for robots that differ stands at `certify.prices` and
-`team.robots`. Prices of actions lower that of robots that differ (`certify.action_prices`).
+`person.robots`. Prices of actions lower that of robots that differ (`certify.action_prices`).
 
 The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated
 in the same model.
@@ -55,10 +55,10 @@ from planner.system.results import Result
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
 from ..person.memory_needed import MEMORY_LIMIT_MB
+from ..person.travel import Travel
 from ..simulation.pool import Pool, require_pool
 from ..team.priority import Priority
 from ..team.state import TeamPolicy
-from ..team.travel import Travel
 from . import sample_paths
 from .certificate import Certificate, returns
 from .computation import Computation, InterruptedBound

@@ -22,10 +22,10 @@ from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
 from ..people.human import Population
+from ..person.settings import Setting
 from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.model_group import World
 from ..simulation.pool import Pool
-from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 from .rendering import EnvironmentPicture
 from .teams import PoolSource, Sight, Teams

@@ -20,6 +20,7 @@ from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
 from ..people.human import Population
 from ..person.beliefs import Seen
+from ..person.settings import Setting
 from ..simulation.beginning import Beginning, Beginnings
 from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.model_group import ModelGroup, World
@@ -27,7 +28,6 @@ from ..simulation.pool import MAX_ENUMERATED, Pool
 from ..simulation.schedule import Schedule
 from ..team.engine import Engine, PeopleAtWork, StepTaken
 from ..team.robots_at_work import RobotsAtWork
-from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 
 Ints = NDArray[np.int64]

@@ -75,8 +75,8 @@ from ..person.leaf_bounds import LeafBounds
 from ..person.memory_needed import first_bounds_bytes, require_room
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import initial_upper_bounds, value_iteration
+from ..person.settings import Setting
 from ..team.attention_subproblem import AttentionSubproblem
-from ..team.settings import Setting
 from ..team.time_expansion import AWAY, HERE
 from .backups import bellman_backup
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states

@@ -38,9 +38,9 @@ from ..person.policy_iteration import SOLVING
 from ..person.pomdp import AssistPOMDP
 from ..person.problem_arrays import ProblemArrays
 from ..person.qmdp import look_ahead
+from ..person.settings import Setting
 from ..person.visiting_robot import VisitingRobot
 from ..team.attention_subproblem import AttentionSubproblem
-from ..team.settings import Setting
 from .growing_problem import GrowingProblem
 from .leaf_estimates import LeafEstimates
 from .state_cache import StateCache

@@ -33,8 +33,8 @@ from ..declare.declared import plain
 from ..people.goals import Goals
 from ..people.human import Population
 from ..person.policy import Policy
-from ..team.robots import Robot
-from ..team.settings import Setting
+from ..person.robots import Robot
+from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice
 from .desk import Desk, Task

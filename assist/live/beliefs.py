@@ -19,9 +19,9 @@ from ..people.spread import Spread
 from ..person.beliefs import Acts, PersonModel
 from ..person.joint_belief import JointBelief, expected_answers, same_suggestions
 from ..person.observation_model import ObservationModel
+from ..person.settings import Setting
 from ..person.ties import first_best
 from ..team.questions import GoalQuestion
-from ..team.settings import Setting
 from ..team.state import worth_of_actions
 from ..texts.refusals import InapplicableError
 from .advice import Reason

@@ -16,11 +16,11 @@ from ..people.goals import Goals
 from ..people.human import Population
 from ..person.beliefs import Ask, Seen
 from ..person.policy import Policy
+from ..person.robots import SUGGESTION
+from ..person.settings import Setting
 from ..team.action_check import check
 from ..team.policies import named, prepare
 from ..team.policy_names import POLICIES
-from ..team.robots import SUGGESTION
-from ..team.settings import Setting
 from ..team.state import NOBODY, TeamPolicy, TeamState
 from .advice import Advice, Question
 from .beliefs import reason_of

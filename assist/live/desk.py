@@ -24,9 +24,9 @@ from ..people.human import Population
 from ..people.real_people import advice_takers
 from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
-from ..team.settings import Setting
+from ..person.settings import Setting
+from ..person.travel import Travel
 from ..team.state import BASE, NOBODY, TeamPolicy
-from ..team.travel import Travel
 from ..texts.refusals import AbsentError, InapplicableError, InvalidError
 from .advice import Advice, PersonState, Question
 from .beliefs import (

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..person.policy import Policy
+from ..person.settings import Setting
 from ..person.ties import NEAR, first_best
 from ..team.questions import Questions, worth_of_knowing
-from ..team.settings import Setting
 from .advice import Question
 from .beliefs import worth_of_asking
 from .roster import Roster, RosterEntry

@@ -28,7 +28,7 @@ from ..people.human import Population
 from ..people.memory import choices_of
 from ..person.policy import Policy
 from ..person.qmdp import qmdp
-from ..team.settings import Setting
+from ..person.settings import Setting
 from ..texts.refusals import InapplicableError, InvalidError
 
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
+from ..person.settings import Setting
+from ..person.travel import Travel
 from ..team.assignment import placed
-from ..team.settings import Setting
 from ..team.state import BASE
-from ..team.travel import Travel
 from ..texts.refusals import InvalidError
 
 

@@ -30,7 +30,7 @@ from planner.system.errors import DamagedFileError, ResultsExistError
 
 from ..people.goals import Goals
 from ..people.human import Population
-from ..team.settings import Setting
+from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, InapplicableError, InvalidError, Refusal
 from .advice import Advice

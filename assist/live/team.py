@@ -23,7 +23,7 @@ from ..explain.explanation import Explanation, WhyNothing
 from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.human import Population
-from ..team.settings import Setting
+from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, InvalidError
 from .advice import Advice, PersonState, Reason

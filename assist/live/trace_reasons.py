@@ -12,8 +12,8 @@ from planner import CostToGo
 from ..people.goals import Goals
 from ..people.human import Population
 from ..person.policy import Policy
-from ..team.robots import SUGGESTION
-from ..team.settings import Setting
+from ..person.robots import SUGGESTION
+from ..person.settings import Setting
 from ..team.state import TeamState
 from .decision_point import DecisionPoint
 from .live_task import LiveTask

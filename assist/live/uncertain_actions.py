@@ -14,7 +14,7 @@ from ..people.decision import NOTHING
 from ..person.beliefs import Glimpse, PerhapsMissed, PersonModel, Reported
 from ..person.joint_belief import JointBelief
 from ..person.observation_model import Evidence, ObservationModel
-from ..team.settings import Setting
+from ..person.settings import Setting
 from ..texts.refusals import InapplicableError, InvalidError, Refusal
 from .live_task import LiveTask
 from .roster import RosterEntry, Step

@@ -8,6 +8,9 @@ from .pomdp import AssistPOMDP as AssistPOMDP
 from .qmdp import QMDP as QMDP
 from .qmdp import evaluate as evaluate
 from .qmdp import qmdp as qmdp
+from .robots import Robot as Robot
 from .search import SolverOptions as SolverOptions
+from .settings import Setting as Setting
 from .solver import Solution as Solution
 from .solver import solve as solve
+from .travel import Travel as Travel

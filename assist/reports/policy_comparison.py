@@ -28,13 +28,13 @@ from planner.system.results import Result, html_table
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
 from ..person.policy import not_worth_its_cost
+from ..person.robots import Robot
+from ..person.settings import Setting
 from ..simulation.episode import SHOWN
 from ..simulation.episodes import Episodes, Summary
 from ..simulation.pool import Pool, require_pool
 from ..simulation.simulate import simulate
 from ..team.policies import by_name
-from ..team.robots import Robot
-from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from . import statistics
 from .statistics import IntervalEstimate

@@ -14,9 +14,9 @@ import numpy as np
 
 from planner.system.files import finite
 
+from ..person.settings import Setting
 from ..study.study import SCHEMA, Study
 from ..team.policy_names import POLICIES
-from ..team.settings import Setting
 from . import statistics
 from .statistics import IntervalEstimate
 

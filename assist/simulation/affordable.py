@@ -12,7 +12,7 @@ from ..people.goals import Goals, each_of, first_of
 from ..people.human import Population
 from ..people.memory import choices_of
 from ..person.memory_needed import ONE_FOR_ALL, policy_bytes, require_room
-from ..team.settings import Setting
+from ..person.settings import Setting
 
 
 def affordable_choices(

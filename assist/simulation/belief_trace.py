@@ -11,8 +11,8 @@ import numpy as np
 from ..people.arguments import Seed
 from ..people.decision import Floats
 from ..people.spread import Spread
+from ..person.travel import Travel
 from ..team.state import TeamAction, TeamPolicy, TeamState
-from ..team.travel import Travel
 from .episode import Episode
 from .model_group import World
 from .pool import Pool

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..person.travel import Travel
 from ..team.state import TeamPolicy
-from ..team.travel import Travel
 from .episode import Episode
 from .episodes import Episodes
 from .goal_knowledge import GoalKnowledge

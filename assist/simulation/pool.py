@@ -27,10 +27,10 @@ from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
+from ..person.settings import Setting
+from ..person.travel import Travel
 from ..team.policies import named
-from ..team.settings import Setting
 from ..team.state import TeamPolicy
-from ..team.travel import Travel
 from .affordable import affordable_choices, require_room_for_people
 from .union import union
 

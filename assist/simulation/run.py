@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
 from ..person.beliefs import Beliefs, Hidden, Seen
+from ..person.travel import Travel
 from ..team.action_check import check
 from ..team.engine import Engine, PeopleAtWork, StepTaken
 from ..team.questions import Asked, Questions
 from ..team.robots_at_work import RobotsAtWork
 from ..team.state import PolicyError, TeamAction, TeamPolicy, TeamState
-from ..team.travel import Travel
 from .beginning import Beginning, Beginnings
 from .common_random_numbers import CommonRandomNumbers
 from .episodes import Episodes

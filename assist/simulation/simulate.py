@@ -25,11 +25,11 @@ from planner.system.threads import on_threads
 
 from ..people.arguments import Seed, entropy, positive, whole, wholes
 from ..person.memory_needed import MEMORY_LIMIT_MB
+from ..person.travel import Travel
 from ..team.attention import AttentionSwitching
 from ..team.policies import prepare
 from ..team.questions import Questions
 from ..team.state import TeamPolicy
-from ..team.travel import Travel
 from .common_random_numbers import BLOCK
 from .episodes import Episodes
 from .goal_knowledge import GoalKnowledge

@@ -31,11 +31,11 @@ from ..people.trust_rules import Event, Feedback, TrustRule
 from ..people.user_code import UserChoiceModel, UserCodeError, described, parse
 from ..people.user_code import load as load_function
 from ..person.observation_model import ObservationModel
+from ..person.robots import Robot
+from ..person.settings import Setting
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.policies import UserPolicy
-from ..team.robots import Robot
-from ..team.settings import Setting
 from ..team.state import TeamPolicy
 
 Kind = Literal["policy", "people", "trust", "term"]

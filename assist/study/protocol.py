@@ -37,8 +37,8 @@ from ..people.human import Population
 from ..people.real_people import advice_takers
 from ..people.terms import TERMS
 from ..people.user_code import parse
+from ..person.settings import Setting
 from ..team.policy_names import POLICIES
-from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study, StudyPlan
 
 PROTOCOLS = Path(__file__).parent / "protocols"

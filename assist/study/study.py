@@ -25,7 +25,7 @@ from planner import Instance
 from ..declare.declared import Count, Seed, declared, plain
 from ..people.human import Population
 from ..people.user_code import UserChoiceModel
-from ..team.settings import Setting
+from ..person.settings import Setting
 
 SCHEMA = 1
 """Version of the format of `episodes.jsonl` and `summary.json`."""

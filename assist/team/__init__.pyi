@@ -6,15 +6,12 @@ from .policies import UserPolicy as UserPolicy
 from .policies import named as named
 from .policy_names import POLICIES as POLICIES
 from .priority import Priority as Priority
-from .robots import Robot as Robot
 from .rollout import Rollout as Rollout
 from .rollout import RolloutOptions as RolloutOptions
-from .settings import Setting as Setting
 from .state import BASE as BASE
 from .state import NOBODY as NOBODY
 from .state import PolicyError as PolicyError
 from .state import TeamAction as TeamAction
 from .state import TeamPolicy as TeamPolicy
 from .state import TeamState as TeamState
-from .travel import Travel as Travel
 from .whittle import Whittle as Whittle

@@ -18,13 +18,13 @@ from ..people import user_code
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
+from ..person.travel import Travel
 from .attention import AttentionSwitching, NoAssistance, Reactive
 from .attention_never import AttentionAgainstNever
 from .policy_names import POLICIES
 from .priority import Priority
 from .rollout import Rollout
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
-from .travel import Travel
 from .whittle import Whittle
 
 

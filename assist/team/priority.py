@@ -22,12 +22,12 @@ from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from ..person.ties import NEAR, first_best
+from ..person.travel import Travel
 from .assignment import assigned
 from .attention_subproblem import AttentionSubproblem, backwards
 from .by_policy import ByPolicy
 from .state import BASE, NOBODY, TeamAction, TeamState
 from .time_expansion import HERE
-from .travel import Travel
 
 
 def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, staying: Floats) -> TeamAction:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..person.robots import Fleet
+from ..person.travel import Travel
 from .assignment import placed
-from .robots import Fleet
 from .state import BASE, NOBODY, TeamAction
-from .travel import Travel
 
 Ints = NDArray[np.int64]
 

@@ -30,13 +30,13 @@ from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..person.ties import NEAR, first_best, ranked
+from ..person.travel import Travel
 from .by_policy import ByPolicy
 from .engine import Engine, PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
 from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState
 from .time_expansion import AWAY, HERE
-from .travel import Travel
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]

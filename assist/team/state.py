@@ -20,8 +20,8 @@ from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
 from ..person.beliefs import Ask, Beliefs
 from ..person.policy import Policy
-from .robots import EXECUTION, SUGGESTION, Fleet, Robot
-from .travel import Travel
+from ..person.robots import EXECUTION, SUGGESTION, Fleet, Robot
+from ..person.travel import Travel
 
 BASE = -1
 """The robot's place before it has gone to a person; also the index of the base in a distance matrix."""

@@ -18,9 +18,9 @@ from ..people.arguments import number
 from ..people.decision import Floats
 from ..person.policy import Policy
 from ..person.ties import NEAR
+from ..person.travel import Travel
 from .priority import Priority, to_the_best
 from .state import TeamAction, TeamState
-from .travel import Travel
 
 
 @dataclass(frozen=True, eq=False)

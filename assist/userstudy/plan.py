@@ -10,7 +10,7 @@ from pathlib import Path
 from planner import Instance
 
 from ..people.human import Population
-from ..team.settings import Setting
+from ..person.settings import Setting
 from ..texts.catalogue import Catalogue
 from .assignment import balanced_orders
 from .questionnaires import BEFORE, END, Item, Questionnaire

@@ -23,8 +23,8 @@ from ..declare.tables import convert, fault, load, located, replaced
 from ..people.human import Population
 from ..people.real_people import advice_takers
 from ..people.user_code import parse
+from ..person.settings import Setting
 from ..team.policy_names import POLICIES
-from ..team.settings import Setting
 from ..texts.catalogue import FIRST, Catalogue, catalogue
 from .plan import OUTCOMES, WITHIN, Condition, Grouping, UserStudy
 from .questionnaire_file import QuestionnaireTable, questionnaires_of

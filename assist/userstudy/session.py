@@ -29,8 +29,8 @@ from ..live.team import Team
 from ..people.goals import first_of
 from ..people.user_code import parse
 from ..person.policy import Policy
+from ..person.settings import Setting
 from ..team.policies import UserPolicy
-from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import BusyError
 from .cohort import Cohort

@@ -30,7 +30,7 @@ from ..live.store import JournalError
 from ..people.goals import Goals
 from ..people.human import Population
 from ..person.observation_model import ObservationModel
-from ..team.settings import Setting
+from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.catalogue import Catalogue
 from ..texts.refusals import AbsentError, BusyError, InapplicableError

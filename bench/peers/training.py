@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 import assist.interop.gymnasium  # noqa: F401  registers the environment
 from assist import simulate
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SETTING = Setting(c_suggest=0.2)

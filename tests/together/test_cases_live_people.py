@@ -23,7 +23,7 @@ from assist.live.events import Acted, Elapsed
 from assist.live.names import is_name, name_of
 from assist.live.store import JournalError
 from assist.people.action_names import in_pddl
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from assist.texts import InvalidError
 from assist.web.server import ServedTeam
 from planner import Table

@@ -20,18 +20,17 @@ from assist.interop.observed import Observed, bytes_needed
 from assist.live import TraceReasons
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
-from assist.person import AssistPOMDP, ObservationModel, solve
+from assist.person import AssistPOMDP, ObservationModel, Robot, solve
 from assist.person import solver as person_solver
 from assist.person.qmdp import QMDP, qmdp
+from assist.person.settings import Setting
 from assist.reports import study_report
 from assist.reports.study_report import write_report
 from assist.simulation.episode import plain_summary
 from assist.study import cells
 from assist.study.protocol import read
 from assist.study.runner import load_study, run_study
-from assist.team import Robot
 from assist.team.policies import UserPolicy
-from assist.team.settings import Setting
 from assist.team.state import PolicyError, TeamAction, TeamState
 from planner import Table
 

@@ -23,7 +23,7 @@ from userstudies import PLAN, Part, written
 from assist.cli import main
 from assist.live import Acted, Joined, Session
 from assist.live.store import JournalError, stored
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import JOURNAL, StudySession
 from assist.web.server import listen

@@ -18,13 +18,13 @@ from assist.people.decision import Floats
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
+from assist.person.settings import Setting
 from assist.person.solver import solve
+from assist.person.travel import Travel
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.team.attention_subproblem import AttentionSubproblem
-from assist.team.settings import Setting
 from assist.team.state import NOBODY
-from assist.team.travel import Travel
 
 pytestmark = pytest.mark.slow  # the solver of `bench/joint.py` takes long to compile; `test_bounds` has other optima
 

@@ -27,8 +27,7 @@ from assist.interop.observed import Observed
 from assist.live import Session
 from assist.people import HumanModel, Population
 from assist.people.choices import Choices
-from assist.person import AssistPOMDP, qmdp
-from assist.team import Setting
+from assist.person import AssistPOMDP, Setting, qmdp
 from planner import Instance, Table, load, sweep
 
 DOMAIN = """(define (domain mixing) (:requirements :typing :durative-actions :numeric-fluents) (:types tank)

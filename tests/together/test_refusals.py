@@ -43,14 +43,14 @@ from assist.people.weighted_choice import Weighted
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.person.settings import Setting
+from assist.person.travel import Travel
 from assist.simulation.common_random_numbers import BLOCK
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.action_check import check
-from assist.team.settings import Setting
 from assist.team.state import PolicyError, TeamAction
-from assist.team.travel import Travel
 from assist.texts import InapplicableError
 from assist.userstudy.questionnaires import Item, Questionnaire
 from assist.web import request_limits

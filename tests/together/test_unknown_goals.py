@@ -22,11 +22,10 @@ from assist.learning import Log, infer_goals
 from assist.live import Assistant, Session
 from assist.people import Goals, HumanModel, Population
 from assist.people.hidden_type import HiddenType
-from assist.person import AssistPOMDP, qmdp
+from assist.person import AssistPOMDP, Setting, qmdp
 from assist.person.beliefs import Seen
 from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
-from assist.team import Setting
 from assist.team.questions import GoalQuestion, Questions, benefit
 from planner import LimitError, Table, sweep, sweep_goals
 from planner.system.errors import ResultsExistError

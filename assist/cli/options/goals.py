@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from planner import CostToGo
 
     from ...people.goals import Goals
-    from ...team.settings import Setting
+    from ...person.settings import Setting
 
 
 def goals_of(

@@ -15,7 +15,7 @@ from .settings import record_of, setting_of
 
 if TYPE_CHECKING:
     from ...people.choice_model import ChoiceModel
-    from ...team.settings import Setting
+    from ...person.settings import Setting
 
 RATES = ("eta", "utility_scale")
 """Fields of a setting for equation 7 alone."""

@@ -28,7 +28,7 @@ from ...learning.method import Method
 from ...people.human import Population
 from ...people.real_people import advice_takers
 from ...people.user_code import function_beside
-from ...team.settings import Setting
+from ...person.settings import Setting
 from ...texts.catalogue import FIRST
 
 T = TypeVar("T")

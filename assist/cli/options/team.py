@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
     from ...people.goals import Goals
     from ...people.human import Population
+    from ...person.travel import Travel
     from ...simulation.pool import Pool
     from ...team.state import TeamPolicy
-    from ...team.travel import Travel
 
 
 def team_options(command: Command) -> Command:

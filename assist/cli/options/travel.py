@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from ...team.settings import Setting
-    from ...team.travel import Travel
+    from ...person.settings import Setting
+    from ...person.travel import Travel
 
 
 def travel_of(setting: Setting, humans: int, distances: str | None) -> Travel:

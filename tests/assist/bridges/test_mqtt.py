@@ -38,7 +38,7 @@ from assist.bridges.ros2_settings import Ros2Settings
 from assist.cli import main
 from assist.cli.options.live import bridge_of
 from assist.live import Joined, Left, Session
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from assist.web.app import make_app
 from assist.web.server import listen, run
 from assist.web.service import Service

@@ -27,7 +27,7 @@ from test_mqtt import Here, done_of, free_port, plans
 from assist.cli import main
 from assist.cli.options.live import bridge_of
 from assist.live import Left
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 
 asyncua = pytest.importorskip("asyncua")
 ua = asyncua.ua

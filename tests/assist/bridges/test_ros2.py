@@ -21,7 +21,7 @@ from assist.bridges.messages import MessageError
 from assist.cli import main
 from assist.live import Acted, Left
 from assist.live.store import stored
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from planner.system.errors import InputFileError
 
 SETTINGS = """

@@ -19,10 +19,10 @@ from assist.large_tasks.truncated_bound import TruncatedProblem, likely
 from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.person.qmdp import qmdp
+from assist.person.settings import Setting
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.team.attention_subproblem import AttentionSubproblem
-from assist.team.settings import Setting
 from planner import sweep
 
 SETTING = Setting(knowledge="exact", gamma=0.9, c_suggest=0.01, c_move=0.02, eta=0.0, lapse=0.0, robots=2)

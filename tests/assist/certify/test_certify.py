@@ -27,12 +27,12 @@ from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person.memory_needed import policy_bytes
 from assist.person.pomdp import AssistPOMDP
+from assist.person.robots import Robot
+from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.team.attention import NoAssistance
 from assist.team.attention_subproblem import AttentionSubproblem
-from assist.team.robots import Robot
-from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
 from assist.team.time_expansion import AWAY, HERE, TimeExpansion
 from planner import LimitError, sweep

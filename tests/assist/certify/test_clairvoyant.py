@@ -33,10 +33,10 @@ from assist.certify.information_relaxation.sampled_bound import InformationRelax
 from assist.certify.prices import kinds_of
 from assist.certify.team_bound import upper_bound
 from assist.cli.output.person_bounds import show_samples
+from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.settings import Setting
 
 PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
 USUAL = RelaxationOptions()

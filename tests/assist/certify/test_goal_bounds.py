@@ -19,10 +19,9 @@ from assist.certify import TeamBound, upper_bound
 from assist.certify.relaxed_value import relaxed_value
 from assist.people import Goals, HumanModel, Population
 from assist.people.trust_rules import outcome
-from assist.person import AssistPOMDP, Solution, qmdp, solve
+from assist.person import AssistPOMDP, Setting, Solution, qmdp, solve
 from assist.person.qmdp import evaluate
 from assist.simulation import Pool, simulate
-from assist.team import Setting
 from planner import sweep_goals
 
 KITS = ROOT / "docs" / "examples" / "kits"

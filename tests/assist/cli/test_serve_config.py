@@ -24,7 +24,7 @@ from assist.cli.serve import serve
 from assist.declare.declared import names_of
 from assist.declare.options import FieldOption, Given, printed
 from assist.live import Session
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from planner.system.errors import ResultsExistError
 
 FAR = [[0.0, 5.0, 1.0], [5.0, 0.0, 5.0], [1.0, 5.0, 0.0]]

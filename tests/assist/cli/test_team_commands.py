@@ -10,9 +10,9 @@ import pytest
 from conftest import KITTING, invoke, kit
 
 from assist.learning.population import mixture
+from assist.person.settings import Setting
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.settings import Setting
 from planner import CostToGo, OnDemand
 
 TINY = KITTING / "tiny.pddl"

@@ -33,8 +33,8 @@ from assist.declare.declared import (
     sentences,
 )
 from assist.declare.tables import convert, load, located, replaced
-from assist.team.robots import OfRobots, Robot
-from assist.team.settings import Setting
+from assist.person.robots import OfRobots, Robot
+from assist.person.settings import Setting
 from planner.system.errors import InputFileError
 
 

@@ -31,9 +31,9 @@ from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
 from assist.person.observation_model import ObservationModel
 from assist.person.qmdp import QMDP, look_ahead
+from assist.person.settings import Setting
 from assist.simulation import Pool, simulate
 from assist.simulation.trace import Trace
-from assist.team.settings import Setting
 from assist.texts import AbsentError, Catalogue, InapplicableError, InvalidError, catalogue, languages
 from planner import CostToGo, Instance, OnDemand, Table, optimal_choices
 

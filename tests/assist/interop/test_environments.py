@@ -22,9 +22,9 @@ from assist.interop.pettingzoo import parallel_env
 from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.people.trust_rules import outcome_at_disagreement
+from assist.person.robots import Robot
+from assist.person.settings import Setting
 from assist.team.policy_names import POLICIES
-from assist.team.robots import Robot
-from assist.team.settings import Setting
 
 EPISODES = 4
 

@@ -20,9 +20,9 @@ from assist.people.decision import perceived_cost, perceived_value
 from assist.people.human import Human, Population
 from assist.person import AssistPOMDP, qmdp, solve
 from assist.person.observation_model import ObservationModel
+from assist.person.settings import Setting
 from assist.simulation import Pool
 from assist.team.attention_subproblem import AttentionSubproblem
-from assist.team.settings import Setting
 from assist.team.time_expansion import AWAY, HERE
 from planner import Instance, LimitError, Table, sweep
 

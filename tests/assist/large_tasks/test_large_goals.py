@@ -16,12 +16,11 @@ from assist.live import Assistant, TraceReasons
 from assist.live import live_task as live
 from assist.people import Goals, Human, HumanModel
 from assist.people.misconception import Misconception
-from assist.person import AssistPOMDP
+from assist.person import AssistPOMDP, Setting
 from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
 from assist.simulation import Pool, simulate
-from assist.team import Setting
 from planner import LimitError
 
 EVERYTHING = 10_000  # states, more than these tasks have

@@ -21,13 +21,13 @@ from assist.large_tasks import truncated_bound, truncated_policy
 from assist.large_tasks.truncated_task import never_erring
 from assist.live import Assistant, live_task
 from assist.people.human import Population
+from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
-from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
 from planner import CostToGo, Instance, OnDemand, Table
 

@@ -20,10 +20,10 @@ from assist.people.terms import TERMS
 from assist.people.weighted_choice import Weighted
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.person.settings import Setting
 from assist.simulation.belief_trace import Watched
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.settings import Setting
 from assist.team.state import by_model
 from assist.texts import AbsentError, InapplicableError
 from planner import CostToGo, OnDemand, Table, cost_to_go, load

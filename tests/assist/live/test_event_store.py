@@ -26,7 +26,7 @@ from assist.live.live_task import LiveTask
 from assist.live.record import TeamRecord
 from assist.live.session import Session
 from assist.live.store import EventStore, JournalError, stored
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from assist.texts import AbsentError
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession

@@ -19,8 +19,7 @@ from test_unknown_goals import LAPSE, SMALL, TASKS, Steps, by_enumeration
 
 from assist.live import Acted, Answered, Assistant, Began, Question, Session, Undone
 from assist.people import Goals
-from assist.person import ObservationModel
-from assist.team import Setting
+from assist.person import ObservationModel, Setting
 from assist.team.questions import GoalQuestion
 from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.texts import InapplicableError, InvalidError

@@ -18,11 +18,11 @@ from assist.live.assistant import Assistant
 from assist.live.events import Acted, Arrived, Elapsed, Joined, Paused, TeamEvent, kinds
 from assist.live.session import Session
 from assist.people.human import Population
+from assist.person.robots import Robot
+from assist.person.settings import Setting
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
-from assist.team.robots import Robot
-from assist.team.settings import Setting
 from assist.texts import InvalidError
 from assist.web.app import make_app
 from assist.web.service import Service

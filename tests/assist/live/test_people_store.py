@@ -16,7 +16,7 @@ from assist.cli import main
 from assist.live import Assistant, Joined, PeopleStore, Session
 from assist.people.goals import Goals
 from assist.people.human import Population
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from assist.texts import AbsentError
 from planner import Table, sweep_goals
 from planner.system.errors import DamagedFileError

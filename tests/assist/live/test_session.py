@@ -24,7 +24,7 @@ from assist.live.events import Acted, Began, Event, Joined, TeamEvent, kinds
 from assist.live.session import Session
 from assist.live.store import JournalError, stored
 from assist.live.team import Team
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from assist.texts import AbsentError, InapplicableError, InvalidError
 from planner import Table
 from planner.system.errors import DamagedFileError, ResultsExistError

@@ -7,10 +7,10 @@ import pytest
 
 from assist.live.simulated_person import SimulatedPerson
 from assist.people import Population
+from assist.person import Setting
 from assist.simulation import Pool, simulate
 from assist.simulation.common_random_numbers import CommonRandomNumbers
 from assist.simulation.trace import Trace
-from assist.team import Setting
 from planner import OnDemand, load, sweep
 
 TINY = sweep(load("kitting/tiny"))

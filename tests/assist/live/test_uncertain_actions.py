@@ -15,8 +15,7 @@ from assist.large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
-from assist.person import QMDP, ObservationModel, qmdp
-from assist.team import Setting
+from assist.person import QMDP, ObservationModel, Setting, qmdp
 from assist.texts import InapplicableError
 from planner import OnDemand, Table
 

@@ -16,11 +16,11 @@ from assist.large_tasks.person_problem import PersonProblem
 from assist.people.arguments import number
 from assist.people.belief import Grid
 from assist.people.human import Human, Population
+from assist.person.settings import Setting
+from assist.person.travel import Travel
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
-from assist.team.settings import Setting
-from assist.team.travel import Travel
 from planner import LimitError, Table
 
 NAN, INF = float("nan"), float("inf")

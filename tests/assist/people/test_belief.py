@@ -24,7 +24,7 @@ from assist.person.belief_filter import update as compiled_update
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from planner import Table
 
 GRID = Grid(np.array([0.2, 1.0, 2.5]), np.array([0.0, 0.3, 0.7, 1.0]))

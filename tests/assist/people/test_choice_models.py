@@ -29,12 +29,12 @@ from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, featu
 from assist.people.weighted_choice import Weighted
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.person.settings import Setting
 from assist.person.solver import Solution, solve
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.study.cells import carry_out
 from assist.study.protocol import read
-from assist.team.settings import Setting
 from planner import LimitError, Table, sweep
 from planner.system.errors import InputFileError
 

@@ -19,7 +19,7 @@ from assist.people.decision import NOTHING, choice, influence, lapse, perceived_
 from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.weighted_choice import Weighted
-from assist.team.travel import Travel
+from assist.person.travel import Travel
 from planner import Table, load, sweep
 
 ALL = np.ones(3, dtype=bool)

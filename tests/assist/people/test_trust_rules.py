@@ -42,11 +42,11 @@ from assist.person.belief_filter import update
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
+from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.study.protocol import read
-from assist.team.settings import Setting
 
 ALL: dict[str, TrustRule] = {
     "paper": EquationSeven(0.3),

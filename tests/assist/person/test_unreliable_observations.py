@@ -16,12 +16,11 @@ from assist.declare.declared import plain
 from assist.people import Grid, HumanModel, ImpossibleObservationError
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
-from assist.person import AssistPOMDP, JointBelief, ObservationModel, qmdp
+from assist.person import AssistPOMDP, JointBelief, ObservationModel, Setting, qmdp
 from assist.person.joint_belief import expected_answers, said_in
 from assist.person.observation_model import Evidence
 from assist.person.problem_arrays import ProblemArrays
 from assist.simulation import Episodes, Pool, simulate
-from assist.team import Setting
 from assist.team.state import worth_of_actions
 
 Steps = list[tuple[ObservationModel, str | None, str | None]]

@@ -15,6 +15,7 @@ from matplotlib.text import Text
 
 from assist.people.choices import Choices
 from assist.people.human import Population
+from assist.person.settings import Setting
 from assist.plots import study as study_figures
 from assist.plots.episode import episode_figure
 from assist.plots.study import COMPARISONS
@@ -24,7 +25,6 @@ from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
 from assist.team.attention import AttentionSwitching, NoAssistance
-from assist.team.settings import Setting
 
 POLICIES = ("none", "reactive", "attention", "our-own")
 INSTANCES = ("paper", "paper-fixed")

@@ -12,8 +12,9 @@ from scipy import stats
 
 from assist import Pool, compare, simulate
 from assist.certify import certify
+from assist.person import Setting
 from assist.reports import PolicyComparison, comparison_of
-from assist.team import Setting, TeamAction, TeamState
+from assist.team import TeamAction, TeamState
 from planner import cost_to_go
 
 POLICIES = ["none", "reactive", "attention"]

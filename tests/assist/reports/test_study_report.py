@@ -18,12 +18,12 @@ from studies import TINY, write
 
 from assist import Pool, simulate
 from assist.person.observation_model import ObservationModel
+from assist.person.settings import Setting
 from assist.reports.study_report import Report
 from assist.reports.study_summary import BASELINES, Found, has_same_baseline
 from assist.study.protocol import read
 from assist.study.runner import load_study, run_study
 from assist.study.study import Study
-from assist.team.settings import Setting
 from planner import Instance, cost_to_go, load
 
 

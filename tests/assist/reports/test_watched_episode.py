@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from assist import Pool, simulate, watch
+from assist.person import Setting
 from assist.reports import WatchedEpisode
-from assist.team import Setting, TeamAction, TeamState
+from assist.team import TeamAction, TeamState
 
 
 @pytest.fixture(scope="module")

@@ -18,10 +18,10 @@ from assist.person.observation_model import ObservationModel
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.person.settings import Setting
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
-from assist.team.settings import Setting
 from planner import LimitError, OnDemand, Table
 
 

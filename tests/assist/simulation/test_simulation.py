@@ -20,6 +20,8 @@ from assist.people.human import HumanModel, Population
 from assist.person.beliefs import Acts, PersonModel, Seen
 from assist.person.dynamics import Minds, PeopleArrays, act
 from assist.person.pomdp import AssistPOMDP
+from assist.person.settings import Setting
+from assist.person.travel import Travel
 from assist.simulation.common_random_numbers import BLOCK
 from assist.simulation.episode import plain_summary
 from assist.simulation.episodes import Episodes
@@ -30,9 +32,7 @@ from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
 from assist.team.attention import AttentionSwitching, NoAssistance
 from assist.team.policy_names import POLICIES
-from assist.team.settings import Setting
 from assist.team.state import NOBODY, TeamAction, TeamState
-from assist.team.travel import Travel
 from planner import LimitError, Table
 
 

@@ -11,9 +11,9 @@ from conftest import DOMAINS, KITTING, ROOT
 from studies import TINY, write
 
 from assist.people.human import Population
+from assist.person.settings import Setting
 from assist.study.cells import check, pool_of
 from assist.study.protocol import read
-from assist.team.settings import Setting
 from planner.system.errors import InputFileError
 
 

@@ -15,13 +15,13 @@ from assist.person.beliefs import Seen
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, evaluate, qmdp
+from assist.person.settings import Setting
+from assist.person.travel import Travel
 from assist.simulation.pool import Pool
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
 from assist.team.attention_never import AttentionAgainstNever
 from assist.team.by_policy import ByPolicy
-from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, TeamAction, TeamState
-from assist.team.travel import Travel
 
 TEAMS, PEOPLE = 6, 3
 

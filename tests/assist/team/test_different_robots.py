@@ -30,6 +30,9 @@ from assist.people.decision import NOTHING
 from assist.people.human import Population
 from assist.person.beliefs import Seen
 from assist.person.qmdp import qmdp
+from assist.person.robots import Robot
+from assist.person.settings import Setting
+from assist.person.travel import Travel
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
@@ -37,10 +40,7 @@ from assist.study.protocol import read
 from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.policy_names import POLICIES
-from assist.team.robots import Robot
-from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
-from assist.team.travel import Travel
 from planner import sweep
 from planner.system.errors import InputFileError
 

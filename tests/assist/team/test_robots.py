@@ -25,6 +25,9 @@ from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.person.beliefs import Seen
 from assist.person.qmdp import qmdp
+from assist.person.robots import Robot
+from assist.person.settings import Setting
+from assist.person.travel import Travel
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
@@ -33,10 +36,7 @@ from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.policy_names import POLICIES
-from assist.team.robots import Robot
-from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
-from assist.team.travel import Travel
 from planner import sweep
 
 FAR: list[list[float]] = [[0, 1, 2, 3], [1, 0, 1.5, 1], [2, 1.5, 0, 2], [3, 1, 2, 0]]

@@ -19,7 +19,7 @@ from test_live_pages import CHROMIUM, chromium, violations
 
 from assist.live.events import Joined
 from assist.live.session import Session
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from assist.web.app import make_app
 from assist.web.client import Client
 from assist.web.server import listen

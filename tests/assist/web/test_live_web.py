@@ -21,7 +21,7 @@ from assist.live.events import Acted, Joined
 from assist.live.session import Session
 from assist.live.store import JournalError
 from assist.people.human import Population
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from assist.web import server
 from assist.web.app import make_app
 from assist.web.request_limits import LARGEST, Allowance, networks

@@ -23,7 +23,7 @@ from userstudies import PLAN, written
 
 from assist.live.events import Joined
 from assist.live.session import Session
-from assist.team.settings import Setting
+from assist.person.settings import Setting
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
 from assist.web.app import make_app

@@ -24,8 +24,8 @@ from assist.cli.output.solve_progress import solving
 from assist.learning import Log
 from assist.people.choices import Choices
 from assist.person import qmdp, solve
+from assist.person.settings import Setting
 from assist.study.runner import run_study
-from assist.team.settings import Setting
 from planner import Instance, Table, cost_to_go, sweep
 from planner.system import jit, progress
 from planner.system.compiling import compiling

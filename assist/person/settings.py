@@ -17,9 +17,9 @@ from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
 from ..people.human import Human, HumanModel, Population
 from ..people.trust_rules import TrustRule, rule_given, trust_rule
-from ..person.leaf_bounds import LeafBounds
-from ..person.observation_model import ObservationModel
-from ..person.pomdp import AssistPOMDP, Suggestions
+from .leaf_bounds import LeafBounds
+from .observation_model import ObservationModel
+from .pomdp import AssistPOMDP, Suggestions
 from .robots import Fleet, OfRobots, Robot
 from .travel import Travel
 
@@ -189,7 +189,7 @@ class Setting(OfRobots):
         *,
         frontier: LeafBounds | None = None,
     ) -> AssistPOMDP:
-        """Return the problem of assisting one person of a population, by the best of its robots (`team.robots`).
+        """Return the problem of assisting one person of a population, by the best of its robots (`person.robots`).
 
         Parameters
         ----------
