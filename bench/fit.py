@@ -33,7 +33,7 @@ from assist.learning import (
     log_likelihood,
     maximum_likelihood,
 )
-from assist.learning.maximum_likelihood import largest_beta
+from assist.learning.likelihood import largest_beta
 from planner import Cache, OnDemand, Table, Task, load, sweep
 from planner.system.files import write_records
 

@@ -44,9 +44,9 @@ ROOMS = {
         rounding action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
         memory_needed further_beliefs solver""",
     "assist.learning": """method log_steps log_json log_files log comparison intervals advice_log advice_rules
-        advice_model advice_fit replay observations joint_states evidence likelihood choosing profiles
-        maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit
-        goals model_comparison rule_families trust_log posterior_sample influence_population rule_search trust_fit
+        advice_model advice_fit replay observations joint_states evidence likelihood choosing likelihood_table
+        profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
+        fit goals model_comparison rule_families posterior_sample influence_population rule_search trust_fit
         rule_comparison""",
     "assist.team": """policy_names by_policy state action_check
         assignment attention attention_never questions robots_at_work engine time_expansion

@@ -19,7 +19,7 @@ from .goals import infer_goals as infer_goals
 from .hierarchy import Hierarchy as Hierarchy
 from .influence_population import InfluencePopulation as InfluencePopulation
 from .likelihood import Method as Method
-from .likelihood import log_likelihood as log_likelihood
+from .likelihood_table import log_likelihood as log_likelihood
 from .log import Entry as Entry
 from .log import Fault as Fault
 from .log import Log as Log

@@ -23,9 +23,9 @@ from .choosing import with_model
 from .diagnostics import UNCHECKED, check
 from .evidence import Evidence, Reading, Records, Tasks, evidence
 from .hierarchy import Hierarchy, fit_terms
-from .likelihood import Method
+from .likelihood import Method, largest_beta
 from .log import Fault, in_order
-from .maximum_likelihood import Fit, largest_beta, maximum_likelihood
+from .maximum_likelihood import Fit, maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
 from .observations import Ints
 from .person_estimate import PersonEstimate, nothing_known
@@ -248,12 +248,10 @@ def _unknown(seen: Evidence) -> dict[str, dict[str, Any]]:
 
 def _with_likeliest(fit: Fit) -> Fit:
     """Return a fit in which the most probable goal of each episode decides what counts as a mistake."""
-    o, goals = fit.observations, fit.observations.goals
-    assert goals is not None
+    o = fit.observations
     likeliest = np.array([list(shares.values()) for shares in fit.goal_posteriors().values()]).argmax(axis=1)
     of_step, rows = likeliest[o.begins.cumsum() - 1], np.arange(len(o))
     chosen: dict[str, Any] = {
-        name: np.stack([getattr(each, name) for each in goals.each])[of_step, rows]
-        for name in ("excess", "optimal", "ahead", "gain", "cost_to_go", "goal")
+        name: o.by_goal(name)[of_step, rows] for name in ("excess", "optimal", "ahead", "gain", "cost_to_go", "goal")
     }
     return replace(fit, observations=replace(o, **chosen))

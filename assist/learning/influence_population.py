@@ -14,8 +14,8 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from .intervals import Interval
+from .likelihood_table import LikelihoodTable
 from .posterior_sample import PosteriorSample, posterior_covariance
-from .trust_log import TrustLog
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ class InfluencePopulation:
     logit_theta: float
     logit_theta_spread: float
 
-    def weights(self, log: TrustLog) -> tuple[Floats, Floats]:
+    def weights(self, log: LikelihoodTable) -> tuple[Floats, Floats]:
         """Return the probabilities of the nodes of beta and of theta_0, shapes (B,), (T,)."""
         return (
             _normal(np.log(log.beta), self.log_beta, self.log_beta_spread)[0],
             _normal(logit(log.theta), self.logit_theta, self.logit_theta_spread)[0],
         )
 
-    def marginal(self, log: TrustLog, logs: Floats) -> Floats:
+    def marginal(self, log: LikelihoodTable, logs: Floats) -> Floats:
         """Return the log probability of all that each person chose, shape (K,).
 
         `logs` are log likelihoods at the nodes of beta and theta_0, shape (K, B, T).
@@ -51,7 +51,7 @@ class InfluencePopulation:
         top = logs.max(axis=(1, 2))
         return np.asarray(np.log(np.exp(logs - top[:, None, None]) @ theta @ beta) + top)
 
-    def posteriors(self, log: TrustLog, logs: Floats) -> tuple[Floats, float]:
+    def posteriors(self, log: LikelihoodTable, logs: Floats) -> tuple[Floats, float]:
         """Return each person's probabilities of beta and theta_0, and the log likelihood that they belong to.
 
         Probabilities have shape (K, B, T). They and the likelihood are averaged over what mean and spread of
@@ -74,16 +74,16 @@ class InfluencePopulation:
 
     @classmethod
     def fit(
-        cls, log: TrustLog, logs: Floats, near: InfluencePopulation | None = None
+        cls, log: LikelihoodTable, logs: Floats, near: InfluencePopulation | None = None
     ) -> tuple[InfluencePopulation, float]:
         """Return the population of largest marginal likelihood, and the logarithm of that likelihood.
 
         Parameters
         ----------
-        log : TrustLog
+        log : LikelihoodTable
             Of which only the nodes are read.
         logs : float array, shape (K, B, T)
-            From `TrustLog.log_likelihood`, of some people or all.
+            From `LikelihoodTable.log_likelihood`, of some people or all.
         near : InfluencePopulation, optional
             Where the search begins.
         """
@@ -108,7 +108,7 @@ def _libraries() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _ranges(log: TrustLog) -> tuple[Interval, ...]:
+def _ranges(log: LikelihoodTable) -> tuple[Interval, ...]:
     """Return the ranges of mean and spread of log(beta) and of logit(theta_0), in the order of the attributes."""
     x, y = np.log(log.beta), np.asarray(logit(log.theta))
     # A distribution narrower than the distance of two nodes would lie between them.

@@ -26,8 +26,7 @@ from planner.system.jit import njit
 from planner.system.results import ByContent
 
 from ..people.decision import NOTHING, Floats
-from .likelihood import SMALL, Method
-from .maximum_likelihood import largest_beta
+from .likelihood import SMALL, Method, largest_beta
 from .observations import Ints, Observations
 
 BETA, THETA, FIRST_TERM = 0, 1, 2

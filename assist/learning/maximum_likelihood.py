@@ -20,10 +20,10 @@ import numpy as np
 
 from planner.system.results import Result
 
-from ..people.decision import Floats, choice, influence, lapse
+from ..people.decision import Floats, choice, influence, lapse, trust
 from .evidence import Evidence, observations_of
 from .intervals import end_of, largest_fall
-from .likelihood import Method, goal_posteriors, thetas
+from .likelihood import Method, goal_posteriors, largest_beta
 from .observations import Observations
 from .profiles import BETA, ETA, THETA, Profiles
 
@@ -122,11 +122,14 @@ class Fit(Result):
 
     def thetas(self) -> Floats:
         """Return theta before each step at the estimates, shape (N,); 0.5 everywhere without suggestions."""
+        o, found, eta = self.observations, np.full(len(self.observations), 0.5), self.eta
         if self.theta is None:
-            return np.full(len(self.observations), 0.5)
-        eta = self.eta.value if self.eta is not None else self.known_eta
-        gain = self.observations.gain / self.method.utility_scale
-        return thetas(gain, self.observations.begins, self.theta.value, 0.0 if eta is None else eta)
+            return found
+        rate, theta = self.known_eta or 0.0 if eta is None else eta.value, self.theta.value
+        for i, (begins, gain) in enumerate(zip(o.begins.tolist(), o.gain.tolist(), strict=True)):
+            found[i] = theta = self.theta.value if begins else theta
+            theta = float(trust(theta, 0.0, gain, rate, self.method.utility_scale)) if gain else theta
+        return found
 
 
 def fits_of(people: Mapping[str, Any] | Iterable[Any]) -> list[Fit]:
@@ -143,15 +146,6 @@ def fits_of(people: Mapping[str, Any] | Iterable[Any]) -> list[Fit]:
     if wrong is not None:
         raise TypeError(f"a {type(wrong).__name__} where a person's fit was expected; `fit(task, log)` returns them")
     return found
-
-
-def largest_beta(observations: Sequence[Observations], method: Method) -> float:
-    """Return the end of the range of beta: `Method.largest_beta`, or its default for these observations."""
-    if method.largest_beta is not None:
-        return method.largest_beta
-    every = [each for o in observations for each in (o.goals.each if o.goals else [o])]
-    sizes = [o.excess[(o.excess > 0) & np.isfinite(o.excess)] for o in every]
-    return 10.0 / min((float(size.min()) for size in sizes if len(size)), default=1.0)
 
 
 def maximum_likelihood(

@@ -168,6 +168,20 @@ class Observations(Result):
     def __len__(self) -> int:
         return len(self.chosen)
 
+    @property
+    def prior(self) -> Floats:
+        """The probability of each of G goals in an episode, shape (G,); a known goal is the only one."""
+        return np.ones(1) if self.goals is None else self.goals.prior
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """Whether each goal holds before each choice, shape (G, N)."""
+        return np.zeros((1, len(self)), dtype=bool) if self.goals is None else self.goals.reached
+
+    def by_goal(self, name: str) -> NDArray[Any]:
+        """Return an attribute with each goal, with a first axis of length G."""
+        return np.stack([getattr(each, name) for each in ((self,) if self.goals is None else self.goals.each)])
+
     def records(self) -> list[dict[str, Any]]:
         """Return a row for each action: its episode, state and h*, its excess cost, and whether it was advised."""
         number, told = self.begins.cumsum() - 1, self.suggested != NOTHING

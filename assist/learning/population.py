@@ -30,13 +30,13 @@ from ..declare.declared import DeclarationError, plain, spelt
 from ..people.arguments import number
 from ..people.decision import NOTHING, Floats
 from ..people.human import Population, Range
-from ..people.trust_rules import Shipped, rule_of
+from ..people.trust_rules import EquationSeven, Shipped, rule_of
 from .evidence import Evidence, observations_of
 from .hierarchy import Hierarchy
 from .intervals import largest_fall
-from .likelihood import Method, log_likelihood
+from .likelihood import Method, largest_beta
+from .likelihood_table import LikelihoodTable
 from .logit_likelihood import BETA, FIRST_TERM, THETA
-from .maximum_likelihood import largest_beta
 from .observations import Observations
 
 BETA_FAMILIES = ("uniform", "log-uniform", "log-normal")
@@ -299,9 +299,11 @@ def fit_population(
     beta = (edges_beta[1:] + edges_beta[:-1]) / 2
     theta = (edges_theta[1:] + edges_theta[:-1]) / 2 if told else np.array([0.5])
 
+    every = LikelihoodTable.of(observations, method, beta, theta)
+
     def likelihoods(eta: float) -> tuple[Floats, float]:
         """Return the likelihood of each person in each cell up to a factor, and the factors' logarithms."""
-        values = np.array([log_likelihood(o, beta, theta, np.array([eta]), method)[:, :, 0] for o in observations])
+        values = every.log_likelihood(EquationSeven(eta, method.utility_scale), carry=False)
         top = values.max(axis=(1, 2), keepdims=True)
         return np.exp(values - top), float(top.sum())
 

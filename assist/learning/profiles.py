@@ -18,7 +18,7 @@ import numpy as np
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
-from .likelihood import SMALL, Data, Method, alone, by_equation_seven, on_path, with_trust
+from .likelihood import SMALL, Data, Method, alone, by_equation_seven, with_trust
 from .observations import Observations
 
 BETA, THETA, ETA = 0, 1, 2
@@ -61,8 +61,7 @@ class Profiles:
 
     def at(self, point: Floats) -> float:
         """Return the log-likelihood at a point, given by its three coordinates."""
-        path = by_equation_seven(self.data, point[THETA : THETA + 1], point[ETA : ETA + 1])
-        return float(on_path(self.data, self.beta(point[BETA : BETA + 1]), path)[0, 0])
+        return self._climbed([point.copy()], self.step, 0)[0]
 
     def coarse(self, axis: int) -> Floats:
         """Return, for each grid point of one coordinate, the largest log-likelihood on the grid of the others."""
@@ -174,10 +173,9 @@ def _on_lines(data: Data, betas: Floats, others: Floats, line: Line) -> tuple[Fl
     """
     n = len(data.heard)
     result, where = np.full((len(betas), len(others)), -np.inf), np.empty((len(betas), len(others)))
-    silent, chances = np.empty(len(betas)), np.empty((len(betas), 3, n))
-    parts = np.empty((len(betas), *data.first.shape))
+    silent, chances = np.empty((len(betas), len(data.first))), np.empty((len(betas), 3, n))
     for b in range(len(betas)):
-        silent[b] = alone(data, betas[b], chances[b, 0], chances[b, 1], chances[b, 2], parts[b])
+        alone(data, betas[b], chances[b, 0], chances[b, 1], chances[b, 2], silent[b])
     for e in range(len(others)):
         places = _places(line, others[e])
         other = np.empty(len(places))
@@ -185,9 +183,9 @@ def _on_lines(data: Data, betas: Floats, others: Floats, line: Line) -> tuple[Fl
             other[i] = others[e]
         path = by_equation_seven(data, places, other) if line.axis == THETA else by_equation_seven(data, other, places)
         for b in range(len(betas)):
-            values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], parts[b], path)
+            values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], silent[b], path)
             best = values.argmax()
-            result[b, e], where[b, e] = silent[b] + values[best], places[best]
+            result[b, e], where[b, e] = values[best], places[best]
     return result, where
 
 
@@ -243,10 +241,10 @@ def _climb(
     """
     n = len(data.heard)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)
-    parts = np.empty_like(data.first)
+    silent = np.empty_like(data.first)
     filled = at[0]
-    silent = alone(data, small * math.expm1(filled), own, told, rest, parts)
-    best = silent + with_trust(data, own, told, rest, parts, by_equation_seven(data, at[1:2], at[2:3]))[0]
+    alone(data, small * math.expm1(filled), own, told, rest, silent)
+    best = with_trust(data, own, told, rest, silent, by_equation_seven(data, at[1:2], at[2:3]))[0]
     before = at.copy()
     for _ in range(halvings):
         improved = True
@@ -268,9 +266,8 @@ def _climb(
                         at[c] = min(max(at[c], low[c]), high[c])
                     if at[0] != filled:
                         filled = at[0]
-                        silent = alone(data, small * math.expm1(filled), own, told, rest, parts)
-                    path = by_equation_seven(data, at[1:2], at[2:3])
-                    value = silent + with_trust(data, own, told, rest, parts, path)[0]
+                        alone(data, small * math.expm1(filled), own, told, rest, silent)
+                    value = with_trust(data, own, told, rest, silent, by_equation_seven(data, at[1:2], at[2:3]))[0]
                     if value > best:
                         best = value
                         improved = True

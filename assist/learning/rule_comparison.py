@@ -18,10 +18,10 @@ from .comparison import FOLDS, Comparison, FitTo, compared, folds_of
 from .evidence import Evidence, observations_of
 from .influence_population import InfluencePopulation
 from .likelihood import Method
+from .likelihood_table import LikelihoodTable
 from .observations import Observations
 from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
-from .trust_log import TrustLog
 
 REFERENCE = "constant"
 
@@ -76,7 +76,7 @@ def compare_rules(
         fits = {name: partial(fit_to, people, start) for name, start in starts.items()}
     else:
         fold = folds_of(len(people), folds)
-        log = TrustLog.of(people, method)
+        log = LikelihoodTable.of_advised(people, method, carry=carry)
         names, choices = log.people, log.counts
         fits = {name: partial(_fit_to, log, family, carry) for name, family in rules.items()}
     return compared(fits, names, choices, REFERENCE, fold=fold, level=method.level, progress=progress)
@@ -91,7 +91,7 @@ def rules_of(people: Sequence[Observations] | AdviceLog, method: Method) -> Rule
 class FittedRule:
     """A rule with its population, fitted to some people of a log."""
 
-    log: TrustLog
+    log: LikelihoodTable
     family: RuleFamily
     carry: bool
     values: tuple[float, ...]
@@ -109,7 +109,7 @@ class FittedRule:
 
 
 def _fit_to(
-    log: TrustLog, family: RuleFamily, carry: bool, people: NDArray[np.bool_], fits: Sequence[FittedRule]
+    log: LikelihoodTable, family: RuleFamily, carry: bool, people: NDArray[np.bool_], fits: Sequence[FittedRule]
 ) -> FittedRule:
     search = RuleSearch(log.only(people), family, carry, fits[0].population if fits else None)
     values = search.best(fits[0].values if fits else None)

@@ -11,22 +11,22 @@ from scipy.optimize import minimize
 from ..people.decision import Floats
 from .influence_population import InfluencePopulation
 from .intervals import Interval, end_of, largest_fall
+from .likelihood_table import LikelihoodTable
 from .posterior_sample import PosteriorSample, posterior_covariance
 from .rule_families import RuleFamily
-from .trust_log import TrustLog
 
 
 class RuleSearch:
     """The search for the parameters of a rule; the population that fits best is found for each."""
 
     def __init__(
-        self, log: TrustLog, family: RuleFamily, carry: bool, near: InfluencePopulation | None = None
+        self, log: LikelihoodTable, family: RuleFamily, carry: bool, near: InfluencePopulation | None = None
     ) -> None:  # fmt: skip
         self.log, self.family, self.carry, self.near = log, family, carry, near
         self.ends = tuple(family.ranges.values())
 
     def at(self, values: Sequence[float]) -> tuple[float, InfluencePopulation, Floats]:
-        """Return the log likelihood, the population, and the table of `TrustLog.log_likelihood`."""
+        """Return the log likelihood, the population, and the table of `LikelihoodTable.log_likelihood`."""
         logs = self.log.log_likelihood(self.family.rule(values), carry=self.carry)
         self.near, value = InfluencePopulation.fit(self.log, logs, self.near)
         return value, self.near, logs

@@ -3,7 +3,7 @@
 Model. logit(theta_0) is normal over people and log(beta) is normal, independently; both are truncated at the ends of a
 grid. theta_0 is the influence at a person's first suggestion. It moves by the trust rule after each suggestion, and it
 is carried from one episode to the next in the order of their names. The parameters of the rule are the same for all
-people. So theta is a function of theta_0, and the likelihood of a person is a table over beta and theta_0 (`TrustLog`).
+people. So theta is a function of theta_0, and a person's likelihood is a table over both (`LikelihoodTable`).
 
 Population and parameters have the largest marginal likelihood. A person's estimates are those of the posterior under
 that population (empirical Bayes), averaged over the parameters of the rule.
@@ -26,11 +26,11 @@ from .evidence import Evidence, observations_of
 from .influence_population import InfluencePopulation
 from .intervals import Interval, equal_tailed
 from .likelihood import Method
+from .likelihood_table import LikelihoodTable
 from .observations import Observations
 from .population import Margin, PopulationFit
 from .rule_families import RuleFamily, families, parameters_of
 from .rule_search import RuleSearch
-from .trust_log import TrustLog
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -152,14 +152,14 @@ def fit_influence(
     LogError
         Nothing was ever suggested.
     ValueError
-        There is no rule of that name.
+        There is no rule of that name; or theta is to be carried, but each episode has one of several goals.
     """
     method = method or Method()
     known = families(method)
     if isinstance(rule, str) and rule not in known:
         raise ValueError(f"trust '{rule}': expected one of {', '.join(known)}, or a rule")
     family = known[rule] if isinstance(rule, str) else RuleFamily.of(rule)
-    log = TrustLog.of(observations_of(observations), method)
+    log = LikelihoodTable.of_advised(observations_of(observations), method, carry=carry)
     search = RuleSearch(log, family, carry)
     values, intervals = search.best(), {}
     # A person's belief is averaged over what the parameters of the rule may be: with the best ones alone, intervals of
@@ -204,7 +204,7 @@ def fit_influence(
     )
 
 
-def _beliefs(log: TrustLog, search: RuleSearch, points: Floats, shares: Floats) -> tuple[Floats, Floats]:
+def _beliefs(log: LikelihoodTable, search: RuleSearch, points: Floats, shares: Floats) -> tuple[Floats, Floats]:
     """Return the probabilities of beta and theta_0 with each point of the rule's parameters, and theta at last.
 
     Shapes (points, K, B, T) and (points, K, T); the probabilities of a person sum to 1. `points`, shape (points, P),

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from assist.learning.likelihood import Data, by_equation_seven, heard_steps, on_path
+from assist.learning.likelihood import Data, alone, by_equation_seven, heard_steps, with_trust
 from assist.people import influence_kernels
 from assist.people.belief import Grid
 from assist.people.choices import Choices
@@ -185,9 +185,11 @@ def test_the_likelihood_of_a_walk_is_that_of_the_equations(
     excess, options, chosen, suggested, gains = (np.array(column) for column in zip(*steps, strict=True))
     begins = np.arange(len(steps)) == 0
     parts = (
-        excess, options, chosen, suggested, gains, begins, model.lapse, np.zeros(0), np.zeros((0, 0, 0)),
-        *heard_steps(suggested, begins), np.zeros(0, dtype=np.int64), np.zeros((0, 0)), 1,
+        excess, options, chosen, suggested, gains, model.lapse, np.zeros(0), np.zeros((0, 0, 0)),
+        *heard_steps(suggested, begins), np.zeros(len(steps), dtype=np.int64), np.zeros(1), 1, 1,
     )  # fmt: skip
     data = Data(*(read_only(part) if isinstance(part, np.ndarray) else part for part in parts))
-    found = on_path(data, np.array([beta]), by_equation_seven(data, np.array([first]), np.array([model.eta])))
-    np.testing.assert_allclose(found.item(), total, rtol=1e-9, atol=1e-9)
+    chances, silent = np.empty((3, len(data.heard))), np.empty(1)
+    alone(data, beta, *chances, silent)
+    path = by_equation_seven(data, np.array([first]), np.array([model.eta]))
+    np.testing.assert_allclose(with_trust(data, *chances, silent, path).item(), total, rtol=1e-9, atol=1e-9)

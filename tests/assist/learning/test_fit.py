@@ -24,7 +24,8 @@ from scipy.stats import kstest
 from assist.cli import main
 from assist.learning import misconception_fit
 from assist.learning.diagnostics import calibrate, check
-from assist.learning.likelihood import Method, log_likelihood
+from assist.learning.likelihood import Method
+from assist.learning.likelihood_table import log_likelihood
 from assist.learning.maximum_likelihood import Fit, maximum_likelihood
 from assist.learning.misconception_fit import MarginalLikelihood, Uncertain, fit_misconception
 from assist.learning.observations import Observations

@@ -13,7 +13,7 @@ from conftest import ROOT, invoke
 from simulated_people import People, record
 from test_unknown_goals import PRIOR, three_goals
 
-from assist.learning import FittedPeople, Log, Method, fit, infer_goals, log_likelihood, mixture
+from assist.learning import FittedPeople, Log, Method, fit, fit_influence, infer_goals, log_likelihood, mixture
 from assist.people import Goals
 from assist.people.decision import choice, influence, lapse
 from planner import Table
@@ -74,6 +74,16 @@ def test_the_likelihood_is_that_of_the_definition(beta: float, theta: float, eta
     grid = [np.array([one]) for one in (beta, theta, eta)]
     found = log_likelihood(person.fit.observations, *grid, METHOD).item()
     assert found == pytest.approx(by_definition(dict(goals.tables), rows, beta, theta, eta), abs=1e-9)
+
+
+def test_influence_is_not_carried_where_goals_are_unknown() -> None:
+    observations = [person.fit.observations for person in fitted().values()]
+    with pytest.raises(ValueError, match="carry: expected False, since each episode has one of several goals"):
+        fit_influence(observations, "constant")
+    found = fit_influence(observations, "constant", METHOD, carry=False)
+    own = [log_likelihood(o, np.array([one.beta]), np.array([one.theta_first]), np.array([0.0]), METHOD).item()
+           for o, one in zip(observations, found.people, strict=True)]  # fmt: skip
+    assert found.log_likelihood < sum(own) < found.log_likelihood + 5 * len(own)
 
 
 def test_estimates_are_near_the_truth() -> None:

@@ -7,8 +7,9 @@ import pytest
 from conftest import kit
 from recorded import lines, observed, people_at_work
 
-from assist.learning.likelihood import Method, log_likelihood
-from assist.learning.maximum_likelihood import largest_beta, maximum_likelihood
+from assist.learning.likelihood import Method, largest_beta
+from assist.learning.likelihood_table import log_likelihood
+from assist.learning.maximum_likelihood import maximum_likelihood
 from assist.learning.observations import Observations
 from assist.people.choices import Choices
 

@@ -18,6 +18,7 @@ from assist.learning import Method, Observations
 from assist.learning.comparison import Comparison, holm, ratio
 from assist.learning.influence_population import InfluencePopulation
 from assist.learning.intervals import equal_tailed
+from assist.learning.likelihood_table import LikelihoodTable
 from assist.learning.log import LogError
 from assist.learning.population import trust_of
 from assist.learning.posterior_sample import PosteriorSample, posterior_covariance
@@ -25,7 +26,6 @@ from assist.learning.rule_comparison import compare_rules
 from assist.learning.rule_families import RuleFamily, families
 from assist.learning.rule_search import RuleSearch
 from assist.learning.trust_fit import fit_influence
-from assist.learning.trust_log import TrustLog
 from assist.people.choices import Choices
 from assist.people.trust_rules import (
     LEAST,
@@ -74,7 +74,9 @@ def seen(rows: list[dict]) -> list[Observations]:
     return SIMULATED.observed(kit("tiny"), rows)
 
 
-def enumerated(rows: list[dict], rule: TrustRule, log: TrustLog, population: InfluencePopulation, carry: bool) -> float:
+def enumerated(
+    rows: list[dict], rule: TrustRule, log: LikelihoodTable, population: InfluencePopulation, carry: bool
+) -> float:
     """Return the log probability of one person's log by a filter over all nodes, in plain arithmetic."""
     choices = Choices.of(kit("tiny"))
     q = np.where(choices.applicable, choices.costs + choices.h[choices.targets], np.inf)
@@ -123,7 +125,7 @@ def enumerated(rows: list[dict], rule: TrustRule, log: TrustLog, population: Inf
 def test_the_likelihood_is_that_of_a_filter_over_all_nodes(rule: TrustRule, carry: bool) -> None:
     rows = recorded(rule, 3, 12, 1)
     assert len({row["episode"] for row in rows}) > 1
-    log = TrustLog.of(seen(rows), Method(lapse=0.01))
+    log = LikelihoodTable.of(seen(rows), Method(lapse=0.01))
     population = InfluencePopulation(-0.2, 0.6, 0.4, 1.3)
     found = population.marginal(log, log.log_likelihood(rule, carry=carry))
     for k, person in enumerate(log.people):
@@ -134,7 +136,7 @@ def test_the_likelihood_is_that_of_a_filter_over_all_nodes(rule: TrustRule, carr
 @pytest.mark.parametrize("theta", [0.0, 1.0])
 def test_no_suggestion_makes_all_choices_impossible(theta: float) -> None:
     """At theta 0 or 1 the suggestion of a choice that is certain or impossible is ignored, as in equation (6)."""
-    log = TrustLog.of(seen(recorded(constant(), 3, 10, 0)), Method(largest_beta=1e9))
+    log = LikelihoodTable.of(seen(recorded(constant(), 3, 10, 0)), Method(largest_beta=1e9))
     found = log.log_likelihood(RuleFamily.of(Fixed(theta)).rule(()))
     assert np.isfinite(found).all()
 
@@ -152,7 +154,7 @@ class Fixed:
 
 
 def test_the_population_that_is_found_is_the_likeliest() -> None:
-    log = TrustLog.of(seen(recorded(constant(), 30, 15, 2)), Method())
+    log = LikelihoodTable.of(seen(recorded(constant(), 30, 15, 2)), Method())
     logs = log.log_likelihood(constant())
     found, value = InfluencePopulation.fit(log, logs)
     assert value == pytest.approx(found.marginal(log, logs).sum(), abs=1e-9)
@@ -197,7 +199,7 @@ def test_a_parameter_that_the_log_does_not_depend_on_has_the_whole_range() -> No
 
 def test_one_episode_is_the_same_carried_or_not() -> None:
     rows = [row for row in recorded(outcome(0.3, 0.5), 6, 15, 6) if row["episode"] == "1"]
-    log = TrustLog.of(seen(rows), Method())
+    log = LikelihoodTable.of(seen(rows), Method())
     assert np.array_equal(log.log_likelihood(outcome(), carry=True), log.log_likelihood(outcome(), carry=False))
 
 
@@ -212,7 +214,7 @@ def test_held_out_people_are_predicted_from_the_others() -> None:
     observations = seen(recorded(constant(), 6, 10, 9))
     rules = {"constant": RuleFamily.of(constant()), "own": RuleFamily.of(Doubling())}
     compared = compare_rules(observations, Method(), rules=rules, folds=3)
-    log, total = TrustLog.of(observations, Method()), 0.0
+    log, total = LikelihoodTable.of(observations, Method()), 0.0
     logs = log.log_likelihood(constant())
     for fold in range(3):
         inside = np.arange(6) % 3 == fold
@@ -256,7 +258,7 @@ def test_a_sample_of_a_posterior_has_its_mean_covariance_and_integral() -> None:
 
 def test_beliefs_are_averaged_over_what_the_population_may_be() -> None:
     """Against sums over a grid of mean and spread of logit(theta_0)."""
-    log = TrustLog.of(seen(recorded(constant(), 20, 12, 3)), Method())
+    log = LikelihoodTable.of(seen(recorded(constant(), 20, 12, 3)), Method())
     logs = log.log_likelihood(constant())
     best, _ = InfluencePopulation.fit(log, logs)
     found, average = best.posteriors(log, logs)
@@ -481,7 +483,7 @@ def test_intervals_follow_the_ridge_where_one_parameter_has_no_effect() -> None:
 
     Otherwise intervals are those of a loss with a known agreement, and too short.
     """
-    log = TrustLog.of(seen(recorded(outcome_at_disagreement(0.2, 0.1, 0.8), 24, 40, 5)), Method())
+    log = LikelihoodTable.of(seen(recorded(outcome_at_disagreement(0.2, 0.1, 0.8), 24, 40, 5)), Method())
     search = RuleSearch(log, families(Method())["outcome-at-disagreement"], carry=True)
     best = search.best()
     found = search.intervals(best, search.covariance(best), 0.95)

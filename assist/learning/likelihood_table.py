@@ -1,7 +1,4 @@
-"""People's choices with and without suggestions, and their likelihood under a trust rule, on a grid of beta and theta.
-
-The likelihood is that of `likelihood`. Here theta moves by any trust rule, and may be carried from episode to episode.
-"""
+"""The table of people's log-likelihoods at nodes of beta and theta_0, under a trust rule."""
 
 from __future__ import annotations
 
@@ -19,10 +16,9 @@ from planner.system.jit import njit
 from planner.system.results import ByContent
 
 from ..people.decision import Floats
-from ..people.trust_rules import LEAST, Event, PerceivedSuggestions, TrustRule, moved
-from .likelihood import Data, Method, alone, with_trust
+from ..people.trust_rules import LEAST, EquationSeven, Event, PerceivedSuggestions, TrustRule, moved
+from .likelihood import Data, Method, alone, largest_beta, with_trust
 from .log import LogError
-from .maximum_likelihood import largest_beta
 from .observations import Ints, Observations
 
 THETAS = 41
@@ -39,16 +35,16 @@ BETA_RANGE = 200.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TrustLog(ByContent):
+class LikelihoodTable(ByContent):
     """What all people chose, arranged by person and suggestion; K people, up to H suggestions, B and T nodes.
+
+    If the goal is unknown, suggestions are those of all pairs of an episode and a goal (`Data`).
 
     Attributes
     ----------
     people : tuple of str
     counts : int array, shape (K,)
         Number of choices of each person.
-    silent : float array, shape (K, B)
-        Log likelihood of the choices without a suggestion.
     heard : int array, shape (K,)
         Number of suggestions to each person; later entries fill up the arrays.
     anew : bool array, shape (K, H)
@@ -56,6 +52,8 @@ class TrustLog(ByContent):
     followed : bool array, shape (K, H)
     data : tuple of Data
         The choices of each person.
+    silent : tuple of float arrays, each of shape (B, rows)
+        Log likelihood of each person's choices without a suggestion, by row of `Data`.
     chances : tuple of float arrays, each of shape (B, 3, heard)
         Probability, without the suggestion, of the choice made, of the suggested one, and of all but that one.
     suggestions : PerceivedSuggestions
@@ -66,11 +64,11 @@ class TrustLog(ByContent):
 
     people: tuple[str, ...]
     counts: Ints
-    silent: Floats
     heard: Ints
     anew: NDArray[np.bool_]
     followed: NDArray[np.bool_]
     data: tuple[Data, ...]
+    silent: tuple[Floats, ...]
     chances: tuple[Floats, ...]
     suggestions: PerceivedSuggestions
     beta: Floats
@@ -80,8 +78,11 @@ class TrustLog(ByContent):
         read_only(self)
 
     @classmethod
-    def of(cls, observations: Sequence[Observations], method: Method) -> TrustLog:
-        """Return the log of observations, arranged by person and suggestion.
+    def of(
+        cls, observations: Sequence[Observations], method: Method, beta: Floats | None = None,
+        theta: Floats | None = None,
+    ) -> LikelihoodTable:  # fmt: skip
+        """Return the table of observations.
 
         Parameters
         ----------
@@ -89,53 +90,66 @@ class TrustLog(ByContent):
             One for each person; episodes in order of time.
         method : Method
             Its lapse and its largest beta are used.
+        beta, theta : float arrays, shapes (B,), (T,), optional
+            Nodes: `BETAS` and `THETAS` unless given.
+        """
+        if beta is None:
+            top = largest_beta(observations, method)
+            beta = np.geomspace(top / BETA_RANGE, top, BETAS)
+        if theta is None:
+            end = math.log((1 - LEAST) / LEAST)
+            theta = 1 / (1 + np.exp(-np.linspace(-end, end, THETAS)))
+        every = [Data.of(o, method) for o in observations]
+        heard = np.array([len(data.heard) for data in every], dtype=np.int64)
+        shape = (len(every), int(heard.max(initial=0)))
+        anew, followed, agrees, optimal = (np.zeros(shape, dtype=bool) for _ in range(4))
+        gain = np.zeros(shape)
+        chances = [np.empty((len(beta), 3, len(data.heard))) for data in every]
+        silent = [np.empty((len(beta), len(data.first))) for data in every]
+        for k, (o, data) in enumerate(zip(observations, every, strict=True)):
+            for b, value in enumerate(beta.tolist()):
+                alone(data, value, *chances[k][b], silent[k][b])
+            goal, step = (of_pairs[data.heard] for of_pairs in np.nonzero(~o.reached))
+            slot, to = o.suggested[step], slice(0, len(data.heard))
+            anew[k, to], followed[k, to], gain[k, to] = data.anew, o.chosen[step] == slot, o.by_goal("gain")[goal, step]
+            agrees[k, to], optimal[k, to] = (
+                o.by_goal("excess")[goal, step, slot] <= 0,
+                o.by_goal("optimal")[goal, step, slot],
+            )
+        return cls(
+            tuple(o.person for o in observations), np.array([len(o) for o in observations]), heard, anew, followed,
+            tuple(every), tuple(silent), tuple(chances), PerceivedSuggestions(gain, agrees, optimal), beta, theta,
+        )  # fmt: skip
+
+    @classmethod
+    def of_advised(cls, observations: Sequence[Observations], method: Method, *, carry: bool) -> LikelihoodTable:
+        """Return the table of observations for an estimate of influence, with the usual nodes.
 
         Raises
         ------
         LogError
             Nothing was ever suggested.
+        ValueError
+            Theta is to be carried, but each episode has one of several goals.
         """
-        every = [Data.of(o, method) for o in observations]
-        heard = np.array([len(data.heard) for data in every], dtype=np.int64)
-        if not heard.sum():
+        table = cls.of(observations, method)
+        if not table.heard.any():
             raise LogError("no suggestion in the log; expected some, since influence shows in the answers to them")
-        top = largest_beta(observations, method)
-        beta = np.geomspace(top / BETA_RANGE, top, BETAS)
-        end = math.log((1 - LEAST) / LEAST)
-        shape = (len(every), int(heard.max()))
-        anew, followed, agrees, optimal = (np.zeros(shape, dtype=bool) for _ in range(4))
-        gain, chances = np.zeros(shape), [np.empty((BETAS, 3, len(data.heard))) for data in every]
-        silent = np.zeros((len(every), BETAS))
-        for k, (o, data) in enumerate(zip(observations, every, strict=True)):
-            steps, to = data.heard, slice(0, len(data.heard))
-            for b, value in enumerate(beta.tolist()):
-                silent[k, b] = alone(data, value, *chances[k][b], np.empty_like(data.first))
-            slot = o.suggested[steps]
-            anew[k, to], followed[k, to], gain[k, to] = data.anew, o.chosen[steps] == slot, o.gain[steps]
-            agrees[k, to], optimal[k, to] = o.excess[steps, slot] <= 0, o.optimal[steps, slot]
-        return cls(
-            tuple(o.person for o in observations),
-            np.array([len(o) for o in observations]),
-            silent,
-            heard,
-            anew,
-            followed,
-            tuple(every),
-            tuple(chances),
-            PerceivedSuggestions(gain, agrees, optimal),
-            beta,
-            1 / (1 + np.exp(-np.linspace(-end, end, THETAS))),
-        )
+        if carry and any(data.goals > 1 for data in table.data):
+            raise ValueError(
+                "carry: expected False, since each episode has one of several goals, on which trust depends"
+            )
+        return table
 
-    def only(self, people: NDArray[np.bool_]) -> TrustLog:
-        """Return the log of some people, shape (K,)."""
+    def only(self, people: NDArray[np.bool_]) -> LikelihoodTable:
+        """Return the table of some people, shape (K,)."""
         chosen: dict[str, Any] = {
             name: array[people]
             for name, array in vars(self).items()
             if isinstance(array, np.ndarray) and name not in ("beta", "theta")
         }
         suggestions = PerceivedSuggestions(*(array[people] for array in vars(self.suggestions).values()))
-        for name in ("people", "data", "chances"):
+        for name in ("people", "data", "silent", "chances"):
             chosen[name] = tuple(compress(getattr(self, name), people.tolist()))
         return replace(self, suggestions=suggestions, **chosen)
 
@@ -168,10 +182,7 @@ class TrustLog(ByContent):
         return before, theta
 
     def log_likelihood(self, rule: TrustRule, *, carry: bool = True) -> Floats:
-        """Return the log likelihood of each person's choices, shape (K, B, T); parameters as for `thetas`.
-
-        At the theta to which the rule has led.
-        """
+        """Return the log likelihood of each person's choices, shape (K, B, T); parameters as for `thetas`."""
         before, _ = self.thetas(rule, carry=carry)
         found = np.empty((len(self.people), len(self.beta), len(self.theta)))
         for k, data in enumerate(self.data):
@@ -183,4 +194,24 @@ class TrustLog(ByContent):
 def _fill(found: Floats, data: Data, silent: Floats, chances: Floats, path: Floats) -> None:
     """Fill in the log likelihood for each beta and each path of theta, shape (B, T)."""
     for b in range(len(silent)):
-        found[b] = silent[b] + with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], data.first, path)
+        found[b] = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], silent[b], path)
+
+
+def log_likelihood(
+    observations: Observations, beta: Floats, theta: Floats, eta: Floats, method: Method | None = None
+) -> Floats:
+    """Return the log-likelihood of one person's actions on a grid, shape (B, T, E), under equation (7).
+
+    Parameters
+    ----------
+    observations : Observations
+    beta, theta, eta : float arrays, shapes (B,), (T,), (E,)
+        Values of the parameters; theta is the one at the beginning of each episode.
+    method : Method, optional
+        Options of the estimation.
+    """
+    betas, thetas, etas = (np.array(axis, dtype=np.float64, ndmin=1) for axis in (beta, theta, eta))
+    method = method or Method()
+    table = LikelihoodTable.of([observations], method, betas, thetas)
+    rules = [EquationSeven(float(rate), method.utility_scale) for rate in etas]
+    return np.stack([table.log_likelihood(rule, carry=False)[0] for rule in rules], axis=-1)
