@@ -188,7 +188,12 @@ class GrowingProblem:
         successors = np.unique(self._rows["targets"][held])
         self._rows.evict(np.union1d(held, successors))
         tables = [f"{what} {name}" for name in self._tables for what in ("q", "count")]
-        self._rows.clear([*OF_CHOICES, *tables], np.setdiff1d(successors, held))
+        forgotten = np.setdiff1d(successors, held)
+        self._rows.clear([*OF_CHOICES, *tables], forgotten)
+        # What a suggestion does to trust is to be heard again where the choices after it are forgotten.
+        suggested = self._rows["suggested"][held]
+        then = np.take_along_axis(self._rows["targets"][held], np.maximum(suggested, 0), axis=1)
+        self._rows["heard"][held] &= (suggested == NOTHING) | ~np.isin(then, forgotten)
 
     def _learn(self, places: Ints, then: Ints = NONE) -> _Step:
         """Compute what is known of different places, and return their problem of one step.

@@ -119,6 +119,15 @@ def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny
         assert len(only.growing.now.pomdp.robot_actions) < len(tiny)
 
 
+def test_suggestions_after_which_choices_were_forgotten_are_heard_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row may stay while the choices after its suggestions are evicted; people act as on the whole task then, too."""
+    monkeypatch.setattr(truncated_policy, "ROWS", 200)
+    table = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl"))
+    whole, part = (Pool.sample(table, 3, seed=1, states=states, region=EVERYTHING) for states in (len(table), 0))
+    for policy in ("none", "reactive"):
+        assert_same(*(simulate(pool, policy, humans=2, episodes=100, seed=3) for pool in (whole, part)), 100)
+
+
 def test_whoever_holds_rows_keeps_them(tiny: Table, monkeypatch: Any) -> None:
     """The places and the values of rows that are held stay, whatever else is asked for."""
     monkeypatch.setattr(truncated_policy, "ROWS", 20)
