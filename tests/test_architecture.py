@@ -39,7 +39,8 @@ ROOMS = {
     "assist.people": """arguments state_keys hidden_type choices misconception decision goals terms memory choice_model
         weighted_choice user_code human real_people spread belief influence_kernels type_kernels trust_rules
         action_names signals""",
-    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp robots travel settings visiting_robot
+    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp assumptions robots travel settings
+        visiting_robot
         problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics joint_belief beliefs
         rounding action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
         memory_needed further_beliefs solver""",

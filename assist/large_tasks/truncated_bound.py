@@ -66,11 +66,10 @@ from numpy.typing import NDArray
 
 from planner import CostToGo, Table
 
-from ..people.belief import Grid
-from ..people.choice_model import ChoiceModel, boltzmann, value
+from ..people.choice_model import boltzmann, value
 from ..people.decision import Floats
 from ..people.goals import Goals
-from ..people.human import Human, Population
+from ..person.assumptions import Assumptions
 from ..person.leaf_bounds import LeafBounds
 from ..person.memory_needed import first_bounds_bytes, require_room
 from ..person.pomdp import AssistPOMDP
@@ -210,9 +209,7 @@ class TruncatedProblem:
 
 def bounded(
     known: CostToGo,
-    setting: Setting,
-    human: Human | None,
-    prior: Population,
+    assumed: Assumptions,
     *,
     entry: float,
     size: int,
@@ -229,11 +226,8 @@ def bounded(
     Parameters
     ----------
     known : CostToGo
-    setting : Setting
-    human : Human or None
-        The person, if the robot knows their misconceptions.
-    prior : Population
-        The robot's prior of the person.
+    assumed : Assumptions
+        What the robot assumes of the person.
     entry : float
         Smallest cost of coming to the person, in cost units.
     size : int
@@ -255,7 +249,7 @@ def bounded(
         The computation would exceed the memory limit.
     """
     in_time = 200 * (until - time.perf_counter())  # pairs: the solver's time grows with their number
-    person = _Person(known, setting, human, prior, until, memory_limit_mb, among)
+    person = _Person(known, assumed, until, memory_limit_mb, among)
     inner, problem, hidden = person.inner(size, kept_mb)
     left = (until - time.perf_counter()) / 2  # for the expansion of the outer task; the rest is for its values
     seen = 0 if known.searches else SIZES.seen
@@ -279,9 +273,7 @@ class _Person:
     """A person whose problem is truncated, and the limits of the computation; attributes as in `bounded`."""
 
     known: CostToGo
-    setting: Setting
-    human: Human | None
-    prior: Population
+    assumed: Assumptions
     until: float
     memory_limit_mb: float
     among: Goals | None = None
@@ -289,7 +281,12 @@ class _Person:
     def task(self, states: int, time_limit: float | None = None) -> TruncatedTask:
         """Return the truncated task of the likeliest states."""
         return TruncatedTask.of(
-            self.known, states=states, population=self.prior, human=self.human, among=self.among, time_limit=time_limit
+            self.known,
+            states=states,
+            population=self.assumed.population,
+            human=self.assumed.human,
+            among=self.among,
+            time_limit=time_limit,
         )
 
     def inner(self, size: int, kept_mb: float) -> tuple[TruncatedTask, AssistPOMDP, int]:
@@ -328,34 +325,27 @@ class _Person:
         at = found.visits.layout.number(0, own.layout.position, place[own.layout.x])
         return OuterRelaxation(own, np.ascontiguousarray(found.value[at]), middle.local(inner.states))
 
-    def problem(self, region: TruncatedTask, frontier: LeafBounds) -> AssistPOMDP:
-        """Return the problem on a truncated task."""
-        return self.setting.problem(region.choices, self.human, self.prior, frontier=frontier)
-
-    @property
-    def chooses(self) -> ChoiceModel:
-        """The person's choice model."""
-        return self.setting.chooses(self.human, self.prior)
-
     def seen(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with `never_erring` and V(x) of the whole task at its frontier."""
-        beyond = region.bounds_of_anybody(self.setting.gamma, 1)
+        beyond = region.bounds_of_anybody(self.assumed.gamma, 1)
         expected = -region.choices.h[region.frontier]
-        if self.human is not None or hasattr(self.chooses, "value"):  # otherwise V(x) is minus the cost-to-go
+        if self.assumed.human is not None or hasattr(
+            self.assumed.chooses, "value"
+        ):  # otherwise V(x) is minus the cost-to-go
             choices = region.choices
             best = choices.optimal if choices.offered is None else choices.offered
-            advised = best if self.setting.considered_suggestions == "optimal" else choices.applicable
+            advised = best if self.assumed.suggestions == "optimal" else choices.applicable
             at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
             expected[at] = self.expected(region.states[region.frontier[at]])
-        return self.problem(region, replace(beyond, value=expected))
+        return self.assumed.problem(region.choices, replace(beyond, value=expected))
 
     def expected(self, states: NDArray[np.int64]) -> Floats:
         """Return V(x) of equation 7 in some states, shape (N,), computed from their choices in the whole task."""
         if not len(states):
             return np.empty(0)
         around = StateCache(self.known).around(states)
-        model = self.problem(around, around.bounds_of_anybody(self.setting.gamma, 1)).model
-        return value(self.chooses, around.choices, model.q)[: len(states)]
+        q = self.assumed.model(around.choices).q
+        return value(self.assumed.chooses, around.choices, q)[: len(states)]
 
     def within(self, region: TruncatedTask, problem: AssistPOMDP, outer: OuterRelaxation | None) -> AssistPOMDP:
         """Return the problem of a truncated task with the best known bounds at its frontier.
@@ -373,7 +363,7 @@ class _Person:
             here = np.where((at >= 0)[:, None, None, None], np.minimum(here, found[at]), here)
         upper = np.ascontiguousarray(here[:, 1])
         frontier = replace(problem.frontier, upper=upper, lower=upper.copy(), away=np.ascontiguousarray(here[:, 0]))
-        return self.problem(region, frontier)
+        return self.assumed.problem(region.choices, frontier)
 
     def complying(self, region: TruncatedTask) -> Floats | None:
         """Return upper bounds in the states of a truncated task, shape (n, B), by the compliance relaxation around it.
@@ -381,9 +371,9 @@ class _Person:
         The result is None if the relaxation does not apply: the task is no table, the misconceptions concern actions,
         there is another choice model than equation 5, or the robot executes actions.
         """
-        known, setting, human, until = self.known, self.setting, self.human, self.until
-        by_cost = self.chooses is boltzmann and (human is None or mistaken_about_states(human))
-        if not (by_cost and isinstance(known, Table)) or setting.fleet.executes:
+        known, assumed, human, until = self.known, self.assumed, self.assumed.human, self.until
+        by_cost = assumed.chooses is boltzmann and (human is None or mistaken_about_states(human))
+        if not (by_cost and isinstance(known, Table)) or assumed.execute:
             return None
         left = until - time.perf_counter()
         share = 0.6  # of the time left; the rest is for the values with observed theta
@@ -392,10 +382,10 @@ class _Person:
         in_time = 20_000 * share * max(0.0, left)
         bytes_of_a_state = 600  # values and transitions, roughly
         most = int(min(SIZES.complying, self.memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
-        best_only = setting.considered_suggestions == "optimal" and self.among is None
+        best_only = assumed.suggestions == "optimal" and self.among is None
         found = compliance_bounds(
-            known, human, Grid.regular(self.prior).beta, breadth_first(known, region.states, most), gamma=setting.gamma,
-            c_suggest=setting.fleet.least("c_suggest"), lapse=setting.lapse, optimal=best_only,
+            known, human, assumed.grid.beta, breadth_first(known, region.states, most), gamma=assumed.gamma,
+            c_suggest=assumed.c_suggest, lapse=assumed.lapse, optimal=best_only,
             deadline=until if until == math.inf else until - (1 - share) * left,
         )  # fmt: skip
         return found.at(region.states)

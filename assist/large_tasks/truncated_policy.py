@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -31,8 +30,7 @@ from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.goals import Goals, each_of, first_of
 from ..people.hidden_type import HiddenType, OfGoals
-from ..people.human import Human, Population
-from ..people.trust_rules import counts_of
+from ..person.assumptions import Assumptions
 from ..person.policy import OfRows, Policy
 from ..person.policy_iteration import SOLVING
 from ..person.pomdp import AssistPOMDP
@@ -79,18 +77,14 @@ class SharedTask:
     Parameters
     ----------
     known : CostToGo or Goals
-    prior : Population
-        The robot's prior of people.
     size : int, optional
         Number of states of each person's truncated task, for each goal; by default `default_size`.
     policies : int
         Number of policies that keep rows in memory at the same time.
     """
 
-    def __init__(
-        self, known: CostToGo | Goals, prior: Population, size: int | None = None, policies: int = 1
-    ) -> None:  # fmt: skip
-        self.known, self.prior, self.size = known, prior, size or default_size(known)
+    def __init__(self, known: CostToGo | Goals, size: int | None = None, policies: int = 1) -> None:
+        self.known, self.size = known, size or default_size(known)
         self.rows = ROWS // policies
         self.visited = StateCache(known)
 
@@ -102,9 +96,8 @@ class TruncatedPolicy(Policy):
     Attributes
     ----------
     ground : SharedTask
-    setting : Setting
-    human : Human or None
-        The person, if the robot knows their misconceptions; None if it knows the task only.
+    assumed : Assumptions
+        What the robot assumes of the person.
     like : TruncatedPolicy or None
         Policy of another person, whose values are the start of value iteration; this saves time for many people.
     solved : dict
@@ -115,19 +108,10 @@ class TruncatedPolicy(Policy):
     """
 
     ground: SharedTask
-    setting: Setting
-    human: Human | None = None
+    assumed: Assumptions
     like: TruncatedPolicy | None = None
     solved: dict[tuple[float, ...], tuple[LeafEstimates, ...]] = field(default_factory=dict, repr=False)
     bounds: dict[tuple[float, bool], list[tuple[float, TruncatedProblem]]] = field(default_factory=dict, repr=False)
-
-    @classmethod
-    def of_people(cls, ground: SharedTask, people: Sequence[Human], setting: Setting) -> list[Policy]:
-        """Return a policy for each model of people: for each person, or one if the robot knows the task only."""
-        of_task = cls(ground, setting)
-        if setting.knowledge == "exact":
-            return [of_task]
-        return [cls(ground, setting, human, of_task) for human in people]
 
     @property
     def task(self) -> CostToGo:
@@ -168,7 +152,7 @@ class TruncatedPolicy(Policy):
     @cached_property
     def growing(self) -> GrowingProblem:
         """The problem on the rows in which people have been."""
-        ground, optimal = self.ground, self.setting.considered_suggestions == "optimal"
+        ground, optimal = self.ground, self.assumed.suggestions == "optimal"
         around = partial(ground.visited.around, advice_is_optimal=optimal)
         return GrowingProblem(around, self.problem, self.task.initial, most=ground.rows, ahead=not self.searches)
 
@@ -217,14 +201,18 @@ class TruncatedPolicy(Policy):
     def regions(self) -> tuple[TruncatedTask, ...]:
         """The truncated task of the states that the person is most likely to visit, for each goal."""
         ground = self.ground
-        options: dict[str, Any] = {"states": ground.size, "population": ground.prior, "human": self.human}
+        most: dict[str, Any] = {
+            "states": ground.size,
+            "population": self.assumed.population,
+            "human": self.assumed.human,
+        }
         among = ground.known if isinstance(ground.known, Goals) else None
-        return tuple(TruncatedTask.of(known, among=among, **options) for known in each_of(ground.known))
+        return tuple(TruncatedTask.of(known, among=among, **most) for known in each_of(ground.known))
 
     def problem(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
-        beyond = region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
-        return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=beyond)
+        beyond = region.bounds_of_anybody(self.assumed.gamma, len(self.grid.theta))
+        return self.assumed.problem(region.choices, beyond)
 
     def bounded(
         self, entry: float, *, with_outer: bool = False, until: float = math.inf, kept_mb: float = math.inf, **more: Any
@@ -245,8 +233,8 @@ class TruncatedPolicy(Policy):
             found.append((
                 shares[number],
                 bounded(
-                    self.task_of(number), self.setting, self.human, ground.prior, entry=entry, size=ground.size,
-                    with_outer=with_outer, until=time.perf_counter() + (until - time.perf_counter()) / left,
+                    self.task_of(number), self.assumed, entry=entry, size=ground.size, with_outer=with_outer,
+                    until=time.perf_counter() + (until - time.perf_counter()) / left,
                     kept_mb=kept_mb / len(possible), among=among, **more,
                 ),
             ))  # fmt: skip
@@ -256,7 +244,7 @@ class TruncatedPolicy(Policy):
     @cached_property
     def grid(self) -> Grid:
         """The grid of beta and theta of the robot's belief."""
-        return Grid.regular(self.ground.prior).with_counts(counts_of(self.setting.believed_rule()))
+        return self.assumed.grid
 
     def prepare(self) -> tuple[LeafEstimates, ...]:
         """Return each goal's value estimates for a robot that is always present, computed by the first call."""

@@ -198,7 +198,7 @@ def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) ->
     if is_whole(known):
         choices = known.choices() if isinstance(known, Goals) else choices_of(known, tuple(prior.weights))
         return qmdp(setting.problem(choices, None, prior))
-    return TruncatedPolicy(SharedTask(known, prior), setting)
+    return TruncatedPolicy(SharedTask(known), setting.assumptions(None, prior))
 
 
 def _known(task: CostToGo | Goals | Policy) -> CostToGo | Choices:

@@ -12,11 +12,10 @@ from pydantic_core import PydanticCustomError
 
 from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of
 from ..people.arguments import whole
-from ..people.belief import Grid
-from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
-from ..people.human import Human, HumanModel, Population
+from ..people.human import Human, Population
 from ..people.trust_rules import TrustRule, rule_given, trust_rule
+from .assumptions import Assumptions
 from .leaf_bounds import LeafBounds
 from .observation_model import ObservationModel
 from .pomdp import AssistPOMDP, Suggestions
@@ -177,37 +176,25 @@ class Setting(OfRobots):
             places, c_move=fleet.each("c_move"), travel_time=fleet.each("travel_time"), distance=distance
         )  # fmt: skip
 
-    def chooses(self, human: Human | None, population: Population) -> ChoiceModel:
-        """Return the robot's model of a person's choices; `human` is None if the person is unknown to the robot."""
-        return human.chooses if human is not None and human.weights and population.weights else population.typical
-
-    def problem(
-        self,
-        choices: Choices,
-        human: Human | None,
-        population: Population,
-        *,
-        frontier: LeafBounds | None = None,
-    ) -> AssistPOMDP:
-        """Return the problem of assisting one person of a population, by the best of its robots (`person.robots`).
+    def assumptions(self, human: Human | None, population: Population) -> Assumptions:
+        """Return what the robots assume of a person of a population, by the best of them (`person.robots`).
 
         Parameters
         ----------
-        choices : Choices
-            Choices of the task, or of a truncated task with a frontier.
         human : Human or None
-            The person, if the robot knows their perceived costs; None if it knows the task only. The weights of a known
-            person are known, too, if the population has weights.
+            The person, if the robots know their perceived costs; None if they know the task only.
         population : Population
-            The robot's prior.
-        frontier : LeafBounds, optional
-            Bounds at the frontier of a truncated task.
+            The robots' prior.
         """
-        known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
-        model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
-        return AssistPOMDP.of(
-            model, chooses=self.chooses(human, population), grid=Grid.regular(population),
-            population=population, gamma=self.gamma, c_suggest=self.fleet.least("c_suggest"),
-            suggestions=self.considered_suggestions, execute=self.fleet.executes,
-            c_execute=self.fleet.least("c_execute"), frontier=frontier, trust=self.believed_rule(),
+        fleet = self.fleet
+        return Assumptions(
+            population, human, self.believed_rule(), gamma=self.gamma, c_suggest=fleet.least("c_suggest"),
+            suggestions=self.considered_suggestions, execute=fleet.executes, c_execute=fleet.least("c_execute"),
+            lapse=self.lapse, eta=self.eta, utility_scale=self.utility_scale,
         )  # fmt: skip
+
+    def problem(
+        self, choices: Choices, human: Human | None, population: Population, *, frontier: LeafBounds | None = None
+    ) -> AssistPOMDP:
+        """Return the problem of assisting a person in some states; arguments as in `assumptions` and `Assumptions`."""
+        return self.assumptions(human, population).problem(choices, frontier)

@@ -228,8 +228,10 @@ class Pool(Result):
             people = population.sample(None, size, rng)
             models = size if setting.knowledge == "own" else 1
             room = states_within(memory_limit_mb, len(each_of(table)), models)
-            ground = SharedTask(table, prior, region or min(default_size(table), room), models)
-            policies = TruncatedPolicy.of_people(ground, people, setting)
+            ground = SharedTask(table, region or min(default_size(table), room), models)
+            policies = [of_task := TruncatedPolicy(ground, setting.assumptions(None, prior))]
+            if setting.knowledge == "own":
+                policies = [TruncatedPolicy(ground, setting.assumptions(one, prior), of_task) for one in people]
         number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number, again)
 

@@ -44,7 +44,7 @@ def part_and_whole(
 ) -> tuple[AssistPOMDP, np.ndarray, Choices]:
     """Return the truncated problem, and the frontier's exact values, shape (m, 2, B, T)."""
     table = kit(task)
-    problem = bounded(table, setting, human, PRIOR, entry=ENTRY, size=size).problem
+    problem = bounded(table, setting.assumptions(human, PRIOR), entry=ENTRY, size=size).problem
     choices = Choices.of(table)
     visits = AttentionSubproblem.of(setting.problem(choices, human, PRIOR), ENTRY, steps)
     values = qmdp(visits.pomdp).value_mdp
@@ -95,7 +95,7 @@ def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(
     for seen in (0, 20_000):
         monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, seen=seen))
         for size in (1, 2, 4, 8, 12):
-            problem = bounded(table, setting, known, prior, entry=0.0, size=size).problem
+            problem = bounded(table, setting.assumptions(known, prior), entry=0.0, size=size).problem
             value = qmdp(problem, tolerance=1e-8).value_mdp[problem.model.choices.initial]
             assert (value >= exact - 1e-6).all()
 
@@ -122,7 +122,7 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
     sizes = replace(truncated_bound.SIZES, hidden=3, tolerance=1e-6, sweeps=10_000)
     monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     table, setting, human = kit("tiny"), Setting(c_suggest=0.2), somebody()
-    found = bounded(table, setting, human, PRIOR, entry=ENTRY, size=100, with_outer=True)
+    found = bounded(table, setting.assumptions(human, PRIOR), entry=ENTRY, size=100, with_outer=True)
     assert found.outer is not None
     assert found.between is not None
     price = np.array([0.0, 0.6, 0.3, 0.5])
@@ -205,14 +205,16 @@ def test_what_is_expected_beyond_is_known() -> None:
 
 def test_memory_is_asked_for_beforehand() -> None:
     with pytest.raises(LimitError, match=r"^bounding a person's value on \d+ states takes about \d+ MB"):
-        bounded(kit("tiny"), Setting(), somebody(), PRIOR, entry=ENTRY, size=2, memory_limit_mb=0.01)
+        bounded(kit("tiny"), Setting().assumptions(somebody(), PRIOR), entry=ENTRY, size=2, memory_limit_mb=0.01)
 
 
 def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, hidden=3))
     table, who = kit("paper"), somebody()
     found = [
-        bounded(table, Setting(), who, PRIOR, entry=ENTRY, size=10, with_outer=True, memory_limit_mb=most).outer
+        bounded(
+            table, Setting().assumptions(who, PRIOR), entry=ENTRY, size=10, with_outer=True, memory_limit_mb=most
+        ).outer
         for most in (math.inf, 3.0)
     ]
     large, small = found
@@ -229,9 +231,9 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
 def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = replace(truncated_bound.SIZES, hidden=40, hidden_least=5, pairs=300, pairs_least=50)
     monkeypatch.setattr(truncated_bound, "SIZES", sizes)
-    looked_at = []
+    looked_at, assumed = [], Setting().assumptions(somebody(), PRIOR)
     for limits in ({}, {"kept_mb": 0.1}, {"kept_mb": 4.0}, {"until": 0.0}):
-        found = bounded(kit("paper"), Setting(), somebody(), PRIOR, entry=ENTRY, size=50, with_outer=True, **limits)
+        found = bounded(kit("paper"), assumed, entry=ENTRY, size=50, with_outer=True, **limits)
         looked_at.append([int((~found.problem.ends).sum()), found.pairs])
     everything, short, some, late = looked_at
     assert everything == [40, 300]
@@ -243,7 +245,7 @@ def test_without_time_nobody_errs_beyond() -> None:
     """Without time the bounds are those of people who never err, which are always valid."""
     table, setting = kit("tiny"), Setting()
     at_once, in_time = (
-        bounded(table, setting, somebody(), PRIOR, entry=ENTRY, size=3, until=until).problem
+        bounded(table, setting.assumptions(somebody(), PRIOR), entry=ENTRY, size=3, until=until).problem
         for until in (0.0, math.inf)
     )
     hurried, bound = at_once.frontier, in_time.frontier

@@ -197,6 +197,6 @@ def test_a_task_that_is_too_large_is_refused_before_anybody_joins(
     with pytest.raises(ValueError, match=message):
         Assistant(large, ["ann"], setting=NOISY)
     with pytest.raises(ValueError, match="observation: expected an enumerated task"):
-        Assistant(TruncatedPolicy(SharedTask(large, advice_takers()), SURE), ["ann"], setting=NOISY)
+        Assistant(TruncatedPolicy(SharedTask(large), SURE.assumptions(None, advice_takers())), ["ann"], setting=NOISY)
     assert not caplog.records
     Session({"large": large}, tmp_path / "journal.sqlite").close()

@@ -16,7 +16,6 @@ from conftest import KITTING, table_of
 
 from assist import Pool, simulate
 from assist.large_tasks.truncated_policy import SharedTask
-from assist.people.human import Population
 from planner import (
     Effect,
     LimitError,
@@ -415,7 +414,7 @@ def test_wrong_values_are_found():
 
 def test_policies_are_worked_out_on_more_states_where_none_takes_a_search(tiny):
     looked_up = OnDemand(tiny.task, orbits=orbits(tiny.task, max_orbits=20))
-    sizes = [SharedTask(known, Population()).size for known in (tiny, looked_up, OnDemand(tiny.task))]
+    sizes = [SharedTask(known).size for known in (tiny, looked_up, OnDemand(tiny.task))]
     assert sizes == [20_000, 3_000, 200]
 
 
