@@ -4,10 +4,9 @@ The folders, in an order in which each builds on earlier ones; the default path 
 
 declare      fields of settings and plans, declared once: checks, messages, tables of files, options
 people       models of people: choices, influence and trust, populations, and beliefs about a person
-person       the problem of assisting one person as a POMDP, and its solutions between proven bounds
+person       the problem of assisting one person as a POMDP, in a task of any size, and its solutions and bounds
 learning     estimates of people's parameters and goals from recorded actions
 team         several people and a robot: the state that a policy receives, and team policies
-large_tasks  tasks too large to enumerate: truncated tasks, and policies and bounds for them
 simulation   pools of people from whom teams are drawn, and episodes of teams
 live         the live assistant: decisions for a team of real people, action by action
 certify      upper bounds on the value of every team policy

@@ -36,7 +36,6 @@ from tables import Columns, cell, record_option, write_record
 
 from assist.certify.options import BoundOptions
 from assist.certify.team_bound import TeamBound, upper_bound
-from assist.large_tasks import truncated_bound
 from assist.people.choice_model import ChoiceModel, boltzmann
 from assist.people.choices import Choices
 from assist.people.decision import Floats, perceived_value
@@ -44,6 +43,7 @@ from assist.people.goals import Goals
 from assist.people.human import Population
 from assist.people.state_keys import mix
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
+from assist.person import truncated_bound
 from assist.person.settings import Setting
 from assist.person.travel import Travel
 from assist.simulation.goal_knowledge import GoalKnowledge

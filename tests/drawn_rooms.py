@@ -19,7 +19,7 @@ COLUMNS = {
     "planner.costtogo": 2, "planner.batch": 1.5, "planner": 2.5,
     "assist.declare": 2, "assist.people": 2, "assist.cli.terminal": 5, "assist.person": 0.5, "assist.learning": 2,
     "assist.drawing": 4,
-    "assist.team": 0.5, "assist.large_tasks": 0.5, "assist.certify.information_relaxation": 0, "assist.simulation": 1,
+    "assist.team": 0.5, "assist.certify.information_relaxation": 0, "assist.simulation": 1,
     "assist.coupled": 5, "assist.texts": 6, "assist.explain": 3,
     "assist.live": 3.5, "assist.certify": 0, "assist.plots": 1, "assist.study": 2, "assist.userstudy": 3,
     "assist.web": 4, "assist.interop": 5, "assist.cli.options": 3, "assist.reports": 2, "assist.web.user_study": 4,

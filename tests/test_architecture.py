@@ -43,17 +43,16 @@ ROOMS = {
         visiting_robot
         problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics joint_belief beliefs
         rounding action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
-        memory_needed further_beliefs solver""",
+        memory_needed further_beliefs solver time_expansion subproblem_frontier attention_subproblem truncated_task
+        state_cache growing_problem leaf_estimates backups compliance_relaxation truncated_bound truncated_policy
+        person_problem""",
     "assist.learning": """method log_steps log_json log_files log comparison intervals advice_log advice_rules
         advice_model advice_fit replay observations joint_states evidence likelihood choosing likelihood_table
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
         fit goals model_comparison rule_families posterior_sample influence_population rule_search trust_fit
         rule_comparison""",
-    "assist.team": """policy_names by_policy state action_check
-        assignment attention attention_never questions robots_at_work engine time_expansion
-        subproblem_frontier attention_subproblem priority whittle rollout policies""",
-    "assist.large_tasks": """truncated_task state_cache growing_problem leaf_estimates backups
-        compliance_relaxation truncated_bound truncated_policy person_problem""",
+    "assist.team": """policy_names by_policy state action_check assignment attention attention_never questions
+        robots_at_work engine priority whittle rollout policies""",
     "assist.simulation": """affordable union pool schedule common_random_numbers goal_knowledge trace
         episode episodes trust_of_people model_group beginning task_view run traced_run requested
         simulate belief_trace illustration""",
@@ -365,7 +364,7 @@ def test_import_direction(module: str) -> None:
         ("assist.cli.solve", "from .fit import fit"),
         ("assist.cli.options.person", "from .. import policy"),
         ("assist.cli.options.person", "from ... import cli"),
-        ("assist.team.priority", "from ..large_tasks.truncated_policy import WidePolicy"),
+        ("assist.team.priority", "from ..simulation.pool import Pool"),
         ("assist.study.runner", "from ..reports import write_report"),
         ("assist.live.session", "from ..web.client import Client"),
         ("assist.certify.information_relaxation.belief_nodes", "from ..prices import Kind"),

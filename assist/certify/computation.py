@@ -21,11 +21,11 @@ from planner.system.threads import on_threads
 
 from ..people.arguments import whole
 from ..people.decision import Floats
+from ..person.attention_subproblem import AttentionSubproblem
 from ..person.policy import Policy
 from ..person.solver import Solution, solve
 from ..person.travel import Travel
 from ..simulation.pool import Pool
-from ..team.attention_subproblem import AttentionSubproblem
 from .action_prices import needed, paid
 from .options import BoundOptions
 from .prices import SubproblemKind, kinds_of, search, window_of

@@ -27,17 +27,17 @@ from numpy.typing import NDArray
 
 from planner.system.progress import Progress
 
-from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, likely
 from ..people.decision import Floats
+from ..person.attention_subproblem import AttentionSubproblem, backwards
 from ..person.memory_needed import first_bounds_bytes, policy_bytes, require_room
 from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
+from ..person.time_expansion import HERE, TimeExpansion
 from ..person.travel import Travel
+from ..person.truncated_bound import OuterRelaxation, TruncatedProblem, likely
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
-from ..team.attention_subproblem import AttentionSubproblem, backwards
 from ..team.state import TeamAction, TeamState
-from ..team.time_expansion import HERE, TimeExpansion
 from .action_prices import supply
 
 Ints = NDArray[np.int64]
@@ -176,7 +176,7 @@ def kinds_of(
         share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
         room = memory_limit_mb / len(members)
         # The outer relaxations of all kinds are kept in memory, if they are included. An upper bound on a truncated
-        # problem is one on that of the whole task (`large_tasks.truncated_bound`).
+        # problem is one on that of the whole task (`person.truncated_bound`).
         beyond: list[tuple[float, TruncatedProblem]] | None = pool.policies[model].bounded(
             entry, with_outer=with_outer, until=share, memory_limit_mb=room if with_outer else memory_limit_mb,
             kept_mb=room,

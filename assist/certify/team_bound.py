@@ -2,7 +2,7 @@
 
 In each step a robot attends to at most one person: it is at their place or on its way to them. M robots attend to at
 most M people. A Lagrangian relaxation of this constraint, with a price lambda_t for each step of attention, separates
-the team into the attention subproblems of single people (`assist.team.attention_subproblem`).
+the team into the attention subproblems of single people (`assist.person.attention_subproblem`).
 
 Assumptions. People's choices are independent of each other, given the robot's actions. A move to a person costs at
 least as much, and takes at least as long, as a move from the nearest other place.

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..team.attention_subproblem import AttentionSubproblem
+from ..person.attention_subproblem import AttentionSubproblem
+from ..person.time_expansion import AWAY, HERE
 from ..team.state import BASE, TeamAction, TeamPolicy, TeamState
-from ..team.time_expansion import AWAY, HERE
 
 
 class BeliefRecorder:
@@ -18,7 +18,7 @@ class BeliefRecorder:
     ----------
     visited : list of lists of (int, int array, int array, float array)
         For each place: a step, and for all teams with an active person there the task state, the position of a robot
-        (`team.time_expansion`), and the belief, shape (n, B, T). A robot under way counts as away.
+        (`person.time_expansion`), and the belief, shape (n, B, T). A robot under way counts as away.
     """
 
     uses_belief = True

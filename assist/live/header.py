@@ -16,13 +16,13 @@ from planner import CostToGo
 from planner.system.errors import ResultsExistError
 
 from ..declare.declared import plain
-from ..large_tasks.person_problem import WHOLE, is_whole
 from ..people.belief import Grid
 from ..people.choice_model import chances
 from ..people.choices import Choices
 from ..people.decision import perceived_cost
 from ..people.goals import Goals, first_of
 from ..people.human import Population
+from ..person.person_problem import WHOLE, is_whole
 from .desk import Desk
 from .live_task import digest
 from .record import TeamRecord

@@ -1,7 +1,7 @@
 """A task of people in a live session, with the robot's policy for one person.
 
 A small task is enumerated, and its policy is solved once. In a larger one, or one that is solved on demand
-(`assist.large_tasks.person_problem` decides), a place gets its row when a person comes there. The belief in a person is
+(`assist.person.person_problem` decides), a place gets its row when a person comes there. The belief in a person is
 the same either way.
 """
 
@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from planner import CostToGo
 
 from ..drawing.picture import Artist
-from ..large_tasks.person_problem import WHOLE, is_whole, rows_within
-from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.action_names import Matcher, UnmatchedError, words_of
 from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.goals import Goals, first_of
 from ..people.human import Population
 from ..people.memory import choices_of
+from ..person.person_problem import WHOLE, is_whole, rows_within
 from ..person.policy import Policy
 from ..person.qmdp import qmdp
 from ..person.settings import Setting
+from ..person.truncated_policy import SharedTask, TruncatedPolicy
 from ..texts.refusals import InapplicableError, InvalidError
 
 

@@ -1,8 +1,12 @@
 from .alpha_vectors import VectorPolicy as VectorPolicy
 from .archive import ArchiveError as ArchiveError
+from .assumptions import Assumptions as Assumptions
+from .attention_subproblem import AttentionSubproblem as AttentionSubproblem
 from .joint_belief import JointBelief as JointBelief
 from .leaf_bounds import LeafBounds as LeafBounds
+from .leaf_estimates import LeafEstimates as LeafEstimates
 from .observation_model import ObservationModel as ObservationModel
+from .person_problem import PersonProblem as PersonProblem
 from .policy import Policy as Policy
 from .pomdp import AssistPOMDP as AssistPOMDP
 from .qmdp import QMDP as QMDP
@@ -13,4 +17,7 @@ from .search import SolverOptions as SolverOptions
 from .settings import Setting as Setting
 from .solver import Solution as Solution
 from .solver import solve as solve
+from .state_cache import StateCache as StateCache
 from .travel import Travel as Travel
+from .truncated_policy import TruncatedPolicy as TruncatedPolicy
+from .truncated_task import TruncatedTask as TruncatedTask

@@ -25,7 +25,7 @@ class LeafBounds:
         The frontier states.
     lower : float array, shape (m, H, T)
         Lower bound on the optimal value, in cost units, for each type and theta. It equals `upper` where only an upper
-        bound is wanted (`large_tasks.truncated_bound`). A solver's lower bound then holds only for the truncated
+        bound is wanted (`person.truncated_bound`). A solver's lower bound then holds only for the truncated
         problem.
     upper : float array, shape (m, H, T)
         Upper bound on the value of every policy. In both arrays, an axis of length 1 stands for equal bounds. The

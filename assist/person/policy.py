@@ -2,7 +2,7 @@
 
 The problem of a policy has a row for each place where people may be (`person.rows`). If all states of the task are
 enumerated, all rows are there from the start. In a task that is too large for that
-(`large_tasks.truncated_policy`), a place gets its row when somebody comes there. Users of a policy do not distinguish
+(`person.truncated_policy`), a place gets its row when somebody comes there. Users of a policy do not distinguish
 them: they ask for the rows of the places where people are (`Policy.rows`), and for the place of a row.
 """
 
@@ -166,7 +166,7 @@ class Policy:
     def bounded(self, entry: float, **limits: Any) -> list[tuple[float, Any]] | None:
         """Return each goal's probability and the problem whose upper bound holds for the whole task.
 
-        None if that is `pomdp` itself. The arguments are those of `large_tasks.truncated_bound.bounded`.
+        None if that is `pomdp` itself. The arguments are those of `person.truncated_bound.bounded`.
         """
         del entry, limits
         return None

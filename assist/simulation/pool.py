@@ -15,8 +15,6 @@ from planner.system.arrays import frozen
 from planner.system.progress import Progress, Wanted, adding, shows_progress
 from planner.system.results import Result, same
 
-from ..large_tasks.person_problem import WHOLE, is_whole
-from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy, default_size
 from ..people.arguments import Seed, entropy, require_goal, whole
 from ..people.choices import Choices
 from ..people.goals import Goals, costs_to_go, each_of, first_of
@@ -24,11 +22,13 @@ from ..people.human import Human, Population
 from ..people.misconception import Misconception
 from ..person.lazy_policy import LazyPolicy
 from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
+from ..person.person_problem import WHOLE, is_whole
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from ..person.settings import Setting
 from ..person.travel import Travel
+from ..person.truncated_policy import SharedTask, TruncatedPolicy, default_size
 from ..team.policies import named
 from ..team.state import TeamPolicy
 from .affordable import affordable_choices, require_room_for_people
@@ -175,7 +175,7 @@ class Pool(Result):
             goals are enumerated if their policies do not exceed the memory limit.
         region : int, optional
             Number of states of a policy's truncated task, for each goal; by default
-            `assist.large_tasks.truncated_policy.default_size`, or fewer for many goals, by the memory limit.
+            `assist.person.truncated_policy.default_size`, or fewer for many goals, by the memory limit.
         progress : callable or bool, optional
             Receives progress reports, as `planner.system.progress` describes: the number of POMDPs that have been
             built.

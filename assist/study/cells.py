@@ -16,14 +16,14 @@ from planner import CostToGo, Instance, Table
 from planner.system.errors import InputFileError
 from planner.system.progress import Progress, adding
 
-from ..large_tasks.person_problem import is_whole
-from ..large_tasks.state_cache import StateCache
 from ..people.choices import Choices
 from ..people.human import Population
 from ..people.memory import choices_of
 from ..person.leaf_bounds import LeafBounds
+from ..person.person_problem import is_whole
 from ..person.qmdp import qmdp
 from ..person.solution_cache import SolutionCache
+from ..person.state_cache import StateCache
 from ..simulation.episodes import Episodes
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate

@@ -1,7 +1,6 @@
 from .attention import AttentionSwitching as AttentionSwitching
 from .attention import NoAssistance as NoAssistance
 from .attention import Reactive as Reactive
-from .attention_subproblem import AttentionSubproblem as AttentionSubproblem
 from .policies import UserPolicy as UserPolicy
 from .policies import named as named
 from .policy_names import POLICIES as POLICIES

@@ -1,7 +1,7 @@
 """Our team policy: go where the robot's presence has the largest value.
 
 Algorithm 1 scores a suggestion as if it had to pay for the move alone, and as if the robot were always within reach
-afterwards. Here each person's problem contains the robot's position (`assist.team.attention_subproblem`). So the value
+afterwards. Here each person's problem contains the robot's position (`person.attention_subproblem`). So the value
 of coming includes later suggestions without another move. Staying without a suggestion has a value of its own, and
 travel time is planned through to the arrival. The value of the robot's attention to other people is a price: one for
 all steps, or one for each step, as a bound on the team determines them.
@@ -17,17 +17,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
+from ..person.attention_subproblem import AttentionSubproblem, backwards
 from ..person.beliefs import Ask
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from ..person.ties import NEAR, first_best
+from ..person.time_expansion import HERE
 from ..person.travel import Travel
 from .assignment import assigned
-from .attention_subproblem import AttentionSubproblem, backwards
 from .by_policy import ByPolicy
 from .state import BASE, NOBODY, TeamAction, TeamState
-from .time_expansion import HERE
 
 
 def to_the_best(team: TeamState, robot: NDArray[np.int64], going: Floats, staying: Floats) -> TeamAction:

@@ -6,7 +6,7 @@ P. Bertsekas, J. N. Tsitsiklis and C. Wu, "Rollout algorithms for combinatorial 
 1997.)
 
 An alternative is measured by advantages rather than by rewards. With V and Q of each person's problem with a robot that
-comes and goes (`assist.team.attention_subproblem`), in the sampled type,
+comes and goes (`assist.person.attention_subproblem`), in the sampled type,
 
     sum_{h<H} gamma^h r_h + gamma^H V(s_H) = V(s_0) + sum_{h<H} gamma^h (Q(s_h, a_h) - V(s_h)) + D,
 
@@ -30,13 +30,13 @@ from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
 from ..person.ties import NEAR, first_best, ranked
+from ..person.time_expansion import AWAY, HERE
 from ..person.travel import Travel
 from .by_policy import ByPolicy
 from .engine import Engine, PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
 from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState
-from .time_expansion import AWAY, HERE
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]

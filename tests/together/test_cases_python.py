@@ -15,7 +15,6 @@ from recorded import lines
 from assist import Assistant, Pool, fit, simulate
 from assist.certify import certify, upper_bound
 from assist.drawing import draw
-from assist.large_tasks.person_problem import PersonProblem
 from assist.learning import (
     Log,
     LogError,
@@ -29,6 +28,7 @@ from assist.learning import (
     replayed,
 )
 from assist.people import TERMS, Choices
+from assist.person.person_problem import PersonProblem
 from assist.plots import expertise_figure
 from planner import OnDemand, astar, cost_to_go, load, sweep, sweep_goals
 

@@ -16,6 +16,7 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import Floats
 from assist.people.human import HumanModel, Population
+from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.settings import Setting
@@ -23,7 +24,6 @@ from assist.person.solver import solve
 from assist.person.travel import Travel
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.state import NOBODY
 
 pytestmark = pytest.mark.slow  # the solver of `bench/joint.py` takes long to compile; `test_bounds` has other optima

@@ -9,11 +9,11 @@ import pytest
 from conftest import kit
 
 from assist import Pool, fit, simulate
-from assist.large_tasks.person_problem import PersonProblem
 from assist.learning.log import Log
 from assist.learning.replay import replay
 from assist.people.choices import Choices
 from assist.people.human import HumanModel
+from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.simulation.episodes import Episodes

@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 
 from planner.system.jit import njit
 
-from ...large_tasks.truncated_bound import OuterRelaxation
 from ...people.decision import Floats
+from ...person.attention_subproblem import AttentionSubproblem
 from ...person.belief_filter import posterior
 from ...person.convex_bound import PIVOTS, weigh
 from ...person.problem_arrays import ProblemArrays
 from ...person.solver import Solution
+from ...person.truncated_bound import OuterRelaxation
 from ...person.upper_hull import new_program
-from ...team.attention_subproblem import AttentionSubproblem
 
 Ints = NDArray[np.int64]
 

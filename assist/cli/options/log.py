@@ -128,7 +128,7 @@ def with_task(found: Instance, file: Path, reading: ReadingOptions, *, table: bo
 
     With `table`, states are those of a table of the whole task, as a choice model needs it.
     """
-    from ...large_tasks.person_problem import WHOLE, is_whole
+    from ...person.person_problem import WHOLE, is_whole
 
     def loaded() -> CostToGo:
         tell_of_compiling()

@@ -26,8 +26,8 @@ OF_TEAMS = ("c_move", "travel_time", "robots", "knowledge", "max_steps", "observ
 if TYPE_CHECKING:
     from planner import CostToGo
 
-    from ...large_tasks.person_problem import PersonProblem
     from ...people.goals import Goals
+    from ...person.person_problem import PersonProblem
 
 
 def person_options(command: Command) -> Command:
@@ -62,8 +62,8 @@ def person_problem(
     time_limit : float, optional
         Seconds for choosing the states of a truncated problem.
     """
-    from ...large_tasks.person_problem import PersonProblem, is_whole
     from ...people.goals import each_of
+    from ...person.person_problem import PersonProblem, is_whole
 
     given.refuse(OF_TEAMS, "on the problem of one person")
     if not setting.execute:

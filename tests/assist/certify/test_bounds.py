@@ -17,15 +17,15 @@ from hypothesis import strategies as st
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.people.choices import Choices
+from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.settings import Setting
 from assist.person.solver import solve
+from assist.person.time_expansion import AWAY, HERE
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.policy_names import POLICIES
 from assist.team.state import NOBODY, TeamAction, TeamState
-from assist.team.time_expansion import AWAY, HERE
 
 
 @pytest.fixture(scope="module")

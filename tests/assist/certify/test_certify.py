@@ -25,16 +25,16 @@ from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
+from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.memory_needed import policy_bytes
 from assist.person.pomdp import AssistPOMDP
 from assist.person.robots import Robot
 from assist.person.settings import Setting
 from assist.person.solver import solve
+from assist.person.time_expansion import AWAY, HERE, TimeExpansion
 from assist.simulation.pool import Pool
 from assist.team.attention import NoAssistance
-from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.state import TeamAction, TeamState
-from assist.team.time_expansion import AWAY, HERE, TimeExpansion
 from planner import LimitError, sweep
 
 SETTING = Setting(gamma=0.5, c_suggest=0.1, c_move=0.2)

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.large_tasks import person_problem, truncated_policy
 from assist.live.assistant import Assistant
 from assist.people.choice_model import boltzmann
 from assist.people.choices import Choices
@@ -18,6 +17,7 @@ from assist.people.human import HumanModel, Population
 from assist.people.memory import remembered
 from assist.people.terms import TERMS
 from assist.people.weighted_choice import Weighted
+from assist.person import person_problem, truncated_policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting

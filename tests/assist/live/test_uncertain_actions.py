@@ -11,11 +11,11 @@ import pytest
 from conftest import kit
 from test_unreliable_observations import by_enumeration, problem
 
-from assist.large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
 from assist.person import QMDP, ObservationModel, Setting, qmdp
+from assist.person.truncated_policy import SharedTask, TruncatedPolicy
 from assist.texts import InapplicableError
 from planner import OnDemand, Table
 

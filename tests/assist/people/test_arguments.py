@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from assist.certify.team_bound import upper_bound
-from assist.large_tasks.person_problem import PersonProblem
 from assist.people.arguments import number
 from assist.people.belief import Grid
 from assist.people.human import Human, Population
+from assist.person.person_problem import PersonProblem
 from assist.person.settings import Setting
 from assist.person.travel import Travel
 from assist.simulation.pool import Pool

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 
 from assist.declare import plain
-from assist.large_tasks.person_problem import PersonProblem
 from assist.live.assistant import Assistant
 from assist.people.belief import Grid
 from assist.people.choice_model import ChoiceModelError, boltzmann, chances
@@ -27,6 +26,7 @@ from assist.people.human import Human, HumanModel, Population
 from assist.people.memory import remembered
 from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from assist.people.weighted_choice import Weighted
+from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting

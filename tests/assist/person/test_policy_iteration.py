@@ -17,12 +17,12 @@ from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.trust_rules import Reliability, TrustRule, outcome
 from assist.person import AssistPOMDP, policy_iteration
+from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.leaf_bounds import LeafBounds
 from assist.person.policy_iteration import rounding_error
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import evaluate, initial_upper_bounds, qmdp, value_iteration
 from assist.person.rounding import ROUNDING, rounding
-from assist.team.attention_subproblem import AttentionSubproblem
 from planner import sweep
 
 GRID = Grid(np.array([0.2, 3.0]), np.array([0.0, 0.4, 1.0]))

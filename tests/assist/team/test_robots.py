@@ -23,6 +23,7 @@ from assist.coupled import Agents, joint_optimum
 from assist.declare.declared import plain
 from assist.people.choices import Choices
 from assist.people.human import Population
+from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.beliefs import Seen
 from assist.person.qmdp import qmdp
 from assist.person.robots import Robot
@@ -34,7 +35,6 @@ from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
 from assist.team.action_check import check
 from assist.team.assignment import assigned
-from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.policy_names import POLICIES
 from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
 from planner import sweep

@@ -16,8 +16,8 @@ from teams import equal, run
 
 from assist import fit, read_log
 from assist.explain.contrast import contrast
-from assist.large_tasks.truncated_task import TruncatedTask
 from assist.people.choices import Choices
+from assist.person.truncated_task import TruncatedTask
 from assist.simulation.pool import Pool
 from planner import OnDemand, Table, Task, open_table, save_table, sweep, verify
 from planner.costtogo.astar import astar

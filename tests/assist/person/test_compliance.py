@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from conftest import KITTING, table_of
 
-from assist.large_tasks.compliance_relaxation import breadth_first, compliance_bounds
-from assist.large_tasks.truncated_task import never_erring
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel, Population
 from assist.person import AssistPOMDP, qmdp
+from assist.person.compliance_relaxation import breadth_first, compliance_bounds
+from assist.person.truncated_task import never_erring
 from planner import Instance, Table
 
 GAMMA, LAPSE, C_SUGGEST = 0.95, 0.02, 0.3

@@ -3,9 +3,9 @@
 A policy cannot keep values for the states of a task with millions of states, or of a task whose states are solved on
 demand. A `TruncatedPolicy` is solved on the states that are most likely to be visited (a `TruncatedTask`). In any state
 of the task it does one exact Bellman backup, with the person's misconceptions there. The values of the successors are
-those of the truncated task, or estimates by the exact cost-to-go outside it (`large_tasks.leaf_estimates`). So it
+those of the truncated task, or estimates by the exact cost-to-go outside it (`person.leaf_estimates`). So it
 suggests optimal actions where the person would err, in the whole task, and it keeps no values of states in which
-nobody has been (`large_tasks.growing_problem`).
+nobody has been (`person.growing_problem`).
 
 If people pursue one of several goals, values are computed for one goal after another, each on a truncated task of its
 own: QMDP counts the goal as known from the next step on. So the memory for the computation is that of one goal, and a
@@ -30,20 +30,19 @@ from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.goals import Goals, each_of, first_of
 from ..people.hidden_type import HiddenType, OfGoals
-from ..person.assumptions import Assumptions
-from ..person.policy import OfRows, Policy
-from ..person.policy_iteration import SOLVING
-from ..person.pomdp import AssistPOMDP
-from ..person.problem_arrays import ProblemArrays
-from ..person.qmdp import look_ahead
-from ..person.settings import Setting
-from ..person.visiting_robot import VisitingRobot
-from ..team.attention_subproblem import AttentionSubproblem
+from .assumptions import Assumptions
+from .attention_subproblem import AttentionSubproblem
 from .growing_problem import GrowingProblem
 from .leaf_estimates import LeafEstimates
+from .policy import OfRows, Policy
+from .policy_iteration import SOLVING
+from .pomdp import AssistPOMDP
+from .problem_arrays import ProblemArrays
+from .qmdp import look_ahead
 from .state_cache import StateCache
 from .truncated_bound import TruncatedProblem, bounded
 from .truncated_task import TruncatedTask
+from .visiting_robot import VisitingRobot
 
 REGION = {"sweep": 20_000, "orbits": 3_000, "on-demand": 200}
 """Number of states of a policy's truncated task, by the kind of cost-to-go.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..people.decision import Floats
-from ..person.leaf_bounds import LeafBounds
-from ..person.pomdp import AssistPOMDP
+from .leaf_bounds import LeafBounds
+from .pomdp import AssistPOMDP
 from .time_expansion import AWAY, HERE, TimeExpansion
 
 

@@ -49,8 +49,8 @@ from planner.system.machine import processors
 from ..people.decision import Floats
 from ..people.human import Human
 from ..people.misconception import Misconception
-from ..person.problem_arrays import read_only
-from ..person.rounding import rounding
+from .problem_arrays import read_only
+from .rounding import rounding
 from .truncated_task import never_erring, perceived_of_states
 
 Ints = NDArray[np.int64]

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from ..people.choices import WAIT
 from ..people.decision import NOTHING, Floats
-from ..person.pomdp import AssistPOMDP
-from ..person.problem_arrays import ProblemArrays, read_only
-from ..person.qmdp import expected
-from ..person.rows import OWN, Rows
+from .pomdp import AssistPOMDP
+from .problem_arrays import ProblemArrays, read_only
+from .qmdp import expected
+from .rows import OWN, Rows
 from .state_cache import NONE
 from .truncated_task import TruncatedTask
 

@@ -12,18 +12,17 @@ from conftest import KITTING, table_of
 from crosscheck import MODELS
 from graphs import graph_task
 
-from assist.large_tasks import truncated_bound
-from assist.large_tasks.truncated_bound import BoundSizes, bounded, likely
-from assist.large_tasks.truncated_task import never_erring
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost, perceived_value
 from assist.people.human import Human, Population
-from assist.person import AssistPOMDP, qmdp, solve
+from assist.person import AssistPOMDP, qmdp, solve, truncated_bound
+from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
+from assist.person.time_expansion import AWAY, HERE
+from assist.person.truncated_bound import BoundSizes, bounded, likely
+from assist.person.truncated_task import never_erring
 from assist.simulation import Pool
-from assist.team.attention_subproblem import AttentionSubproblem
-from assist.team.time_expansion import AWAY, HERE
 from planner import Instance, LimitError, Table, sweep
 
 ENTRY = 0.4

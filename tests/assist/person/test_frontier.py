@@ -9,14 +9,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from assist.large_tasks import truncated_task
-from assist.large_tasks.truncated_task import TruncatedTask
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
 from assist.people.human import HumanModel, Population
 from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome
+from assist.person import truncated_task
 from assist.person.pomdp import AssistPOMDP
 from assist.person.solver import solve
+from assist.person.truncated_task import TruncatedTask
 from planner import Instance, OnDemand, Table, sweep
 
 Floats = NDArray[np.float64]

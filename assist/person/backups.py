@@ -11,10 +11,10 @@ from planner.system.jit import njit
 from planner.system.machine import processors
 
 from ..people.decision import Floats
-from ..person.action_values import BEST, action_values
-from ..person.pomdp import AssistPOMDP
-from ..person.problem_arrays import ProblemArrays, read_only
-from ..person.qmdp import sweep_order
+from .action_values import BEST, action_values
+from .pomdp import AssistPOMDP
+from .problem_arrays import ProblemArrays, read_only
+from .qmdp import sweep_order
 
 
 def bellman_backup(pomdp: AssistPOMDP, value: Floats) -> Floats:

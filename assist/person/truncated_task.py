@@ -45,8 +45,8 @@ from ..people.human import Human, HumanModel, Population
 from ..people.misconception import Misconception
 from ..people.state_keys import keys_of
 from ..people.trust_rules import EquationSeven, TrustRule, constant, counts_of
-from ..person.leaf_bounds import LeafBounds
-from ..person.pomdp import AssistPOMDP, Suggestions
+from .leaf_bounds import LeafBounds
+from .pomdp import AssistPOMDP, Suggestions
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are expanded together, between two looks at the clock
 SURVEYED = 10_000_000  # states of a table up to which `_Survey` scans all transitions, to limit its time

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..person.pomdp import AssistPOMDP
+from .pomdp import AssistPOMDP
 
 AWAY, HERE = 0, 1
 """Positions of the robot. At HERE + s it is on its way and arrives after s more steps."""

@@ -7,7 +7,7 @@ and its own bound is only as tight as that. So four relaxations are nested, from
 2. a larger truncated task, on which the robot observes beta and theta. Its values are optimal (`person.qmdp`), with the
    person's misconceptions, the effects of suggestions on choices and trust, and the costs of suggestions and of coming;
 3. a still larger set of states, on which the robot observes beta and people comply
-   (`large_tasks.compliance_relaxation`). It needs one number per state and beta, so that a million states fit into
+   (`person.compliance_relaxation`). It needs one number per state and beta, so that a million states fit into
    memory;
 4. all other states, in which people never err (`truncated_task.never_erring`).
 
@@ -69,17 +69,16 @@ from planner import CostToGo, Table
 from ..people.choice_model import boltzmann, value
 from ..people.decision import Floats
 from ..people.goals import Goals
-from ..person.assumptions import Assumptions
-from ..person.leaf_bounds import LeafBounds
-from ..person.memory_needed import first_bounds_bytes, require_room
-from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import initial_upper_bounds, value_iteration
-from ..person.settings import Setting
-from ..team.attention_subproblem import AttentionSubproblem
-from ..team.time_expansion import AWAY, HERE
+from .assumptions import Assumptions
+from .attention_subproblem import AttentionSubproblem
 from .backups import bellman_backup
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
+from .leaf_bounds import LeafBounds
+from .memory_needed import first_bounds_bytes, require_room
+from .pomdp import AssistPOMDP
+from .qmdp import initial_upper_bounds, value_iteration
 from .state_cache import StateCache
+from .time_expansion import AWAY, HERE
 from .truncated_task import TruncatedTask
 
 

@@ -22,9 +22,9 @@ from planner.system.machine import available_memory
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
-from ..person.memory_needed import policy_bytes, require_room
-from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import QMDP, qmdp
+from .memory_needed import policy_bytes, require_room
+from .pomdp import AssistPOMDP
+from .qmdp import QMDP, qmdp
 from .subproblem_frontier import frontier_of
 from .time_expansion import AWAY, HERE, RobotMoves, TimeExpansion
 

@@ -18,8 +18,8 @@ from ..people.human import Human, HumanModel, Population
 from ..people.memory import choices_of
 from ..people.misconception import Misconception
 from ..people.trust_rules import TrustRule, trust_rule
-from ..person.memory_needed import depth_within, first_bounds_bytes
-from ..person.pomdp import AssistPOMDP, Suggestions
+from .memory_needed import depth_within, first_bounds_bytes
+from .pomdp import AssistPOMDP, Suggestions
 from .truncated_task import TruncatedTask
 
 if TYPE_CHECKING:

@@ -13,18 +13,18 @@ from conftest import KITTING, graph_task, invoke, table_of, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.large_tasks import truncated_task as region
-from assist.large_tasks.person_problem import PersonProblem
-from assist.large_tasks.truncated_task import TruncatedTask
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel, Population
 from assist.people.misconception import Misconception
 from assist.people.trust_rules import Reliability
+from assist.person import truncated_task as region
 from assist.person.archive import ArchiveError
+from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.solver import Solution, solve
+from assist.person.truncated_task import TruncatedTask
 from planner import Instance, OnDemand, Table, load, sweep
 
 SETTING = {"gamma": 0.97, "c_suggest": 0.3}

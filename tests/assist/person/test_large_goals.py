@@ -10,16 +10,15 @@ from teams import equal
 from test_unknown_goals import TASKS
 
 from assist.certify import upper_bound
-from assist.large_tasks import PersonProblem, TruncatedTask
-from assist.large_tasks.truncated_policy import TruncatedPolicy, default_size
 from assist.live import Assistant, TraceReasons
 from assist.live import live_task as live
 from assist.people import Goals, Human, HumanModel
 from assist.people.misconception import Misconception
-from assist.person import AssistPOMDP, Setting
+from assist.person import AssistPOMDP, PersonProblem, Setting, TruncatedTask
 from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
+from assist.person.truncated_policy import TruncatedPolicy, default_size
 from assist.simulation import Pool, simulate
 from planner import LimitError
 

@@ -17,12 +17,12 @@ from assist.certify.options import BoundOptions
 from assist.certify.prices import kinds_of
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
-from assist.large_tasks import truncated_bound, truncated_policy
-from assist.large_tasks.truncated_task import never_erring
 from assist.live import Assistant, live_task
 from assist.people.human import Population
+from assist.person import truncated_bound, truncated_policy
 from assist.person.settings import Setting
 from assist.person.solver import solve
+from assist.person.truncated_task import never_erring
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule

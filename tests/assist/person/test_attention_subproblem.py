@@ -17,12 +17,12 @@ from assist.people.choices import Choices
 from assist.people.decision import NOTHING
 from assist.people.human import HumanModel
 from assist.people.trust_rules import outcome
+from assist.person import attention_subproblem
+from assist.person.attention_subproblem import AttentionSubproblem, backwards
 from assist.person.leaf_bounds import LeafBounds
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, qmdp
-from assist.team import attention_subproblem
-from assist.team.attention_subproblem import AttentionSubproblem, backwards
-from assist.team.time_expansion import AWAY, HERE
+from assist.person.time_expansion import AWAY, HERE
 from planner import LimitError, sweep
 
 edges = st.tuples(st.integers(1, 5), st.integers(0, 5), st.sampled_from([1, 1, 2]))
@@ -207,7 +207,7 @@ def test_whole_numbers_are_prices_too(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.price.dtype == float
     assert AttentionSubproblem.of(alone, 0.4).price.shape == (0,)
     is_as_defined(found, [1.0, 2.0])
-    monkeypatch.setattr("assist.team.attention_subproblem.available_memory", lambda: 1e8)
+    monkeypatch.setattr("assist.person.attention_subproblem.available_memory", lambda: 1e8)
     with pytest.raises(LimitError, match="with ways of up to 200,000 steps"):
         AttentionSubproblem.of(alone, 0.4, 200_000)
 

@@ -18,8 +18,8 @@ from planner.system.progress import Progress
 
 from ..people.decision import Floats
 from ..people.goals import first_of
-from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import initial_upper_bounds, value_iteration
+from .pomdp import AssistPOMDP
+from .qmdp import initial_upper_bounds, value_iteration
 from .truncated_task import TruncatedTask, never_erring
 
 

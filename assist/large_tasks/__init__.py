@@ -1,5 +1,0 @@
-"""Tasks that are too large to enumerate: truncated tasks, and policies and bounds for them."""
-
-from planner.system.lazy_imports import lazy_exports
-
-__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
