@@ -190,17 +190,17 @@ def recover(
             low, high = np.array(ends).T
             return f"{100 * ((low <= true) & (true <= high)).mean():.1f} %"
 
-        told = all(f.theta is not None for f in fits)
+        told = all("theta" in f.estimates for f in fits)
         rows.append({
             "instance": name, "distribution": distribution, "seed": str(seed),
             "actions": f"{sum(map(len, observations)):,}", "each": f"{sum(map(len, observations)) / count:.0f}",
             "seconds": f"{seconds:.1f}",
-            "beta covered": covered(people.beta, [f.beta.interval for f in fits]),
-            "rank corr.": f"{spearmanr(people.beta, [f.beta.value for f in fits])[0]:.3f}",
+            "beta covered": covered(people.beta, [f.beta_interval for f in fits]),
+            "rank corr.": f"{spearmanr(people.beta, [f.estimates['beta'].value for f in fits])[0]:.3f}",
             "at best": f"{best:.3f}",
-            "not bounded": f"{100 * np.mean([f.beta.open_above for f in fits]):.0f} %",
-            "theta covered": covered(people.theta, [f.theta.interval for f in fits]) if told else "-",
-            "eta covered": covered(np.full(count, people.eta), [f.eta.interval for f in fits])
+            "not bounded": f"{100 * np.mean([f.estimates['beta'].open_above for f in fits]):.0f} %",
+            "theta covered": covered(people.theta, [f.estimates["theta"].interval for f in fits]) if told else "-",
+            "eta covered": covered(np.full(count, people.eta), [f.estimates["eta"].interval for f in fits])
             if told and eta is None
             else "-",
             "family": found_population.beta.family,
@@ -322,7 +322,7 @@ def misconceptions(instance: str, count: int, numbers: tuple[int, ...], record: 
             rows.append({
                 "episodes": str(episodes),
                 "sigma": f"{sigma:g}",
-                "plain beta": f"{np.median([f.beta.value for f in fits]):.2f}",
+                "plain beta": f"{np.median([f.estimates['beta'].value for f in fits]):.2f}",
                 "beta": f"{np.median([m.beta for m in found]):.2f}",
                 "sigma found": f"{np.median([m.sigma for m in found]):.2f}",
                 "sigma covered": f"{100 * np.mean([m.interval[0] <= sigma <= m.interval[1] for m in found]):.0f} %",

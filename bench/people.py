@@ -324,9 +324,9 @@ def recover(instance: str, people: int, actions: int, seeds: int, record: Path |
             weights *= kind == "with terms"
             told = record_with_terms(table, beta, weights, actions, rng)
             fits, _ = fit_terms(observed(table, told, TERMS), Method())
-            covered = {"beta": np.mean([_in(fit.beta.interval, true) for fit, true in zip(fits, beta, strict=True)])}
+            covered = {"beta": np.mean([_in(fit.beta_interval, true) for fit, true in zip(fits, beta, strict=True)])}
             for j, name in enumerate(TERMS):
-                held = [_in(fit.weights[name].interval, w) for fit, w in zip(fits, weights[:, j], strict=True)]
+                held = [_in(fit.weights_interval[name], w) for fit, w in zip(fits, weights[:, j], strict=True)]
                 covered[name] = np.mean(held)
             rows.append({"people": kind, "seed": seed, **covered})
             click.echo(f"{kind} {seed}: {', '.join(f'{name} {100 * c:.0f} %' for name, c in covered.items())}")

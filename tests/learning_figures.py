@@ -48,7 +48,7 @@ def estimates(fits: Any) -> list[Any]:
         [one.observations.person, one.log_likelihood]
         + [
             None if e is None else [e.value, *e.interval, e.open_below, e.open_above]
-            for e in (one.beta, one.theta, one.eta, *one.weights.values())
+            for e in map(one.estimates.get, ("beta", "theta", "eta", *one.observations.terms))
         ]
         for one in fits
     ]
@@ -125,12 +125,12 @@ def of_acting(table: Table, count: int) -> Iterator[tuple[str, Callable[[], Any]
     def full() -> Any:
         found = fit(table, Log.of(rows), seed=0)
         return [
-            estimates(r.fit for r in found.values()),
+            estimates(r for r in found.values()),
             [[r.check.p, *r.check.scores.values()] for r in found.values()],
         ]
 
     yield "checked", full
-    yield "own model", lambda: estimates(r.fit for r in fit(table, Log.of(rows), model=short_sighted).values())
+    yield "own model", lambda: estimates(r for r in fit(table, Log.of(rows), model=short_sighted).values())
 
     mistaken_people = People(np.array([2.0, 1.0]), np.array([0.5, 0.5]), noise=rng.standard_normal((2, len(table))))
     noisy = record(table, mistaken_people, episodes=8, rng=rng, most=300)
@@ -163,8 +163,8 @@ def of_goals(count: int) -> Iterator[tuple[str, Callable[[], Any]]]:
     def fitted() -> Any:
         found = fit(goals.tables, log, Method(eta=0.2), prior=PRIOR)
         return [
-            estimates(r.fit for r in found.values()),
-            [list(r.fit.goal_posteriors().values()) for r in found.values()],
+            estimates(r for r in found.values()),
+            [list(r.goal_posteriors().values()) for r in found.values()],
             [r.suboptimal_actions for r in found.values()], population(found.distribution()),
         ]  # fmt: skip
 

@@ -47,10 +47,10 @@ ROOMS = {
         state_cache growing_problem leaf_estimates backups compliance_relaxation truncated_bound truncated_policy
         person_problem""",
     "assist.learning": """method log_steps log_json log_files log comparison intervals advice_log advice_rules
-        advice_model advice_fit replay observations joint_states evidence likelihood choosing likelihood_table
-        profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
-        fit goals model_comparison rule_families posterior_sample influence_population rule_search trust_fit
-        rule_comparison""",
+        advice_model advice_fit replay observations joint_states evidence likelihood choosing
+        likelihood_table person_estimate profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
+        diagnostics population fit goals model_comparison rule_families posterior_sample influence_population
+        rule_search trust_fit rule_comparison""",
     "assist.team": """policy_names by_policy state action_check assignment attention attention_never questions
         robots_at_work engine priority whittle rollout policies""",
     "assist.simulation": """affordable union pool schedule common_random_numbers goal_knowledge trace

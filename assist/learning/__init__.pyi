@@ -5,7 +5,6 @@ from .advice_log import read_advice as read_advice
 from .comparison import Comparison as Comparison
 from .comparison import Score as Score
 from .diagnostics import Calibration as Calibration
-from .diagnostics import Check as Check
 from .diagnostics import calibrate as calibrate
 from .diagnostics import check as check
 from .evidence import Evidence as Evidence
@@ -25,16 +24,16 @@ from .log import Fault as Fault
 from .log import Log as Log
 from .log import LogError as LogError
 from .log import read_log as read_log
-from .maximum_likelihood import Estimate as Estimate
-from .maximum_likelihood import Fit as Fit
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
-from .misconception_fit import MisconceptionFit as MisconceptionFit
 from .misconception_fit import fit_misconception as fit_misconception
 from .model_comparison import compare_models as compare_models
 from .observations import EvaluatedStates as EvaluatedStates
 from .observations import Observations as Observations
 from .observations import UnknownGoals as UnknownGoals
 from .observations import observe as observe
+from .person_estimate import Check as Check
+from .person_estimate import Estimate as Estimate
+from .person_estimate import MisconceptionFit as MisconceptionFit
 from .person_estimate import PersonEstimate as PersonEstimate
 from .population import PopulationFit as PopulationFit
 from .population import fit_population as fit_population

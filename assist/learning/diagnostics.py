@@ -22,9 +22,7 @@ import numpy as np
 from planner.system.results import Result
 
 from ..people.decision import Floats
-from .maximum_likelihood import Fit, fits_of
-
-TERMS = ("repetition", "large_mistakes", "learning")
+from .person_estimate import CHECKED, UNCHECKED, Check, PersonEstimate, people_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,18 +52,18 @@ class Calibration(Result):
         return [dict(zip(vars(self), row, strict=True)) for row in np.column_stack(list(vars(self).values())).tolist()]
 
 
-def calibrate(people: Mapping[str, Any] | Iterable[Any], bins: int = 10) -> Calibration:
+def calibrate(people: Mapping[str, PersonEstimate] | Iterable[PersonEstimate], bins: int = 10) -> Calibration:
     """Return predicted probabilities and observed frequencies, over all people and alternatives.
 
     Parameters
     ----------
-    people : FittedPeople, or iterable of PersonEstimate or Fit
+    people : FittedPeople, or iterable of PersonEstimate
     bins : int
         Number of bins of predicted probabilities.
     """
     from scipy.stats import binomtest  # takes as long to import as everything else here together
 
-    fits = fits_of(people)
+    fits = people_of(people)
     p = np.concatenate([f.probabilities()[f.observations.applicable] for f in fits])
     hit = np.concatenate(
         [
@@ -87,39 +85,12 @@ def calibrate(people: Mapping[str, Any] | Iterable[Any], bins: int = 10) -> Cali
     return Calibration(predicted, observed, low, high, count)
 
 
-@dataclass(frozen=True)
-class Check:
-    """The result of the model check for one person.
-
-    Attributes
-    ----------
-    p : float or None
-        p-value over all terms; None if the test has no power (almost no mistakes, or hardly any alternatives).
-    scores : dict of str to (float or None)
-        Score of each term, in standard deviations. Positive scores mean more repetition, more large mistakes, or fewer
-        mistakes in later actions.
-    """
-
-    p: float | None
-    scores: dict[str, float | None]
-
-    @property
-    def striking(self) -> str | None:
-        """The term with the largest absolute score; None without scores."""
-        known = {term: abs(score) for term, score in self.scores.items() if score is not None}
-        return max(known, key=lambda term: known[term]) if known else None
-
-
-UNCHECKED = Check(None, dict.fromkeys(TERMS))
-"""Check of a person to whom the test does not apply."""
-
-
-def check(fitted: Fit, rng: np.random.Generator, draws: int = 999) -> Check:
+def check(fitted: PersonEstimate, rng: np.random.Generator, draws: int = 999) -> Check:
     """Return the check of the model on one person's actions.
 
     Parameters
     ----------
-    fitted : Fit
+    fitted : PersonEstimate
     rng : numpy.random.Generator
     draws : int
         Number of simulated people; p is at least 1 / (draws + 1).
@@ -155,12 +126,12 @@ def check(fitted: Fit, rng: np.random.Generator, draws: int = 999) -> Check:
     inverse = np.linalg.pinv(np.einsum("fna,gna,na->fg", f, f, p))
     distance = np.einsum("df,fg,dg->d", drawn, inverse, drawn)
     own_distance = float(observed @ inverse @ observed)
-    scores: dict[str, float | None] = dict.fromkeys(TERMS)
-    scores.update(zip(np.array(TERMS)[usable].tolist(), observed.tolist(), strict=True))
+    scores: dict[str, float | None] = dict.fromkeys(CHECKED)
+    scores.update(zip(np.array(CHECKED)[usable].tolist(), observed.tolist(), strict=True))
     return Check((1 + int((distance >= own_distance).sum())) / (draws + 1), scores)
 
 
-def _features(fitted: Fit, gap: Floats, kept: np.ndarray) -> Floats:
+def _features(fitted: PersonEstimate, gap: Floats, kept: np.ndarray) -> Floats:
     """Return what each term adds to the exponent, shape (terms, n, A)."""
     o = fitted.observations
     habit = np.zeros(o.excess.shape)

@@ -20,15 +20,15 @@ from ..people.choice_model import ChoiceModel
 from ..people.human import Population
 from ..people.terms import TERMS, Term
 from .choosing import with_model
-from .diagnostics import UNCHECKED, check
+from .diagnostics import check
 from .evidence import Evidence, Reading, Records, Tasks, evidence
 from .hierarchy import Hierarchy, fit_terms
 from .likelihood import Method, largest_beta
 from .log import Fault, in_order
-from .maximum_likelihood import Fit, maximum_likelihood
+from .maximum_likelihood import maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
 from .observations import Ints
-from .person_estimate import PersonEstimate, nothing_known
+from .person_estimate import UNCHECKED, PersonEstimate, nothing_known
 from .population import ETAS, PopulationFit, fit_population, population_of
 
 Model: TypeAlias = Literal["misconceptions", "terms"] | Mapping[str, Term] | ChoiceModel
@@ -117,7 +117,7 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
                 raise ValueError(f"family '{family}': expected log-normal, which beta is taken to be where terms are")
             return replace(population_of(self.hierarchy), utility_scale=self.method.utility_scale)
         assert callable(progress)
-        observations = [one.fit.observations for one in self.people]
+        observations = [one.observations for one in self.people]
         advance = adding(progress, "fitting the population", ETAS)
         return fit_population(observations, self.method, family=family, progress=advance)
 
@@ -193,8 +193,8 @@ def fit(
     -----
     Where each episode has one of several goals, these are summed out of the likelihood (`likelihood`).
     `suboptimal_actions` then counts mistakes with regard to the goal that is the most probable one at the estimates,
-    and `Fit.goal_posteriors` has its probability. The model is checked where the goal is known and people choose by
-    cost-to-go.
+    and `PersonEstimate.goal_posteriors` has its probability. The model is checked where the goal is known and people
+    choose by cost-to-go.
     """
     assert callable(progress)
     if not isinstance(task, Evidence):
@@ -229,7 +229,8 @@ def fit(
             continue
         misconception = fit_misconception(one) if misconceptions else None
         checked = UNCHECKED if seen.goals or chooses is not None else check(one, rng)
-        records.append(PersonEstimate(one, checked, misconception, seen.left_out.get(person, 0)))
+        left_out = seen.left_out.get(person, 0)
+        records.append(replace(one, check=checked, misconception=misconception, left_out=left_out))
         if slow:
             advance(1)
     facts = FactsOf(seen.costs) if misconceptions else None
@@ -246,8 +247,8 @@ def _unknown(seen: Evidence) -> dict[str, dict[str, Any]]:
     }
 
 
-def _with_likeliest(fit: Fit) -> Fit:
-    """Return a fit in which the most probable goal of each episode decides what counts as a mistake."""
+def _with_likeliest(fit: PersonEstimate) -> PersonEstimate:
+    """Return estimates in which the most probable goal of each episode decides what counts as a mistake."""
     o = fit.observations
     likeliest = np.array([list(shares.values()) for shares in fit.goal_posteriors().values()]).argmax(axis=1)
     of_step, rows = likeliest[o.begins.cumsum() - 1], np.arange(len(o))

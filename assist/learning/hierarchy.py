@@ -25,8 +25,8 @@ from ..people.decision import NOTHING, Floats
 from .intervals import largest_fall
 from .likelihood import Method
 from .logit_likelihood import BETA, FIRST_TERM, THETA, Likelihood, Prior, maximise
-from .maximum_likelihood import Estimate, Fit
 from .observations import Observations
+from .person_estimate import Estimate, PersonEstimate
 
 RATES = np.linspace(0.0, 1.0, 11)  # of trust that are tried
 
@@ -202,7 +202,7 @@ def _end(
 
 def fit_terms(
     observations: Sequence[Observations], method: Method, *, progress: Callable[[int], None] | None = None
-) -> tuple[list[Fit], Hierarchy]:
+) -> tuple[list[PersonEstimate], Hierarchy]:
     """Return the estimates of all people's parameters with terms, and the population.
 
     Parameters
@@ -220,14 +220,10 @@ def fit_terms(
     value = likelihood.derivatives(found.at)[0]
     fits = []
     for k, o in enumerate(observations):
-        estimates = [_estimate(likelihood, axis, found.at[k], low[k], high[k]) for axis in range(len(found.mean))]
-        told = bool((o.suggested != NOTHING).any())
-        fits.append(
-            Fit(
-                o, estimates[BETA], estimates[THETA] if told else None, None, float(value[k]), likelihood.eta, method,
-                dict(zip(o.terms, estimates[FIRST_TERM:], strict=True)),
-            )
-        )  # fmt: skip
+        every = [_estimate(likelihood, axis, found.at[k], low[k], high[k]) for axis in range(len(found.mean))]
+        estimates = {"beta": every[BETA]} | ({"theta": every[THETA]} if (o.suggested != NOTHING).any() else {})
+        estimates |= zip(o.terms, every[FIRST_TERM:], strict=True)
+        fits.append(PersonEstimate(o, estimates, float(value[k]), likelihood.eta, method))
     return fits, found
 
 

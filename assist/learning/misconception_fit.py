@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,70 +26,20 @@ from scipy.optimize import minimize_scalar
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from planner.system.arrays import read_only
 from planner.system.jit import njit
-from planner.system.results import Result
 
 from ..people.decision import NOTHING, Floats
 from .intervals import end_of, largest_fall
-from .maximum_likelihood import Fit
 from .observations import Ints, Observations
+from .person_estimate import MisconceptionFit, PersonEstimate
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class MisconceptionFit(Result):
-    """The estimated misconception of a person.
-
-    Attributes
-    ----------
-    sigma : float
-        Standard deviation, in cost units.
-    interval : (float, float)
-        Interval by the profile likelihood.
-    open_above : bool
-        Whether the interval ends at the end of the search, `Method.largest_sigma`.
-    beta : float
-        Expertise in the model with misconceptions; it is at least that of the plain model.
-    log_likelihood, without : float
-        Marginal log-likelihood at these values, and the largest one for sigma = 0.
-    states : int array, shape (M,)
-        States on whose perceived cost-to-go the person's choices depend, ascending.
-    cost_to_go, perceived : float arrays, shape (M,)
-        h* of these states, and the mode of h.
-    seen : int array, shape (M,)
-        Number of steps in which each state was an alternative.
-    """
-
-    sigma: float
-    interval: tuple[float, float]
-    open_above: bool
-    beta: float
-    log_likelihood: float
-    without: float
-    states: Ints
-    cost_to_go: Floats
-    perceived: Floats
-    seen: Ints
-
-    def __post_init__(self) -> None:
-        read_only(self)
-
-    def records(self) -> list[dict[str, Any]]:
-        """Return a row for each state: h*, the perceived cost-to-go, and how often the state was an alternative."""
-        return [
-            {"state": state, "cost_to_go": h, "perceived": own, "seen": seen}
-            for state, h, own, seen in zip(
-                self.states.tolist(), self.cost_to_go.tolist(), self.perceived.tolist(), self.seen.tolist(), strict=True
-            )
-        ]
-
-
-def fit_misconception(fitted: Fit) -> MisconceptionFit:
+def fit_misconception(fitted: PersonEstimate) -> MisconceptionFit:
     """Return the estimates of a person's sigma and h.
 
     Parameters
     ----------
-    fitted : Fit
+    fitted : PersonEstimate
         The person's estimates without misconceptions.
     """
     model = MarginalLikelihood(fitted)
@@ -98,7 +47,7 @@ def fit_misconception(fitted: Fit) -> MisconceptionFit:
     sizes = sizes[(sizes > 0) & np.isfinite(sizes)]
     unit = float(sizes.min()) if len(sizes) else 1.0
     largest = 10.0 / unit
-    start = float(np.clip(fitted.beta.value, 1e-3 * largest, largest))
+    start = float(np.clip(fitted.estimates["beta"].value, 1e-3 * largest, largest))
 
     def best_beta(sigma: float) -> tuple[float, float]:
         """Return the best beta for a sigma, and the marginal log-likelihood."""
@@ -230,7 +179,7 @@ def require_memory(observations: Sequence[Observations], limit_mb: float) -> Non
 class MarginalLikelihood:
     """The marginal likelihood of choices with uncertain costs: z = beta sigma eps for each state."""
 
-    def __init__(self, fitted: Fit) -> None:
+    def __init__(self, fitted: PersonEstimate) -> None:
         o: Observations = fitted.observations
         uncertain = Uncertain.of(o)
         self.states, self.h, self.seen = uncertain.states, uncertain.cost_to_go, uncertain.seen

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from ..learning.comparison import Comparison
 from ..learning.diagnostics import calibrate
-from ..learning.maximum_likelihood import Fit, fits_of
+from ..learning.person_estimate import PersonEstimate, people_of
 from ..people.decision import NOTHING
 from .style import BLUE, GREEN, GREY, ORANGE, require, save
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-People: TypeAlias = Mapping[str, Any] | Iterable[Any]
-"""The result of `assist.fit`, some of its estimates, or fits."""
+People: TypeAlias = Mapping[str, PersonEstimate] | Iterable[PersonEstimate]
+"""The result of `assist.fit`, or some of its estimates."""
 
 
-def draw(fits: list[Fit], folder: Path) -> list[Path]:
+def draw(fits: list[PersonEstimate], folder: Path) -> list[Path]:
     """Write the figures to a folder; return their files.
 
     Raises
@@ -103,7 +103,7 @@ def calibration_figure(people: People) -> Figure:
 
     Parameters
     ----------
-    people : FittedPeople, or iterable of PersonEstimate or Fit
+    people : FittedPeople, or iterable of PersonEstimate
     """
     figure, axis = _figure(6, 5.4)
     c = calibrate(people)
@@ -125,23 +125,23 @@ def expertise_figure(people: People, most: int = 60) -> Figure:
 
     Parameters
     ----------
-    people : FittedPeople, or iterable of PersonEstimate or Fit
+    people : FittedPeople, or iterable of PersonEstimate
     most : int
         Largest number of people, each with a line; more cannot be read.
     """
-    fits = fits_of(people)
+    fits = people_of(people)
     from matplotlib.figure import Figure
 
-    shown = sorted(fits, key=lambda f: (f.beta.value, f.beta.interval[0]))
+    shown = sorted(fits, key=lambda f: (f.estimates["beta"].value, f.beta_interval[0]))
     if len(shown) > most:  # an even selection over the whole range
         shown = [shown[i] for i in np.linspace(0, len(shown) - 1, most).astype(int)]
-    columns = 2 if any(f.theta is not None for f in shown) else 1
+    columns = 2 if any("theta" in f.estimates for f in shown) else 1
     figure = Figure(figsize=(4.7 * columns + 1, 1.3 + 0.24 * max(len(shown), 4)), layout="constrained")
     axes = figure.subplots(1, columns, sharey=True, squeeze=False)[0]
     rows = np.arange(len(shown))
     for axis, name, color in zip(axes, ("beta", "theta"), (BLUE, GREEN), strict=False):
         for row, f in zip(rows, shown, strict=True):
-            estimate = f.beta if name == "beta" else f.theta
+            estimate = f.estimates.get(name)
             if estimate is None:
                 continue
             axis.plot(estimate.interval, (row, row), color=color, linewidth=2.2, solid_capstyle="butt", alpha=0.6)
@@ -168,16 +168,16 @@ def errors_figure(people: People) -> Figure:
 
     Parameters
     ----------
-    people : FittedPeople, or iterable of PersonEstimate or Fit
+    people : FittedPeople, or iterable of PersonEstimate
     """
-    fits = fits_of(people)
+    fits = people_of(people)
     figure, axis = _figure(6.4, 4.6)
     for is_open, marker, label in ((False, "o", "estimate"), (True, "^", "not bounded above")):
-        own = [f for f in fits if f.beta.open_above == is_open]
+        own = [f for f in fits if f.estimates["beta"].open_above == is_open]
         if own:
             x = np.array([100 * f.observations.suboptimal / len(f.observations) for f in own])
-            y = np.array([f.beta.value for f in own])
-            ends = np.array([f.beta.interval for f in own]).T
+            y = np.array([f.estimates["beta"].value for f in own])
+            ends = np.array([f.beta_interval for f in own]).T
             axis.errorbar(
                 x, y, yerr=np.abs(np.array([y - ends[0], ends[1] - y])), fmt=marker, color=ORANGE if is_open else BLUE,
                 markersize=5, linewidth=1, alpha=0.75, label=label, markerfacecolor="white" if is_open else BLUE,
@@ -195,17 +195,17 @@ def episodes_figure(people: People, most: int = 12) -> Figure:
 
     Parameters
     ----------
-    people : FittedPeople, or iterable of PersonEstimate or Fit
+    people : FittedPeople, or iterable of PersonEstimate
     most : int
         Largest number of people, each with a panel.
     """
-    fits = fits_of(people)
+    fits = people_of(people)
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
     shown = fits
     if len(fits) > most:  # from the least to the most expert person
-        order = sorted(fits, key=lambda f: f.beta.value)
+        order = sorted(fits, key=lambda f: f.estimates["beta"].value)
         shown = [order[i] for i in np.linspace(0, len(order) - 1, most).astype(int)]
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
@@ -229,7 +229,9 @@ def episodes_figure(people: People, most: int = 12) -> Figure:
                     at, h[at], linestyle="none", marker="v", markersize=4.5, color=GREEN,
                     markerfacecolor=GREEN if took else "white",
                 )  # fmt: skip
-        axis.set_title(f"{o.person}: β = {f.beta.value:.2g}, {o.suboptimal} of {len(o)} suboptimal", fontsize=9)
+        axis.set_title(
+            f"{o.person}: β = {f.estimates['beta'].value:.2g}, {o.suboptimal} of {len(o)} suboptimal", fontsize=9
+        )
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="y", alpha=0.3)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -140,14 +140,14 @@ def test_a_task_where_a_pool_was_expected() -> None:
 
 def test_results_of_fit_are_what_figures_and_comparisons_take() -> None:
     people, seen = fit("kitting/tiny", LOG), replayed("kitting/tiny", LOG)
-    for given in (people, list(people.values()), [one.fit for one in people.values()]):
+    for given in (people, list(people.values())):
         assert calibrate(given) == calibrate(people)
         assert expertise_figure(given).axes
     for estimate in (compare_models, fit_population, maximum_likelihood):
         assert estimate(seen) == estimate(seen.observations(TERMS if estimate is compare_models else None))
         with pytest.raises(TypeError, match="a str where observations were expected; `replayed"):
             estimate("log.csv")  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="a str where a person's fit was expected"):
+    with pytest.raises(TypeError, match="a str where a person's estimates were expected"):
         calibrate(["ann"])
 
 

@@ -81,16 +81,16 @@ def learned() -> dict[str, Any]:
     erring = fit(seen, model="misconceptions")
     return {
         "log": log, "recording": seen.recording, "observations": seen.observations()[0], "people": people,
-        "person": people["ann"], "fit": people["ann"].fit, "erring": erring["ann"].misconception,
+        "person": people["ann"], "erring": erring["ann"].misconception,
         "distribution": people.distribution(), "margin": people.distribution().beta, "goals": goals,
         "goals of an episode": goals.episodes[0], "models": models, "model": models.best, "influence": influence,
-        "influence of a person": influence.people[0], "calibration": calibrate([one.fit for one in people.people]),
+        "influence of a person": influence.people[0], "calibration": calibrate(people),
         "influence, advice": FittedAdvice("constant", "E", {"mu": 0.5}, -3.0, 2, 9),
     }  # fmt: skip
 
 
 LEARNED = [
-    "log", "recording", "observations", "people", "person", "fit", "erring", "distribution", "margin", "goals",
+    "log", "recording", "observations", "people", "person", "erring", "distribution", "margin", "goals",
     "goals of an episode", "models", "model", "influence", "influence of a person", "calibration", "influence, advice",
 ]  # fmt: skip
 

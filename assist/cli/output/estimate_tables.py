@@ -19,7 +19,7 @@ def table_of(people: FittedPeople) -> Table:
         table.add_column(name, justify="right")
     if any(record.misconception is not None for record in people.values()):
         table.add_column("sigma", justify="right")
-    terms = list(next((record.fit.weights for record in people.values()), {}))
+    terms = list(next((record.weights for record in people.values()), {}))
     for name in terms:
         table.add_column(name, justify="right")
     for name in _everybody(people):
@@ -27,16 +27,16 @@ def table_of(people: FittedPeople) -> Table:
             table.add_row(name, *["-"] * (7 + len(terms)))
             continue
         record = people[name]
-        fit, m = record.fit, record.misconception
+        every, m = record.estimates, record.misconception
         cells = [
-            "-" if estimate is None else _interval(value, estimate.interval, estimate.open_above)
-            for value, estimate in ((record.beta, fit.beta), (record.theta, fit.theta), (record.eta, fit.eta))
+            "-" if name not in every else _interval(value, every[name].interval, every[name].open_above)
+            for name, value in (("beta", record.beta), ("theta", record.theta), ("eta", record.eta))
         ]
-        cells += [f"{record.actions}", f"{record.suboptimal_actions}", f"{fit.log_likelihood:.2f}"]
+        cells += [f"{record.actions}", f"{record.suboptimal_actions}", f"{record.log_likelihood:.2f}"]
         cells.append("-" if record.check.p is None else f"{record.check.p:.3f}")
         if m is not None:
             cells.append(_interval(m.sigma, m.interval, m.open_above))
-        cells += [_interval(one.value, one.interval, one.open_above) for one in fit.weights.values()]
+        cells += [_interval(one.value, one.interval, one.open_above) for one in (every[name] for name in terms)]
         table.add_row(name, *cells)
     return table
 

@@ -55,7 +55,7 @@ def show_people(
     if population and general:
         write_population(general, population, people.sigma)
     if figures:
-        pictures.draw([record.fit for record in people.values()], figures)
+        pictures.draw(list(people.values()), figures)
     if as_json:
         print_json(records)
     else:

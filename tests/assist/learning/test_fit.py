@@ -26,9 +26,10 @@ from assist.learning import misconception_fit
 from assist.learning.diagnostics import calibrate, check
 from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import log_likelihood
-from assist.learning.maximum_likelihood import Fit, maximum_likelihood
+from assist.learning.maximum_likelihood import maximum_likelihood
 from assist.learning.misconception_fit import MarginalLikelihood, Uncertain, fit_misconception
 from assist.learning.observations import Observations
+from assist.learning.person_estimate import PersonEstimate
 from assist.learning.population import fit_population, mixture
 from assist.people.belief import Grid
 from assist.people.choices import Choices
@@ -56,7 +57,7 @@ def team(paper: Table, paper_choices: Choices) -> list[Observations]:
 
 
 @pytest.fixture(scope="module")
-def fits(team: list[Observations]) -> list[Fit]:
+def fits(team: list[Observations]) -> list[PersonEstimate]:
     return maximum_likelihood(team)
 
 
@@ -100,17 +101,15 @@ def test_the_likelihood_is_that_of_the_model(paper_choices: Choices, team: list[
         assert found.item() == pytest.approx(total, rel=1e-12)
 
 
-def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations], fits: list[Fit]) -> None:
+def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations], fits: list[PersonEstimate]) -> None:
     beta, theta, eta = np.linspace(0, 5, 126), np.linspace(0, 1, 41), np.linspace(0, 1, 41)
     for o, found in zip(team[1::2], fits[1::2], strict=True):
-        assert found.theta is not None
-        assert found.eta is not None
         values = log_likelihood(o, beta, theta, eta)
         best = values.max()
         assert found.log_likelihood >= best - 1e-9
-        own = log_likelihood(o, *(np.array([e.value]) for e in (found.beta, found.theta, found.eta))).item()
+        own = log_likelihood(o, *(np.array([e.value]) for e in found.estimates.values())).item()
         assert found.log_likelihood == pytest.approx(own, abs=2e-6)
-        for axis, grid, estimate in ((0, beta, found.beta), (1, theta, found.theta), (2, eta, found.eta)):
+        for axis, (grid, estimate) in enumerate(zip((beta, theta, eta), found.estimates.values(), strict=True)):
             profile = values.max(axis=tuple({0, 1, 2} - {axis}))
             inside = grid[profile >= found.log_likelihood - 1.9207]
             width = grid[1]
@@ -126,17 +125,16 @@ def test_laws_of_estimates(seed: int, beta: float) -> None:
     rows = people_at_work(TINY_CHOICES, [beta], np.random.default_rng(seed), suggest=0.3, episodes=2)
     (found,) = maximum_likelihood(observed(table, rows), Method(eta=0.2))
     (wide,) = maximum_likelihood(observed(table, rows), Method(eta=0.2, level=0.99))
-    for estimate, wider in ((found.beta, wide.beta), (found.theta, wide.theta)):
-        if estimate is None or wider is None:
-            assert all(row["suggestion"] is None for row in rows)
-            continue
+    assert ("theta" in found.estimates) == any(row["suggestion"] is not None for row in rows)
+    for name, estimate in found.estimates.items():
+        wider = wide.estimates[name]
         low, high = estimate.interval
         assert 0 <= low <= estimate.value <= high <= 5
         assert wider.interval[0] <= low + 2e-3
         assert wider.interval[1] >= high - 2e-3
     shuffled = [rows[i] for i in np.random.default_rng(seed).permutation(len(rows))]
     (again,) = maximum_likelihood(observed(table, shuffled), Method(eta=0.2))
-    assert (again.beta, again.theta, again.log_likelihood) == (found.beta, found.theta, found.log_likelihood)
+    assert (again.estimates, again.log_likelihood) == (found.estimates, found.log_likelihood)
     p = found.probabilities()
     np.testing.assert_allclose(p.sum(axis=1), 1.0)
 
@@ -151,25 +149,24 @@ def test_who_never_errs_gets_a_stated_bound(tiny: Table) -> None:
     (o,) = observed(tiny, lines(*PLAN))
     (found,) = maximum_likelihood([o])
     assert o.suboptimal == 0
-    assert found.beta.value == found.beta.interval[1] == pytest.approx(5.0)  # 10 for mistakes that cost 2
-    assert found.beta.open_above
-    low = found.beta.interval[0]
+    assert found.estimates["beta"].value == found.beta_interval[1] == pytest.approx(5.0)  # 10 for mistakes that cost 2
+    assert found.estimates["beta"].open_above
+    low = found.beta_interval[0]
     values = log_likelihood(o, np.array([low, 5.0]), np.array([0.5]), np.array([0.0])).ravel()
     assert values[1] - values[0] == pytest.approx(1.9207, abs=1e-3)
     (other,) = maximum_likelihood([o], Method(largest_beta=3.0))
-    assert other.beta.interval[1] == other.beta.value == pytest.approx(3.0)
+    assert other.beta_interval[1] == other.estimates["beta"].value == pytest.approx(3.0)
 
 
 def test_random_actions_and_no_choices(tiny: Table) -> None:
     (back_and_forth,) = maximum_likelihood(observed(tiny, lines(*[FETCH, BACK] * 10)))
-    assert back_and_forth.beta.value == 0
-    assert back_and_forth.beta.open_below
-    assert back_and_forth.beta.interval[0] == 0
-    assert back_and_forth.beta.interval[1] < 1
+    assert back_and_forth.estimates["beta"].value == 0
+    assert back_and_forth.estimates["beta"].open_below
+    assert back_and_forth.beta_interval[0] == 0
+    assert back_and_forth.beta_interval[1] < 1
     (silent,) = maximum_likelihood(observed(tiny, lines(FETCH)))
-    assert not silent.beta.identified
-    assert silent.theta is None
-    assert silent.eta is None
+    assert not silent.estimates["beta"].identified
+    assert list(silent.estimates) == ["beta"]
 
 
 def test_dead_ends_do_no_harm(sealed: Table) -> None:
@@ -202,12 +199,12 @@ def test_people_are_found_again(paper: Table, paper_choices: Choices) -> None:
         observed(paper, people_at_work(paper_choices, beta.tolist(), rng, suggest=0.4)), Method(eta=0.2)
     )
     found = sorted(found, key=lambda f: int(f.observations.person[1:]))
-    covered = [f.beta.interval[0] <= b <= f.beta.interval[1] for f, b in zip(found, beta, strict=True)]
+    covered = [f.beta_interval[0] <= b <= f.beta_interval[1] for f, b in zip(found, beta, strict=True)]
     assert sum(covered) >= 36
-    ranks = np.argsort(np.argsort([f.beta.value for f in found]))
+    ranks = np.argsort(np.argsort([f.estimates["beta"].value for f in found]))
     assert np.corrcoef(ranks, np.arange(40))[0, 1] > 0.9
-    told = [f for f in found if f.theta is not None]
-    assert sum(f.theta.interval[0] <= 0.6 <= f.theta.interval[1] for f in told if f.theta) >= 0.88 * len(told)
+    told = [f.estimates["theta"] for f in found if "theta" in f.estimates]
+    assert sum(one.interval[0] <= 0.6 <= one.interval[1] for one in told) >= 0.88 * len(told)
 
     found_population = fit_population([f.observations for f in found], Method(eta=0.2))
     assert found_population.beta.recorded[0] == pytest.approx(beta.mean(), rel=0.1)
@@ -252,11 +249,11 @@ def test_misconceptions_are_told_from_carelessness(paper: Table, paper_choices: 
     mistaken = observed(paper, people_at_work(paper_choices, [2.0], rng, episodes=12, noise=noise))
     careless = observed(paper, people_at_work(paper_choices, [0.7], rng, episodes=12))
     first, second = (maximum_likelihood(o)[0] for o in (mistaken, careless))
-    assert first.beta.value < 1.2  # the plain model takes misconceptions for a lack of expertise
+    assert first.estimates["beta"].value < 1.2  # the plain model takes misconceptions for a lack of expertise
     found = fit_misconception(first)
     assert found.interval[0] > 0.3
     assert found.interval[0] <= 1.0 <= found.interval[1]
-    assert found.beta > first.beta.value
+    assert found.beta > first.estimates["beta"].value
     assert found.log_likelihood > found.without + 5
     assert np.corrcoef(found.perceived - found.cost_to_go, noise[found.states])[0, 1] > 0.35
     none = fit_misconception(second)
@@ -323,7 +320,7 @@ def test_misconceptions_that_take_too_much_memory_are_refused(tmp_path: Path, mo
     assert result.stderr.splitlines()[-1].startswith("out of memory: person 'ann': misconceptions about 8 states take")
 
 
-def test_calibration_counts_every_choice(team: list[Observations], fits: list[Fit]) -> None:
+def test_calibration_counts_every_choice(team: list[Observations], fits: list[PersonEstimate]) -> None:
     c = calibrate(fits)
     assert c.count.sum() == sum(o.applicable.sum() for o in team)
     assert (c.observed * c.count).sum() == pytest.approx(sum(map(len, team)))
@@ -339,14 +336,15 @@ def test_people_for_whom_the_model_holds_are_predicted(paper: Table, paper_choic
     betas = np.linspace(0.3, 1.2, 40).tolist()
     found = maximum_likelihood(observed(paper, people_at_work(paper_choices, betas, rng, episodes=2)))
 
-    def off(fits: list[Fit]) -> float:
+    def off(fits: list[PersonEstimate]) -> float:
         """The largest difference in ten bins, in standard errors."""
         c = calibrate(fits)
         return float(np.abs((c.observed - c.predicted) / np.sqrt(c.predicted * (1 - c.predicted) / c.count)).max())
 
     assert off(found) < 2.8  # exceeded by chance in 5 of 100
     for factor in (0.5, 2.0):
-        others = [replace(f, beta=replace(f.beta, value=factor * f.beta.value)) for f in found]
+        beta = [replace(f.estimates["beta"], value=factor * f.estimates["beta"].value) for f in found]
+        others = [replace(f, estimates={**f.estimates, "beta": b}) for f, b in zip(found, beta, strict=True)]
         assert off(others) > 4.0
     p = [check(f, rng, 199).p for f in found]
     assert None not in p
@@ -367,8 +365,8 @@ def test_the_online_belief_is_the_offline_likelihood(tiny: Table, tiny_choices: 
     offline = pomdp.prior.sum(axis=1) * np.exp(likelihood - likelihood.max())
     np.testing.assert_allclose(online, offline / offline.sum(), rtol=1e-6, atol=1e-12)
     (found,) = maximum_likelihood([o])
-    assert grid.beta[online.argmax()] == pytest.approx(found.beta.value, abs=0.05)
-    assert found.beta.interval[0] < grid.beta @ online < found.beta.interval[1]
+    assert grid.beta[online.argmax()] == pytest.approx(found.estimates["beta"].value, abs=0.05)
+    assert found.beta_interval[0] < grid.beta @ online < found.beta_interval[1]
 
 
 def test_the_online_belief_with_suggestions(tiny: Table, tiny_choices: Choices) -> None:

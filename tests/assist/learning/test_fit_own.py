@@ -63,8 +63,8 @@ def test_the_papers_model_as_ones_own_gives_the_papers_estimates(plain: FittedPe
         assert record.beta_interval == pytest.approx(expected.beta_interval, rel=2e-3)
         assert record.theta == pytest.approx(expected.theta, abs=5e-3)
         assert record.theta_interval == pytest.approx(expected.theta_interval, abs=5e-3)
-        assert record.fit.log_likelihood == pytest.approx(expected.fit.log_likelihood, abs=1e-2)
-        np.testing.assert_allclose(record.fit.probabilities(), expected.fit.probabilities(), atol=2e-3)
+        assert record.log_likelihood == pytest.approx(expected.log_likelihood, abs=1e-2)
+        np.testing.assert_allclose(record.probabilities(), expected.probabilities(), atol=2e-3)
         assert (record.check.p, record.suboptimal_actions) == (None, expected.suboptimal_actions)
 
 
@@ -75,13 +75,13 @@ def test_the_likelihood_is_the_models_own() -> None:
     low, high = found.beta_interval
     assert low <= 1.5 <= high
     other = fit(PAPER, Log.of(rows))["ann"]
-    assert found.fit.log_likelihood > other.fit.log_likelihood + 2
+    assert found.log_likelihood > other.log_likelihood + 2
     choices = Choices.of(PAPER)
     q = np.where(choices.applicable, choices.costs + choices.h[choices.targets], np.inf)
-    o, rate = found.fit.observations, found.fit.method.lapse
+    o, rate = found.observations, found.method.lapse
     p = short_sighted(choices, q, np.array([found.beta]))[0][o.state, o.chosen]
     wanted = np.log((1 - rate) * p + rate / o.applicable.sum(axis=1)).sum()
-    assert found.fit.log_likelihood == pytest.approx(wanted, abs=1e-2)
+    assert found.log_likelihood == pytest.approx(wanted, abs=1e-2)
 
 
 @pytest.mark.slow
@@ -93,7 +93,7 @@ def test_trust_looks_at_the_models_own_value() -> None:
         def value(self, choices: Choices, q: np.ndarray) -> np.ndarray:
             return 2 * perceived_value(choices, q)
 
-    gains = [fit(PAPER, Log.of(ROWS), model=model)["p1"].fit.observations.gain for model in (same, Doubled())]
+    gains = [fit(PAPER, Log.of(ROWS), model=model)["p1"].observations.gain for model in (same, Doubled())]
     np.testing.assert_allclose(gains[1], 2 * gains[0])
     assert np.any(gains[0] != 0)
 

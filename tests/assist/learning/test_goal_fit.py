@@ -72,12 +72,12 @@ def test_the_likelihood_is_that_of_the_definition(beta: float, theta: float, eta
     person = next(iter(fitted().values()))
     rows = [vars(entry) for entry in log.entries if entry.person == person.person]
     grid = [np.array([one]) for one in (beta, theta, eta)]
-    found = log_likelihood(person.fit.observations, *grid, METHOD).item()
+    found = log_likelihood(person.observations, *grid, METHOD).item()
     assert found == pytest.approx(by_definition(dict(goals.tables), rows, beta, theta, eta), abs=1e-9)
 
 
 def test_influence_is_not_carried_where_goals_are_unknown() -> None:
-    observations = [person.fit.observations for person in fitted().values()]
+    observations = [person.observations for person in fitted().values()]
     with pytest.raises(ValueError, match="carry: expected False, since each episode has one of several goals"):
         fit_influence(observations, "constant")
     found = fit_influence(observations, "constant", METHOD, carry=False)
@@ -94,7 +94,7 @@ def test_estimates_are_near_the_truth() -> None:
     assert ((ends[:, 0] <= BETA) & (ends[:, 1] >= BETA)).sum() >= 5
     goals, log = recorded()
     assumed = fit(goals.tables["a"], log, method=METHOD)
-    found, wrong = (np.array([one.fit.beta.value for one in each.values()]) for each in (people, assumed))
+    found, wrong = (np.array([one.estimates["beta"].value for one in each.values()]) for each in (people, assumed))
     assert (wrong[1:] < found[1:]).all()
     errors = [np.abs(each - BETA)[1:-1].mean() for each in (found, wrong)]  # the best person made no mistake
     assert errors[0] < errors[1] / 2
@@ -108,7 +108,7 @@ def test_the_posterior_over_goals_is_that_of_infer_goals() -> None:
         [vars(entry) | {"suggestion": None} for entry in log.entries if entry.person in {"person-3", "person-4"}]
     )
     found = fit(goals.tables, plain, prior=PRIOR)["person-3"]
-    beta = [found.fit.beta.value]
+    beta = [found.estimates["beta"].value]
     inferred = infer_goals(goals.tables, plain, prior=PRIOR, beta=beta)
     known = {one.episode: one.posterior[-1] for one in inferred.episodes if one.person == "person-3"}
     shown = found.as_dict()["goals"]
@@ -118,7 +118,7 @@ def test_the_posterior_over_goals_is_that_of_infer_goals() -> None:
     only = Log.of([vars(entry) for entry in log.entries if entry.episode.startswith("a-")])
     certain = fit({"a": goals.tables["a"]}, only, METHOD)["person-2"]
     one = fit(goals.tables["a"], only, method=METHOD)["person-2"]
-    assert certain.fit.log_likelihood == pytest.approx(one.fit.log_likelihood)
+    assert certain.log_likelihood == pytest.approx(one.log_likelihood)
     assert certain.beta == pytest.approx(one.beta, rel=1e-3)
     assert certain.beta_interval == pytest.approx(one.beta_interval, rel=1e-3)
 

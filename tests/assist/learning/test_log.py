@@ -444,8 +444,8 @@ def test_episodes_in_which_the_robot_works_as_well_are_replayed() -> None:
         ):
             human = pool.people[int(found.observations.person.removeprefix("human-")) - 1]
             assert found.theta is not None
-            covered.append(found.beta.interval[0] <= human.beta <= found.beta.interval[1])
-            covered.append(found.theta.interval[0] <= human.theta <= found.theta.interval[1])
+            covered.append(found.beta_interval[0] <= human.beta <= found.beta_interval[1])
+            covered.append(found.estimates["theta"].interval[0] <= human.theta <= found.estimates["theta"].interval[1])
         assert (len(covered), covered.count(False) <= 1) == (12, True)  # of 95 % intervals
 
 

@@ -37,12 +37,11 @@ def test_nothing_on_a_grid_is_likelier_or_left_out(instance: str, suggest: float
     beta = 1e-3 * largest * np.expm1(np.linspace(0, np.log1p(1e3), 49))
     shares = np.unique([*np.linspace(0, 1, 51), 0.002, 0.998, *np.linspace(0, 1, 31), *np.linspace(0, 1, 17)])
     for o, found in zip(team, maximum_likelihood(team, method), strict=True):
-        rates = np.array([0.0 if eta is None else eta]) if found.eta is None else shares
-        values = log_likelihood(o, beta, np.array([0.5]) if found.theta is None else shares, rates)
+        rates = np.array([0.0 if eta is None else eta]) if "eta" not in found.estimates else shares
+        values = log_likelihood(o, beta, np.array([0.5]) if "theta" not in found.estimates else shares, rates)
         assert found.log_likelihood >= values.max() - 1e-6
-        for axis, grid, estimate in ((0, beta, found.beta), (1, shares, found.theta), (2, shares, found.eta)):
-            if estimate is None:
-                continue
+        for axis, (name, estimate) in enumerate(found.estimates.items()):
+            grid = beta if name == "beta" else shares
             kept = values.max(axis=tuple({0, 1, 2} - {axis})) > found.log_likelihood - DROP + 1e-3
             assert not kept.any() or estimate.interval[0] - 1e-3 * grid[-1] <= grid[kept].min()
             assert not kept.any() or grid[kept].max() <= estimate.interval[1] + 1e-3 * grid[-1]
@@ -57,10 +56,10 @@ def test_an_interval_is_open_where_the_profile_is_flat_up_to_the_bound() -> None
         for actions in (plan[:1], plan):
             (o,) = observed(kit("tiny"), lines(*actions, told=told))
             (found,) = maximum_likelihood([o])
-            assert found.beta.open_above
-            assert found.beta.interval[1] == pytest.approx(largest_beta([o], Method()))
-            for estimate in (found.theta, found.eta):
-                assert estimate is None or (estimate.open_above, estimate.interval[1]) == (True, 1.0)
+            assert found.estimates["beta"].open_above
+            assert found.beta_interval[1] == pytest.approx(largest_beta([o], Method()))
+            for estimate in list(found.estimates.values())[1:]:
+                assert (estimate.open_above, estimate.interval[1]) == (True, 1.0)
 
 
 def test_theta_may_have_to_lie_in_a_narrow_range() -> None:
@@ -69,9 +68,8 @@ def test_theta_may_have_to_lie_in_a_narrow_range() -> None:
     told = {1: bad, 2: "(fetch box-a)", 3: good}
     (o,) = observed(kit("tiny"), lines("(fetch box-a)", "(return box-a)", "(fetch box-a)", good, told=told))
     (found,) = maximum_likelihood([o])
-    assert found.eta is not None
     theta = np.linspace(0, 1, 2001)
     for eta in (0.47, 0.49, 0.9, 0.99):
         profile = log_likelihood(o, np.geomspace(0.01, 5, 60), theta, np.array([eta])).max()
         if profile > found.log_likelihood - DROP + 1e-3:
-            assert found.eta.interval[0] <= eta <= found.eta.interval[1]
+            assert found.estimates["eta"].interval[0] <= eta <= found.estimates["eta"].interval[1]

@@ -152,7 +152,7 @@ def test_people_are_recovered_and_lean_on_each_other() -> None:
                for name, ends in person.weights_interval.items())  # fmt: skip
     first = people["person-01"]
     assert list(first.as_dict()["weights"]) == list(TERMS)
-    assert first.fit.probabilities().sum(axis=1) == pytest.approx(1.0)
+    assert first.probabilities().sum(axis=1) == pytest.approx(1.0)
     population = people.population()
     assert mixture(json.loads(json.dumps(people.distribution().as_dict()))) == population
     for name, weight in zip(TERMS, WEIGHTS, strict=True):
@@ -167,7 +167,7 @@ def test_one_person_alone_is_fitted_by_their_own_actions() -> None:
     (observations,) = observed(paper(), [row for row in rows() if row["person"] == "person-03"], TERMS)
     own = Likelihood.of([observations], Method())
     _, best, _ = maximise(own, np.array([[4.0, 0.0, *WEIGHTS]]), np.array([[False, True] + [False] * 4]))
-    assert best[0] - 1 < person.fit.log_likelihood <= best[0]
+    assert best[0] - 1 < person.log_likelihood <= best[0]
 
 
 def test_the_rate_of_trust_is_the_one_that_fits_best(monkeypatch: pytest.MonkeyPatch) -> None:
