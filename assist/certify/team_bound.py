@@ -164,7 +164,7 @@ class TeamBound(Result):
 @shows_progress
 def upper_bound(
     pool: Pool,
-    team: Sequence[int] | None = None,
+    team: Sequence[int] | Sequence[str] | None = None,
     *,
     travel: Travel | None = None,
     window: int | None = None,
@@ -182,8 +182,8 @@ def upper_bound(
     Parameters
     ----------
     pool : Pool
-    team : sequence of int, optional
-        Person at each place; by default the whole pool.
+    team : sequence of int or str, optional
+        Person at each place, by place in the pool or by name; by default the whole pool.
     travel : Travel, optional
         Travel between the places; by default that of the setting.
     window : int, optional
@@ -248,10 +248,7 @@ def upper_bound(
     )  # fmt: skip
 
 
-def _members(pool: Pool, team: Sequence[int] | None) -> tuple[int, ...]:
+def _members(pool: Pool, team: Sequence[int] | Sequence[str] | None) -> tuple[int, ...]:
     """Return the checked numbers of the people at each place."""
-    people = len(pool.people)
-    members = tuple(range(people)) if team is None else tuple(whole("person", person) for person in team)
-    if not members or max(members) >= people:
-        raise ValueError(f"team {members}: expected one or more numbers of the pool, from 0 to {people - 1}")
-    return members
+    members = pool.numbers(range(len(pool.people)) if team is None else team)
+    return tuple(members.tolist())

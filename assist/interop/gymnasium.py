@@ -12,15 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner.system.errors import MissingExtraError
 
+from ..people.choices import Choices
 from ..people.decision import Floats
+from ..people.goals import Goals
 from ..people.human import Population
 from ..person.settings import Setting
 from ..simulation.common_random_numbers import CommonRandomNumbers
@@ -29,6 +30,9 @@ from ..simulation.pool import Pool
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 from .rendering import EnvironmentPicture
 from .teams import PoolSource, Sight, Teams
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 try:
     import gymnasium
@@ -156,8 +160,8 @@ class TeamEnv(gymnasium.Env):
 
     Parameters
     ----------
-    instance : str, Path or Pool
-        The task, by its file or name, or an existing pool.
+    instance : Pool, cost-to-go, or whatever `planner.load` takes
+        The task, such as a file or a table, or an existing pool.
     humans : int
         K, the number of people in a team.
     beliefs : bool
@@ -186,7 +190,7 @@ class TeamEnv(gymnasium.Env):
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "svg"], "render_fps": 1}
 
     def __init__(
-        self, instance: str | Path | Pool, humans: int = 2, *, beliefs: bool = True, people: int | None = None,
+        self, instance: AnyTask | Pool, humans: int = 2, *, beliefs: bool = True, people: int | None = None,
         pool_seed: int | None = None, setting: Setting | None = None, population: Population | None = None,
         distance: ArrayLike | None = None, world: World = "people", render_mode: str | None = None,
     ) -> None:  # fmt: skip
@@ -314,16 +318,17 @@ class TeamEnv(gymnasium.Env):
         Raises
         ------
         TypeError
-            The environment was made from a pool, which has no task to draw.
+            The environment was made from a pool that has no task to draw, such as a union of pools.
         MissingExtraError
             The mode is "rgb_array" and the extra `plots` is not installed.
         """
         if self.render_mode is None:
             return None
-        if isinstance(self._instance, Pool):
-            raise TypeError("render: expected an environment made from a task's file or name, not from a pool")
         if self._stage is None:
-            self._stage = EnvironmentPicture(self._instance)
+            task = self._instance.known if isinstance(self._instance, Pool) else self._instance
+            if task is None or isinstance(task, Choices | Goals):
+                raise TypeError("render: expected an environment of one task, and this pool has none to draw")
+            self._stage = EnvironmentPicture(task)
         teams = self._desk.teams
         there = np.where(teams.free()[0], teams.location[0], BASE).tolist()
         return self._stage.draw(
@@ -339,7 +344,7 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
 
     Parameters
     ----------
-    instance : str, Path or Pool
+    instance : Pool, cost-to-go, or whatever `planner.load` takes
     num_envs : int
         N, the number of teams.
     humans, beliefs, people, pool_seed, setting, population, distance, world
@@ -349,7 +354,7 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
     metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP}
 
     def __init__(
-        self, instance: str | Path | Pool, num_envs: int = 1, humans: int = 2, *, beliefs: bool = True,
+        self, instance: AnyTask | Pool, num_envs: int = 1, humans: int = 2, *, beliefs: bool = True,
         people: int | None = None, pool_seed: int | None = None, setting: Setting | None = None,
         population: Population | None = None, distance: ArrayLike | None = None, world: World = "people",
     ) -> None:  # fmt: skip

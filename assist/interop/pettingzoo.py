@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -12,6 +11,9 @@ from planner.system.errors import MissingExtraError
 from ..simulation.pool import Pool
 from ..team.state import TeamAction, TeamState
 from .gymnasium import TeamEnv
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 try:
     import gymnasium
@@ -31,8 +33,8 @@ class RobotsEnv(pettingzoo.ParallelEnv):
 
     Parameters
     ----------
-    instance : str, Path or Pool
-        The task, by its file or name, or an existing pool.
+    instance : Pool, cost-to-go, or whatever `planner.load` takes
+        The task, such as a file or a table, or an existing pool.
     humans : int
         K, the number of people.
     **options
@@ -50,7 +52,7 @@ class RobotsEnv(pettingzoo.ParallelEnv):
         "is_parallelizable": True,
     }
 
-    def __init__(self, instance: str | Path | Pool, humans: int = 2, **options: Any) -> None:
+    def __init__(self, instance: AnyTask | Pool, humans: int = 2, **options: Any) -> None:
         self._env = TeamEnv(instance, humans, **options)
         self.render_mode = self._env.render_mode
         self._robots, self._robot_actions = len(self.pool.setting.robots), self._env.actions
@@ -150,7 +152,7 @@ class RobotsEnv(pettingzoo.ParallelEnv):
         """Do nothing; the environment holds no resources."""
 
 
-def parallel_env(instance: str | Path | Pool, humans: int = 2, **options: Any) -> RobotsEnv:
+def parallel_env(instance: AnyTask | Pool, humans: int = 2, **options: Any) -> RobotsEnv:
     """Return a parallel environment with an agent for each robot of the setting.
 
     Parameters

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import load
+from planner import task_of
 
 from ..drawing.frames import Frame, draw_frames
 from ..drawing.picture import Artist
 from ..drawing.raster import png, require
+
+if TYPE_CHECKING:
+    from planner import AnyTask
 
 
 class EnvironmentPicture:
@@ -22,12 +24,11 @@ class EnvironmentPicture:
 
     Parameters
     ----------
-    instance : str or Path
-        The task, by its file or name.
+    task : cost-to-go, or whatever `planner.load` takes
     """
 
-    def __init__(self, instance: str | Path) -> None:
-        self.artist = Artist(load(instance))
+    def __init__(self, task: AnyTask) -> None:
+        self.artist = Artist(task_of(task))
 
     def draw(
         self, done: Sequence[tuple[int, str]], finished: NDArray[np.bool_], robots: Sequence[int], step: int, *,

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import load, sweep
+from planner import Table, sweep, task_of
 
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
@@ -30,6 +29,9 @@ from ..team.engine import Engine, PeopleAtWork, StepTaken
 from ..team.robots_at_work import RobotsAtWork
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 
+if TYPE_CHECKING:
+    from planner import AnyTask
+
 Ints = NDArray[np.int64]
 
 
@@ -41,7 +43,7 @@ class PoolSource:
 
     Parameters
     ----------
-    instance : str, Path or Pool
+    instance : Pool, cost-to-go, or whatever `planner.load` takes
     humans : int
         Number of people in a team.
     people, seed, setting, population, optional
@@ -56,13 +58,9 @@ class PoolSource:
     """
 
     def __init__(
-        self, instance: str | Path | Pool, humans: int, *, people: int | None, seed: int | None,
+        self, instance: AnyTask | Pool, humans: int, *, people: int | None, seed: int | None,
         setting: Setting | None, population: Population | None,
     ) -> None:  # fmt: skip
-        if not isinstance(instance, str | Path | Pool):
-            raise TypeError(
-                f"instance: expected one task, by its file or name, or a Pool, not what is a {type(instance).__name__}"
-            )
         self._options: dict[str, Any] = {"setting": setting, "population": population}
         if isinstance(instance, Pool):
             for name, value in {"people": people, "pool_seed": seed, **self._options}.items():
@@ -71,7 +69,9 @@ class PoolSource:
             self._waits, self.pool = False, instance
         else:
             self._waits, self._size = seed is None, max(12, humans) if people is None else people
-            self._table = sweep(load(instance), max_states=MAX_ENUMERATED)
+            if not isinstance(instance, Table):
+                instance = sweep(task_of(instance), max_states=MAX_ENUMERATED)
+            self._table = instance
             self.pool = self._sample(0 if seed is None else seed)
         self.pool.setting.require_questions(1)
         self.pool.setting.require_effect()

@@ -16,9 +16,11 @@ from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.results import Result
 
 from ..people.arguments import positive
-from ..people.choice_model import ChoiceModel
-from ..people.human import Population
+from ..people.choice_model import ChoiceModel, boltzmann
+from ..people.human import Human, Population
+from ..people.misconception import Misconception
 from ..people.terms import TERMS, Term
+from ..people.weighted_choice import Weighted
 from .choosing import with_model
 from .diagnostics import check
 from .evidence import Evidence, Reading, Records, Tasks, evidence
@@ -29,7 +31,7 @@ from .maximum_likelihood import maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
 from .observations import Ints
 from .person_estimate import UNCHECKED, PersonEstimate, nothing_known
-from .population import ETAS, PopulationFit, fit_population, population_of
+from .population import ETAS, Margin, PopulationFit, fit_population, population_of
 
 Model: TypeAlias = Literal["misconceptions", "terms"] | Mapping[str, Term] | ChoiceModel
 """What people's choices depend on besides cost-to-go: see `fit`."""
@@ -133,6 +135,45 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
         if self.chooses is None:
             return found
         return Population.mixed(tuple(replace(part, chooses=self.chooses) for part in found.parts), found.shares)
+
+    def humans(self, *, theta: float | None = None) -> list[Human]:
+        """Return people whose true parameters are these estimates, for `Pool.of`.
+
+        A parameter that somebody's actions do not identify is the mean of the population. Misconceptions have the
+        estimated size, and are about states drawn at random.
+
+        Parameters
+        ----------
+        theta : float, optional
+            The theta of people whose actions do not identify it, in place of the population's mean.
+
+        Raises
+        ------
+        ValueError
+            Nobody's actions identify a parameter.
+        """
+        mean: PopulationFit | None = None
+
+        def known(name: str, own: float | None) -> float:
+            nonlocal mean
+            if own is not None:
+                return own
+            mean = mean or self.distribution(progress=False)
+            margin: Margin | None = getattr(mean, name)
+            if margin is None:
+                raise ValueError("no suggestion in the log says anything about theta; expected humans(theta=0.8)")
+            return margin.mean
+
+        found = []
+        for seed, one in enumerate(self.people):
+            mistaken = one.misconception
+            sigma = 0.0 if mistaken is None else mistaken.sigma
+            chooses = Weighted(one.weights) if one.weights else self.chooses or boltzmann
+            beta = one.beta if mistaken is None else mistaken.beta
+            mistaken_about = Misconception(sigma, seed)
+            its = known("beta", beta), known("theta", theta if one.theta is None else one.theta)
+            found.append(Human(*its, sigma, mistaken_about, chooses, one.person))
+        return found
 
     @property
     def sigma(self) -> tuple[float, float]:

@@ -26,6 +26,9 @@ from .misconception import Misconception, Noise
 from .user_code import UserChoiceModel, function_beside, parse
 from .weighted_choice import Weighted
 
+NO_MISCONCEPTION = Misconception(0.0, 0)
+"""That of somebody who knows the true cost-to-go."""
+
 
 @dataclass(frozen=True)
 class Human:
@@ -41,16 +44,24 @@ class Human:
         Standard deviation of the misconception, in cost units.
     h : float array, shape (n,) or (n, A), or Misconception
         Perceived cost-to-go of each state, or after each choice; or the misconception from which it follows in any
-        part of a task.
+        part of a task. By default the person knows the true one.
     chooses : ChoiceModel
         Choice model; by default the paper's.
+    name : str, optional
+        What the person is called in pools and results.
+
+    Raises
+    ------
+    ValueError
+        A parameter is out of its range, or there is a sigma without a misconception.
     """
 
     beta: float
     theta: float
-    sigma: float
-    h: Floats | Misconception
+    sigma: float = 0.0
+    h: Floats | Misconception = NO_MISCONCEPTION
     chooses: ChoiceModel = boltzmann
+    name: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("beta", "theta", "sigma"):
@@ -60,6 +71,8 @@ class Human:
                 f"beta {self.beta:g}, theta {self.theta:g}, sigma {self.sigma:g}: expected beta and sigma from 0 to "
                 f"{MOST:g}, and theta from 0 to 1"
             )
+        if self.sigma > 0 and self.h is NO_MISCONCEPTION:
+            raise ValueError(f"sigma {self.sigma:g}: expected h, too, such as Misconception({self.sigma:g}, seed=1)")
         if not isinstance(self.h, Misconception):
             h = frozen(np.asarray(self.h, dtype=float))
             if h.ndim not in (1, 2) or np.isnan(h).any():

@@ -251,7 +251,7 @@ def compare(
     pool: Pool | Mapping[Any, Pool],
     policies: Iterable[str | TeamPolicy] | Mapping[str, str | TeamPolicy] | str | TeamPolicy,
     *,
-    humans: int | Iterable[int] = 3,
+    humans: int | Iterable[int] | Iterable[str] = 3,
     episodes: int = 500,
     seed: Seed = 0,
     baseline: str | None = None,
@@ -271,8 +271,8 @@ def compare(
         People and robot. With several pools, such as one for each population, a key is a condition.
     policies : one or more policies, or a mapping of names to policies
         Names of `assist.team.policies.POLICIES`, or callables; the latter have their own names unless given.
-    humans : int or iterable of int
-        Number of people in a team, one or several. Teams are drawn from the pool.
+    humans : int, iterable of int, or of str
+        Number of people in a team, one or several. Teams are drawn from the pool. Names are those of one team.
     episodes : int
         Number of episodes of each policy under each condition.
     seed : int or Generator
@@ -316,7 +316,7 @@ def compare(
     named = by_name(policies)
     if not named:
         raise ValueError("policies: expected at least one")
-    sizes = [whole("humans", one, 1) for one in ([humans] if np.ndim(humans) == 0 else list(humans))]  # type: ignore[arg-type]
+    teams = _teams(humans)
     base = baseline or ("none" if "none" in named else next(iter(named)))
     if base not in named:
         raise ValueError(f"baseline {base!r}; {expected(base, list(named))}")
@@ -324,19 +324,20 @@ def compare(
         raise ValueError(f"level {level}: expected a number between 0 and 1")
     count, seed_number = whole("episodes", episodes, 1), entropy(seed)
     limit = None if time_limit is None else positive("time_limit", time_limit)
-    conditions = [(key, one, size) for key, one in pools.items() for size in sizes]
+    conditions = [(key, one, team) for key, one in pools.items() for team in teams]
     rows: list[ComparedPolicy] = []
-    for done, (key, one, size) in enumerate(conditions):
+    for done, (key, one, team) in enumerate(conditions):
         share = None if limit is None else limit / len(conditions) / (1 + certified)
         tell = partial(_told, progress, f" ({done + 1} of {len(conditions)} conditions)" * (len(conditions) > 1))
-        run = partial(simulate, one, humans=size, seed=seed_number, jobs=jobs, **options)
+        run = partial(simulate, one, humans=team, seed=seed_number, jobs=jobs, **options)
         runs = _runs(run, named, count, share, tell)
         gaps: dict[str, Certificate] = {}
         if certified:
             from ..certify.comparison import certify  # which a comparison without bounds need not compile
 
+            them = range(team) if isinstance(team, int) else team
             _, found = certify(
-                one, named, team=range(size), episodes=max(count, 2), seed=seed_number, time_limit=share, progress=tell
+                one, named, team=them, episodes=max(count, 2), seed=seed_number, time_limit=share, progress=tell
             )
             gaps = {certificate.policy: certificate for certificate in found}
         rows += [
@@ -344,6 +345,16 @@ def compare(
             for name, run in runs.items()
         ]
     return PolicyComparison(tuple(rows), base, varied, level)
+
+
+def _teams(humans: int | Iterable[int] | Iterable[str]) -> list[int | list[str]]:
+    """Return the number of people of each team, or the names of those of the only one."""
+    if isinstance(humans, str):
+        raise TypeError(f"humans {humans!r}: expected a number, numbers, or a list of names")
+    given = [humans] if np.ndim(humans) == 0 else list(humans)  # type: ignore[arg-type]
+    if any(isinstance(one, str) for one in given):
+        return [given]  # type: ignore[list-item]
+    return [whole("humans", one, 1) for one in given]
 
 
 def _pools(pool: Pool | Mapping[Any, Pool], varied: str, settings: Mapping[str, Any]) -> tuple[dict[Any, Pool], str]:

@@ -17,6 +17,7 @@ from planner.system.results import Result
 
 from ..live.trace_reasons import TraceReasons
 from ..people.arguments import Seed, entropy, whole
+from ..people.choices import Choices
 from ..people.decision import Floats
 from ..person.policy import Policy
 from ..simulation.episode import Episode
@@ -29,8 +30,6 @@ from ..team.state import TeamAction, TeamPolicy, TeamState
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from planner import AnyTask, CostToGo
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,8 +108,8 @@ class _Watching:
 
 
 def watch(
-    pool: Pool, policy: str | TeamPolicy = "attention", *, humans: int | Sequence[int] = 3, episode: int = 0,
-    seed: Seed = 0, task: CostToGo | AnyTask | None = None, **options: Any,
+    pool: Pool, policy: str | TeamPolicy = "attention", *, humans: int | Sequence[str] | Sequence[int] = 3,
+    episode: int = 0, seed: Seed = 0, **options: Any,
 ) -> WatchedEpisode:  # fmt: skip
     """Simulate one episode, and return what the robot expected, did and gave as reasons.
 
@@ -119,13 +118,11 @@ def watch(
     pool : Pool
     policy : str or callable
         A team policy, or the name of one.
-    humans : int, or sequence of int
-        Number of people, or their places in the pool from 0.
+    humans : int, or sequence of str or int
+        Number of people, their names, or their places in the pool from 0.
     episode : int
         Number of the episode; that of `simulate` with the same arguments.
     seed : int or Generator
-    task : CostToGo, or whatever `planner.load` takes, optional
-        The people's task, for reasons in the words of the domain; in PDDL unless given.
     **options
         Further arguments of `simulate`, such as `travel` or `world`.
 
@@ -136,14 +133,12 @@ def watch(
     ValueError
         A parameter is out of its range.
     """
-    from planner import known_costs
-
     require_pool(pool)
     number, seed_number = whole("episode", episode), entropy(seed)
     ((name, given),) = by_name(policy).items()
     chosen = pool.policy(given) if isinstance(given, str) else given
     watching, trace, alone = _Watching(chosen), Trace(), Trace()
-    reasons = TraceReasons(pool.policies, None if task is None else known_costs(task))
+    reasons = TraceReasons(pool.policies, None if isinstance(pool.known, Choices) else pool.known)
     shared: dict[str, Any] = {"humans": humans, "episodes": [number], "seed": seed_number, **options}
     runs = simulate(pool, watching, name=name, trace=trace, reasons=reasons, progress=False, **shared)
     simulate(pool, "none", trace=alone, progress=False, **shared)

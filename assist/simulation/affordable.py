@@ -9,15 +9,14 @@ from planner import LimitError, Table
 from ..people.arguments import require_goal
 from ..people.choices import Choices
 from ..people.goals import Goals, each_of, first_of
-from ..people.human import Population
 from ..people.memory import choices_of
 from ..person.memory_needed import ONE_FOR_ALL, policy_bytes, require_room
 from ..person.settings import Setting
 
 
 def affordable_choices(
-    table: Table | Goals | Choices, setting: Setting, population: Population, prior: Population,
-    size: int, memory_limit_mb: float, *, required: bool,
+    table: Table | Goals | Choices, setting: Setting, terms: Sequence[str], size: int, memory_limit_mb: float, *,
+    required: bool,
 ) -> Choices | None:  # fmt: skip
     """Return the choices in an enumerated task, with the memory of people whose choices have terms.
 
@@ -27,8 +26,8 @@ def affordable_choices(
     ----------
     table : Table, Goals or Choices
     setting : Setting
-    population, prior : Population
-        From which people are drawn, and the robot's prior.
+    terms : sequence of str
+        Terms of people's choices, and of the robot's prior.
     size : int
         Number of people.
     memory_limit_mb : float
@@ -44,7 +43,7 @@ def affordable_choices(
         The goal is unreachable.
     """
     try:
-        choices = _choices(table, setting, (*population.weights, *prior.weights), size, memory_limit_mb)
+        choices = _choices(table, setting, terms, size, memory_limit_mb)
     except LimitError:
         if required or not isinstance(table, Goals):
             raise

@@ -72,7 +72,7 @@ def episode_of(episodes: Any, row: int) -> Episode:
     names = [field.name for field in fields(Episode) if field.name not in ("policy", "people")]
     own: dict[str, Any] = {name: getattr(episodes, name)[row].tolist() for name in names}
     own = {name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
-    return Episode(episodes.policy, people=tuple(f"human-{number + 1}" for number in episodes.people[row]), **own)
+    return Episode(episodes.policy, people=tuple(episodes.names[number] for number in episodes.people[row]), **own)
 
 
 def to_frame(episodes: Any) -> Any:
@@ -89,7 +89,7 @@ def to_frame(episodes: Any) -> Any:
         {
             "policy": episodes.policy,
             "episode": episodes.episode.repeat(people),
-            "person": [f"human-{one + 1}" for one in episodes.people.ravel().tolist()],
+            "person": [episodes.names[one] for one in episodes.people.ravel().tolist()],
             **{column: getattr(episodes, name).ravel() for column, name in own.items()},
             **{name: getattr(episodes, name).repeat(people) for name in whole},
         },

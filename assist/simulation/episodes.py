@@ -26,7 +26,9 @@ class Episodes(Result):
     policy : str
     episode : int array, shape (N,)
     people : int array, shape (N, K)
-        Numbers in the pool.
+        Places in the pool, from 0.
+    names : tuple of str
+        What each person of the pool is called.
     beta, theta, sigma : float arrays, shape (N, K)
         True parameters; theta is that at the beginning.
     actions, costs : int and float arrays, shape (N, K)
@@ -52,6 +54,7 @@ class Episodes(Result):
     policy: str
     episode: NDArray[np.int64]
     people: NDArray[np.int64]
+    names: tuple[str, ...]
     beta: Floats
     theta: Floats
     sigma: Floats
@@ -77,9 +80,9 @@ class Episodes(Result):
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
         """Return the union of episodes of one policy."""
         names = [field.name for field in fields(cls) if getattr(parts[0], field.name) is not None]
-        names = [name for name in names if name not in ("policy", "c_suggest_too_high")]
+        names = [name for name in names if name not in ("policy", "names", "c_suggest_too_high")]
         arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-        return cls(parts[0].policy, **arrays)
+        return cls(parts[0].policy, names=parts[0].names, **arrays)
 
     def summary(self) -> Summary:
         """Return means and their standard errors."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo, known_costs
 from planner.system.arrays import frozen
+from planner.system.errors import expected
 from planner.system.progress import Progress, Wanted, adding, shows_progress
 from planner.system.results import Result, same
 
@@ -54,6 +56,27 @@ def require_pool(pool: object) -> None:
         raise TypeError(f"pool: expected people at a task, a Pool, not what is a {found}; {example} is one")
 
 
+@runtime_checkable
+class Estimated(Protocol):
+    """People whose parameters were estimated, such as `assist.learning.FittedPeople`."""
+
+    def humans(self) -> list[Human]:
+        """Return people whose true parameters are the estimates."""
+        ...
+
+    def population(self) -> Population:
+        """Return the population from which they may have been drawn."""
+        ...
+
+
+def _all_human(people: Iterable[Any]) -> Iterator[Human]:
+    """Yield people, each of whom is checked."""
+    for human in people:
+        if not isinstance(human, Human):
+            raise TypeError(f"people: expected Human(beta, theta) for each, not what is a {type(human).__name__}")
+        yield human
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Pool(Result):
     """The people from whom teams are drawn, with the robot's policy for each of them.
@@ -68,7 +91,9 @@ class Pool(Result):
     model : int array, shape (people,)
         Index of each person's policy.
     again : callable, optional
-        Draws the same people with another setting; None unless `sample` made the pool.
+        Returns the same people with another setting; None unless `sample` or `of` made the pool.
+    known : CostToGo, Choices or Goals, optional
+        People's task as `sample` or `of` had it.
 
     Raises
     ------
@@ -81,6 +106,7 @@ class Pool(Result):
     policies: tuple[Policy, ...]
     model: NDArray[np.int64]
     again: Callable[..., Pool] | None = field(default=None, repr=False)
+    known: CostToGo | Choices | Goals | None = field(default=None, repr=False)
 
     def __eq__(self, other: object) -> bool:
         """Whether both have the same people and problems, solved or not."""
@@ -91,18 +117,47 @@ class Pool(Result):
         return same(known, given) and same(problems, others)
 
     def __repr__(self) -> str:
-        return f"<Pool of {len(self.people)} people, {len(self.policies)} policies: {self.setting.knowledge} knowledge>"
+        shown = ", ".join(self.names[:3]) + ", ..." * (len(self.people) > 3)
+        knows = "each person's misconceptions" if self.setting.knowledge == "own" else "nobody's misconceptions"
+        return f"<Pool of {len(self.people)} people: {shown}; the robot knows {knows}>"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What people are called; those without a name are human-1, human-2, ... by their place in the pool."""
+        return tuple(one.name or f"human-{number}" for number, one in enumerate(self.people, 1))
+
+    def numbers(self, team: ArrayLike) -> NDArray[np.int64]:
+        """Return the places in the pool, from 0, of people given by name or by place, in an array of any shape.
+
+        Raises
+        ------
+        ValueError
+            Somebody is not in the pool.
+        """
+        given = np.asarray(team)
+        if given.dtype.kind in "UO" and all(isinstance(one, str) for one in given.ravel()):
+            for one in given.ravel().tolist():
+                if one not in self.names:
+                    raise ValueError(f"person {one!r}; {expected(one, self.names)}")
+            return np.vectorize(self.names.index, otypes=[np.int64])(given)
+        if given.dtype.kind not in "iu" or not given.size or given.min() < 0 or given.max() >= len(self.people):
+            most = len(self.people) - 1
+            raise ValueError(f"team {given.tolist()}: expected names of people, or their numbers from 0 to {most}")
+        return given.astype(np.int64)
 
     def records(self) -> list[dict[str, Any]]:
-        """Return a row for each person: `beta` (per cost unit), `theta`, `sigma` (cost units) and weights of terms."""
+        """Return a row for each person: name, `beta` (per cost unit), `theta`, `sigma` (cost units) and weights."""
         return [
-            {"person": number + 1, "beta": one.beta, "theta": one.theta, "sigma": one.sigma, **one.weights}
-            for number, one in enumerate(self.people)
+            {"person": name, "beta": one.beta, "theta": one.theta, "sigma": one.sigma, **one.weights}
+            for name, one in zip(self.names, self.people, strict=True)
         ]
 
     def __post_init__(self) -> None:
         if not self.people or self.model.shape != (len(self.people),):
             raise ValueError(f"{len(self.people)} people, model {self.model.shape}: expected one entry for each person")
+        twice = [name for name, count in Counter(self.names).items() if count > 1]
+        if twice:
+            raise ValueError(f"two people are called {twice[0]}; expected a name for each")
         if self.model.min() < 0 or self.model.max() >= len(self.policies):
             raise ValueError(f"model: expected numbers from 0 to {len(self.policies) - 1}")
         shapes = {policy.pomdp.grid.shape for policy in self.policies}
@@ -119,10 +174,10 @@ class Pool(Result):
         for number, human in enumerate(self.people):
             if isinstance(human.h, Misconception):
                 continue
-            expected = human.expects(self.choices(number))
-            if len(expected) != len(self.choices(number)):
+            perceived = human.expects(self.choices(number))
+            if len(perceived) != len(self.choices(number)):
                 raise ValueError(
-                    f"person {number}: perceived costs-to-go of {len(expected)} states, and the task has "
+                    f"person {number}: perceived costs-to-go of {len(perceived)} states, and the task has "
                     f"{len(self.choices(number))}"
                 )
         object.__setattr__(self, "model", frozen(self.model))
@@ -187,23 +242,81 @@ class Pool(Result):
         LimitError
             The policies would exceed the memory limit.
         """
+        population = population or Population()
+        size = whole("size", size, 1)
+        return cls._at(
+            table, partial(_drawn, population, size, entropy(seed)), size, tuple(population.weights), setting,
+            prior=prior or population, solver=solver, memory_limit_mb=memory_limit_mb, states=states, region=region,
+            progress=progress,
+        )  # fmt: skip
+
+    @classmethod
+    @shows_progress
+    def of(
+        cls,
+        table: CostToGo | Choices | Goals | AnyTask,
+        people: Iterable[Human] | Mapping[str, Human] | Estimated,
+        *,
+        setting: Setting | None = None,
+        prior: Population | None = None,
+        solver: Callable[[AssistPOMDP], Policy] = qmdp,
+        memory_limit_mb: float = MEMORY_LIMIT_MB,
+        states: int = WHOLE,
+        region: int | None = None,
+        progress: Wanted = None,
+    ) -> Pool:
+        """Return certain people at a task, such as those of a log, and build the POMDP of each.
+
+        Parameters
+        ----------
+        table
+            As in `sample`.
+        people : iterable of Human, mapping of names to Human, or FittedPeople
+            People as they are in truth, such as `{"ann": Human(beta=1.2, theta=0.7)}`; or what `fit` returned, whose
+            estimates are then taken for the truth (`FittedPeople.humans`).
+        prior : Population, optional
+            The robot's prior; by default the paper's, or the population of fitted people.
+        setting, solver, memory_limit_mb, states, region, progress
+            As in `sample`.
+
+        Raises
+        ------
+        TypeError
+            `people` is something else.
+        ValueError, LimitError
+            As in `sample`; or two people have one name.
+        """
+        if isinstance(people, Estimated):
+            prior, people = prior or people.population(), people.humans()
+        if isinstance(people, Mapping):
+            every = zip(people, _all_human(people.values()), strict=True)
+            people = [replace(human, name=name) for name, human in every]
+        them = list(_all_human(people))
+        terms = tuple(dict.fromkeys(name for human in them for name in human.weights))
+        return cls._at(
+            table, partial(_given, them), whole("number of people", len(them), 1), terms, setting,
+            prior=prior or Population(), solver=solver, memory_limit_mb=memory_limit_mb, states=states, region=region,
+            progress=progress,
+        )  # fmt: skip
+
+    @classmethod
+    @shows_progress
+    def _at(
+        cls, table: CostToGo | Choices | Goals | AnyTask, drawn: Callable[[Choices | None], Sequence[Human]], size: int,
+        weights: tuple[str, ...], setting: Setting | None, *, prior: Population, progress: Wanted = None, **how: Any,
+    ) -> Pool:  # fmt: skip
+        """Return people at a task; `drawn` returns them for its choices, or for any part of it."""
         assert callable(progress)
         table = table if isinstance(table, Choices | Goals) else known_costs(table)
-        size, states = whole("size", size, 1), whole("states", states)
-        region = None if region is None else whole("region", region, 1)
         setting = setting or Setting()
-        population = population or Population()
-        prior = prior or population
-        number_of_seed = entropy(seed)
-        again = partial(
-            cls.sample, table, size, seed=number_of_seed, population=population, prior=prior, solver=solver,
-            memory_limit_mb=memory_limit_mb, states=states, region=region,
-        )  # fmt: skip
-        rng = np.random.default_rng(np.random.SeedSequence(number_of_seed, spawn_key=(0,)))
-        if isinstance(table, Goals) and (population.weights or prior.weights):
+        again = partial(cls._at, table, drawn, size, weights, prior=prior, **how)
+        terms = (*weights, *prior.weights)
+        solver, limit, region = how["solver"], how["memory_limit_mb"], how["region"]
+        states, region = whole("states", how["states"]), None if region is None else whole("region", region, 1)
+        if isinstance(table, Goals) and terms:
             raise ValueError("people with weights of terms: expected one goal")
         needed = {
-            "weights": population.weights or prior.weights,
+            "weights": terms,
             "execute": setting.fleet.executes,
             "solver": solver != qmdp,
             "observation": isinstance(table, Goals) and setting.observation is not None,
@@ -212,11 +325,9 @@ class Pool(Result):
         choices: Choices | None = None
         asks = isinstance(table, Goals) and setting.c_ask is not None  # worth of answers: exact where it is affordable
         if isinstance(table, Choices) or is_whole(table, MAX_ENUMERATED if asks or any(needed.values()) else states):
-            choices = affordable_choices(
-                table, setting, population, prior, size, memory_limit_mb, required=any(needed.values())
-            )
+            choices = affordable_choices(table, setting, terms, size, limit, required=any(needed.values()))
         if choices is not None:
-            people = population.sample(choices, size, rng)
+            people = drawn(choices)
             policies = _enumerated(choices, people, setting, prior, solver, progress)
         else:
             assert not isinstance(table, Choices)
@@ -224,16 +335,16 @@ class Pool(Result):
                 if given:
                     raise ValueError(f"{name}: expected an enumerated task, of at most {MAX_ENUMERATED:,} states")
             require_goal(float(costs_to_go(table, np.array([first_of(table).initial])).min()))
-            require_room_for_people(size, 0, memory_limit_mb)
-            people = population.sample(None, size, rng)
+            require_room_for_people(size, 0, limit)
+            people = drawn(None)
             models = size if setting.knowledge == "own" else 1
-            room = states_within(memory_limit_mb, len(each_of(table)), models)
+            room = states_within(limit, len(each_of(table)), models)
             ground = SharedTask(table, region or min(default_size(table), room), models)
             policies = [of_task := TruncatedPolicy(ground, setting.assumptions(None, prior))]
             if setting.knowledge == "own":
                 policies = [TruncatedPolicy(ground, setting.assumptions(one, prior), of_task) for one in people]
         number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
-        return cls(setting, tuple(people), tuple(policies), number, again)
+        return cls(setting, tuple(people), tuple(policies), number, again, table)
 
     def under(self, setting: Setting) -> Pool:
         """Return the same people at the same task, with another setting of the robot.
@@ -245,11 +356,11 @@ class Pool(Result):
         Raises
         ------
         ValueError
-            The pool is not one of `sample`.
+            The pool is not one of `sample` or `of`.
         """
         if self.again is None:
-            raise ValueError("another setting: expected a pool of Pool.sample, which knows how its people were drawn")
-        return self.again(setting=setting)
+            raise ValueError("another setting: expected a pool of Pool.sample or Pool.of, which know the task")
+        return self.again(setting)
 
     @classmethod
     def joined(cls, pools: Sequence[Pool]) -> Pool:
@@ -283,6 +394,16 @@ class Pool(Result):
             self.setting.require_all_seen("policy 'rollout'")
         # All distances are equal, so that travel between two places has the same costs as between more.
         return named(name, self.policies, travel or self.setting.travel(2), solver)
+
+
+def _drawn(population: Population, size: int, seed: int, choices: Choices | None) -> list[Human]:
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+    return population.sample(choices, size, rng)
+
+
+def _given(people: list[Human], choices: Choices | None) -> list[Human]:
+    del choices
+    return people
 
 
 def _enumerated(

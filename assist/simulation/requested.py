@@ -48,19 +48,18 @@ def number_of(episodes: ArrayLike) -> int:
     return np.size(episodes)
 
 
-def team_of(humans: ArrayLike, size: int, episodes: int) -> tuple[int, NDArray[np.int64] | None]:
+def team_of(pool: Pool, humans: ArrayLike, episodes: int) -> tuple[int, NDArray[np.int64] | None]:
     """Return the number of places of a team and, if they are given, the people at each."""
+    size = len(pool.people)
     if np.ndim(humans) == 0:
         places = whole("humans", humans, 1)
         if places > size:
             raise ValueError(f"{places} people per team: expected 1 to {size}, the size of the pool")
         return places, None
-    team = np.asarray(humans)
-    if team.dtype.kind not in "iu" or not team.size or team.min() < 0 or team.max() >= size:
-        raise ValueError(f"team {team.tolist()}: expected numbers of the pool, from 0 to {size - 1}")
+    team = pool.numbers(humans)
     if team.ndim > 2 or (team.ndim == 2 and len(team) != episodes):
         raise ValueError(f"teams, shape {team.shape}: expected one row for each of {episodes} episodes")
-    return team.shape[-1], team.astype(np.int64)
+    return team.shape[-1], team
 
 
 def require_room_for_episodes(count: int, places: int, limit_mb: float) -> None:

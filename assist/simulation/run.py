@@ -138,7 +138,7 @@ class Simulation:
                 watcher.took(engine, taken)
         finished = engine.people.finished
         return Episodes(
-            policy=self.name, episode=numbers, people=people, beta=began.beta, theta=first_theta,
+            policy=self.name, episode=numbers, people=people, names=pool.names, beta=began.beta, theta=first_theta,
             sigma=np.array([human.sigma for human in pool.people])[people], actions=tally.actions, costs=tally.costs,
             finished=finished, helped=tally.helped, executed=tally.executed,
             interventions=tally.helped.sum(axis=1), moves=tally.moves, steps=tally.steps,

@@ -73,9 +73,9 @@ def simulate(
     pool : Pool
     policy : str or callable
         A team policy, or the name of one (`assist.team.policies.POLICIES`).
-    humans : int, or int array, shape (K,) or (N, K)
-        Number of people per team, drawn from the pool without replacement. An array holds the person at each place, in
-        all episodes or in each.
+    humans : int, or array of names or int, shape (K,) or (N, K)
+        Number of people per team, drawn from the pool without replacement. Or the person at each place, in all episodes
+        or in each, by name (`Pool.names`) or by place in the pool from 0.
     episodes : int or sequence of int
         Number of episodes, or their numbers.
     seed : int or Generator
@@ -124,7 +124,7 @@ def simulate(
     require_pool(pool)
     require_possible(pool, world, goals)
     count = number_of(episodes)
-    places, given = team_of(humans, len(pool.people), count)
+    places, given = team_of(pool, humans, count)
     require_room_for_episodes(count, places, memory_limit_mb)
     numbers = np.arange(count) if np.ndim(episodes) == 0 else wholes("episodes", episodes)
     teams = None if given is None else np.broadcast_to(given, (count, places))

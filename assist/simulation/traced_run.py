@@ -38,6 +38,7 @@ class Tracer:
 
     def __init__(self, pool: Pool, name: str, numbers: NDArray[np.int64], reasons: Reasons | None) -> None:
         self.pool, self.name, self.numbers, self.reasons = pool, name, numbers, reasons
+        self.names = pool.names
         self.traces, self.said = [Trace() for _ in numbers], dict[tuple[int, int], dict[str, Any]]()
 
     def decided(self, engine: Engine, team: TeamState, action: TeamAction, teams: NDArray[np.int64]) -> None:
@@ -47,7 +48,7 @@ class Tracer:
         for row, number in np.argwhere(action.robot > 0).tolist():
             k, robot, e = int(action.person[row, number]), int(action.robot[row, number]), int(teams[row])
             if team.policies[team.model[row, k]].pomdp.suggested[team.x[row, k], robot] != NOTHING:
-                names = [f"human-{one + 1}" for one in engine.people.number[e].tolist()]
+                names = [self.names[one] for one in engine.people.number[e].tolist()]
                 reason = self.reasons(team, row, k, robot, number=number, names=names, rule=self.name)
                 self.said.setdefault((e, k), {})["explanation"] = reason
 
@@ -74,7 +75,7 @@ class Tracer:
                 for where, until in zip(location[e].tolist(), busy_until[e].tolist(), strict=True)
             ]
             row = {
-                "person": f"human-{people.number[e, k] + 1}",
+                "person": self.names[people.number[e, k]],
                 "episode": f"{self.name}-{self.numbers[e]}",
                 "step": step,
                 "action": choices.name(place, slot) if slot >= 0 else None,

@@ -46,4 +46,5 @@ def union(pools: Sequence[P]) -> P:
         policies=tuple(policy for pool in pools for policy in pool.policies),
         model=np.concatenate([pool.model + offset for pool, offset in zip(pools, offsets, strict=True)]),
         again=None,
+        known=None,
     )

@@ -464,11 +464,7 @@ def test_environments_refuse_what_has_no_effect(tiny: Table) -> None:
         ({"setting": Setting(ask_error=0.1)}, ValueError, "ask_error 0.1 has no effect without c_ask; expected 0"),
         ({"setting": Setting(c_execute=2)}, ValueError, "c_execute 2 has no effect without robots that execute"),
         ({"setting": Setting(trust="constant", eta=0.5)}, ValueError, "eta 0.5 has no effect without trust 'paper'"),
-        (
-            {"instance": [TINY, TINY]},
-            TypeError,
-            "expected one task, by its file or name, or a Pool, not what is a list",
-        ),
+        ({"instance": [TINY, TINY]}, TypeError, "a list where a task was expected: its name, such as 'kitting/tiny'"),
         ({"instance": pool, "people": 3}, ValueError, "people has no effect with a pool, which has its own"),
         ({"instance": pool, "pool_seed": 0}, ValueError, "pool_seed has no effect with a pool"),
         ({"instance": pool, "setting": Setting()}, ValueError, "setting has no effect with a pool"),

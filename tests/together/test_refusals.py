@@ -215,8 +215,8 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         gymnasium.error.ResetNeeded, "expected reset before it",
     ),
     "drawing of a pool": (
-        lambda g: TeamEnv(g.pool, render_mode="rgb_array").render(),
-        TypeError, "expected an environment made from a task's file or name, not from a pool",
+        lambda g: TeamEnv(replace(g.pool, known=None), render_mode="rgb_array").render(),
+        TypeError, "expected an environment of one task, and this pool has none to draw",
     ),
     "team around a state": (
         lambda g: Teams(Pool.sample(g.table, 2, seed=0, states=5), 1, 2), ValueError, "an enumerated task",

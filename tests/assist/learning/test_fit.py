@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -21,8 +22,9 @@ from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, observed, people_at_work, write_log
 from scipy.stats import kstest
 
+from assist import Pool, fit, simulate
 from assist.cli import main
-from assist.learning import misconception_fit
+from assist.learning import Log, misconception_fit
 from assist.learning.diagnostics import calibrate, check
 from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import log_likelihood
@@ -482,3 +484,22 @@ def test_a_task_without_a_way_to_the_goal(tmp_path: Path) -> None:
 def test_what_is_no_population_is_refused(bad: object) -> None:
     with pytest.raises(ValueError, match="expected"):
         mixture(bad)  # type: ignore[arg-type]
+
+
+def test_fitted_people_are_at_work_in_a_simulation(tiny: Table) -> None:
+    """Under their names, with their own estimates; what somebody's actions do not say is the population's mean."""
+    actions = ["fetch box-a", "place hammer slot-2", "remove hammer slot-2", "place hammer slot-1", "return box-a"]
+    rows = [{"person": who, "episode": "1", "step": n, "action": a} for who in ("ann", "ben")
+            for n, a in enumerate(actions)]  # fmt: skip
+    alone = fit(tiny, Log.of(rows))
+    with pytest.raises(ValueError, match=re.escape("theta; expected humans(theta=0.8)")):
+        alone.humans()
+    assert [one.theta for one in alone.humans(theta=0.6)] == [0.6, 0.6]
+    rows[1]["suggestion"] = "place hammer slot-1"
+    found = fit(tiny, Log.of(rows))
+    pool = Pool.of(tiny, found)
+    assert pool.names == ("ann", "ben")
+    ann, ben = pool.people
+    assert (ann.beta, ann.theta) == (found["ann"].beta, found["ann"].theta)
+    assert ben.theta == found.distribution().theta.mean  # type: ignore[union-attr]
+    assert simulate(pool, "attention", humans=["ben", "ann"], episodes=2, seed=0)[0].people == ("ben", "ann")

@@ -7,7 +7,8 @@ import pickle
 import numpy as np
 import pytest
 
-from assist import Pool, simulate, watch
+from assist import Pool, compare, simulate, watch
+from assist.people import Human
 from assist.person import Setting
 from assist.reports import WatchedEpisode
 from assist.team import TeamAction, TeamState
@@ -20,7 +21,7 @@ def pool() -> Pool:
 
 @pytest.fixture(scope="module")
 def watched(pool: Pool) -> WatchedEpisode:
-    return watch(pool, humans=3, episode=2, seed=5, task="kitting/tiny")
+    return watch(pool, humans=3, episode=2, seed=5)
 
 
 def test_the_episode_is_that_of_simulate(pool: Pool, watched: WatchedEpisode) -> None:
@@ -50,6 +51,24 @@ def test_it_is_a_table_with_reasons_and_a_figure(watched: WatchedEpisode) -> Non
     assert frame.robot_here[frame.suggestion.notna()].all()
     assert [axis.get_title(loc="left") for axis in watched.figure().axes[::2]] == list(watched.episode.people)
     assert repr(watched).startswith("<episode 2 of human-")
+
+
+def test_people_have_their_names() -> None:
+    people = {"Ann": Human(0.4, 0.8), "Ben": Human(0.5, 0.7), "Cem": Human(2.0, 0.9)}
+    pool = Pool.of("kitting/tiny", people, setting=Setting(c_suggest=0.1, c_move=0.1))
+    watched = watch(pool, humans=["Cem", "Ann"], seed=1)
+    assert watched.episode.people == ("Cem", "Ann")
+    assert watched.episode.beta == (2.0, 0.4)
+    assert set(watched.to_frame().person) == {"Cem", "Ann"}
+    run = simulate(pool, "none", humans=["Ann", "Cem"], episodes=2, seed=1)
+    assert run.to_frame().person.tolist() == ["Ann", "Cem"] * 2
+    assert compare(pool, ["none", "attention"], humans=["Ann", "Cem"], episodes=2)[0].humans == 2
+    assert pool.to_frame().person.tolist() == list(people)
+    assert "Ann, Ben, Cem" in repr(pool)
+    with pytest.raises(ValueError, match="person 'Bn'; did you mean 'Ben'"):
+        simulate(pool, "none", humans=["Bn"], episodes=1, seed=0)
+    with pytest.raises(TypeError, match="humans 'Ann': expected a number, numbers, or a list of names"):
+        compare(pool, ["none"], humans="Ann")  # type: ignore[arg-type]
 
 
 def test_a_policy_of_ones_own_is_watched_as_well(pool: Pool) -> None:

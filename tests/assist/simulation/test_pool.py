@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -13,7 +14,7 @@ from teams import reachable, run
 
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
-from assist.people.human import Population
+from assist.people.human import Human, Population
 from assist.person.observation_model import ObservationModel
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
@@ -229,3 +230,27 @@ def test_pools_with_other_rates_of_trust_are_joined(tiny: Table) -> None:
         alone, both = (simulate(pool, "attention", humans=[who], episodes=20, seed=3)
                        for pool, who in ((quick, 0), (Pool.joined(pools), person)))  # fmt: skip
         np.testing.assert_array_equal(alone.discounted_return, both.discounted_return)
+
+
+def test_given_people_are_at_a_task_under_any_setting(tiny: Table) -> None:
+    drawn = Pool.sample(tiny, 3, seed=1)
+    same = Pool.of(tiny, drawn.people, prior=Population())
+    for setting in (drawn.setting, Setting(c_suggest=0.1)):
+        one, other = drawn.under(setting), same.under(setting)
+        assert one == other == pickle.loads(pickle.dumps(other))
+        assert simulate(one, "attention", humans=2, episodes=3, seed=2) == simulate(
+            other, "attention", humans=2, episodes=3, seed=2
+        )
+
+
+@pytest.mark.parametrize(
+    ("people", "error", "words"),
+    [
+        ([1.0], TypeError, "expected Human(beta, theta) for each, not what is a float"),
+        ([], ValueError, "number of people 0: expected a whole number of 1 or more"),
+        ([Human(1, 0.5, name="ann")] * 2, ValueError, "two people are called ann; expected a name for each"),
+    ],
+)
+def test_people_who_cannot_be(people: Any, error: type[Exception], words: str, tiny: Table) -> None:
+    with pytest.raises(error, match=re.escape(words)):
+        Pool.of(tiny, people)
