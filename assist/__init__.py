@@ -22,6 +22,6 @@ cli          the command `kitassist`, a file for each of its commands
 This package exports what most users need; each folder exports the rest.
 """
 
-from planner.system.lazy_imports import lazy_exports
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

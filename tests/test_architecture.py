@@ -18,7 +18,7 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": """lazy_imports errors arrays results files resumable machine processes threads signs progress
+    "planner.system": """errors arrays results files resumable machine processes threads signs progress
         compiling jit limits workers pictures""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
@@ -221,7 +221,7 @@ PACKAGES = ["planner", "assist", *(room for room in ROOMS if re.fullmatch(r"assi
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_package_only_hands_on(package: str) -> None:
     tree = ast.parse((ROOT / package.replace(".", "/") / "__init__.py").read_text()).body
-    expected = "__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)"
+    expected = "__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)"
     assert [type(node).__name__ for node in tree] == ["Expr", "ImportFrom", "Assign"]
     assert ast.unparse(tree[2]) == ast.unparse(ast.parse(expected))
     names = handed_on(package)

@@ -4,6 +4,6 @@ A class is declared with `declared`. From its fields follow the check of values,
 records (`plain`), tables of TOML files with the line of a fault (`tables`) and options of the command line (`options`).
 """
 
-from planner.system.lazy_imports import lazy_exports
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

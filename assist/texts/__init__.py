@@ -1,5 +1,5 @@
 """TOML files: typed tables, and the texts that people read in each language."""
 
-from planner.system.lazy_imports import lazy_exports
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -1,5 +1,5 @@
 """User studies: conditions, assignment, procedure, questionnaires and tables."""
 
-from planner.system.lazy_imports import lazy_exports
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
