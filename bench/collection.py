@@ -38,8 +38,7 @@ import click
 from tables import Columns, cell, record_option, write_record
 
 from planner import Limits, Task, find_instances, instance
-from planner.system.limits import MAX_STATES
-from planner.system.machine import processors
+from planner.system.limits import MAX_STATES, processors
 
 LEFT_OUT = ("sat", "agl", "mco", "split")
 GRACE = 30.0  # seconds that a process may exceed its limit, for cleaning up

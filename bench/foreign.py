@@ -181,7 +181,7 @@ def write(name: str, folder: Path) -> Path:
 def measure(file: Path) -> dict[str, Any]:
     """Sweep one instance in this process."""
     from planner import load
-    from planner.system.machine import peak_memory_mb, reset_peak_memory, used_mb
+    from planner.system.limits import peak_memory_mb, reset_peak_memory, used_mb
 
     module = importlib.import_module("planner.costtogo.sweep")
     for small in ("kitting/tiny.pddl", "kitting/costs/ways.pddl", "depot/two-columns.pddl"):

@@ -44,7 +44,7 @@ from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.team.state import TeamAction, TeamPolicy, TeamState
 from planner import load, sweep
-from planner.system.machine import peak_memory_mb, processors
+from planner.system.limits import peak_memory_mb, processors
 
 KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"
 SIZES = (1, 3, 10, 30, 100, 300, 1000)

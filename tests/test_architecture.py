@@ -18,8 +18,7 @@ from assist.cli.command_group import COMMANDS
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
-    "planner.system": """errors arrays results files resumable machine processes threads signs progress
-        compiling jit limits workers pictures""",
+    "planner.system": "errors arrays results files limits processes threads signs progress compiling jit workers",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations supported_fragment
         numeric_expressions formulas reader conditions schemas durative static_facts metric numeric_schemas value_sets
         saturation value_ranges value_encoder value_scope numeric_encoding numeric_compiler compilation writer
@@ -101,7 +100,6 @@ MAY_READ_PDDL = (
     "assist.userstudy.plan_file",
     "assist.cli",
 )
-WITH_ARRAYS = ["compiled", "lazy", "errors", "arrays", "storage", "machine", "progress", "workers"]
 ARRAYS = {"planner", "planner.system", *(f"planner.system.{file}" for file in ROOMS["planner.system"].split())}
 READING = {"load", "sweep", "cost_to_go", "find_instances", "instance", "Instance", "Task"}
 

@@ -48,7 +48,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.system.machine import processors
+from planner.system.limits import processors
 from planner.system.progress import Wanted, shows_progress
 from planner.system.results import Result
 

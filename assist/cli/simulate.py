@@ -9,7 +9,7 @@ import click
 
 from planner.batch.solve_record import versions
 from planner.system import files
-from planner.system.machine import processors
+from planner.system.limits import processors
 from planner.system.progress import stages
 
 from ..declare.options import Given

@@ -1,4 +1,4 @@
-"""Pictures of the planner's objects in notebooks: the function that `planner.system.pictures` finds."""
+"""Pictures of the planner's objects in notebooks: the function that `planner.system.results` finds."""
 
 from __future__ import annotations
 

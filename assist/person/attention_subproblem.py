@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.system.machine import available_memory
+from planner.system.limits import available_memory
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats

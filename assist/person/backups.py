@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.jit import njit
-from planner.system.machine import processors
+from planner.system.limits import processors
 
 from ..people.decision import Floats
 from .action_values import BEST, action_values

@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from planner import Table
 from planner.system.jit import njit
-from planner.system.machine import processors
+from planner.system.limits import processors
 
 from ..people.decision import Floats
 from ..people.human import Human

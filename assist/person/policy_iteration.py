@@ -54,7 +54,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.jit import njit
-from planner.system.machine import processors
+from planner.system.limits import processors
 from planner.system.progress import Progress
 
 from ..people.decision import Floats

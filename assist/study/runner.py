@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import DamagedFileError, InputFileError, MissingExtraError
-from planner.system.files import each_record, read_records, write_text
+from planner.system.files import ResumableFolder, each_record, read_records, write_text
 from planner.system.progress import Wanted, adding, shows_progress
-from planner.system.resumable import ResumableFolder
 from planner.system.workers import outcomes
 
 from .cells import Outcome, carry_out

@@ -17,8 +17,7 @@ from typing import Any
 from ..grounding import fast_downward
 from ..pddl.instances import Instance
 from ..system.errors import DamagedFileError
-from ..system.files import read_records
-from ..system.resumable import ResumableFolder
+from ..system.files import ResumableFolder, read_records
 from .solve_record import SolveOptions, SolveRecord, saved_files
 
 RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..pddl.instances import Instance
-from ..system.machine import available_memory, processors
+from ..system.limits import available_memory, processors
 from ..system.progress import Progress
 from ..system.workers import WorkerDiedError, outcomes
 from .results_folder import Key, Results, key

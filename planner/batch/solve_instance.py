@@ -31,8 +31,7 @@ from ..pddl.validation import InvalidPlanError, SecondReader
 from ..system.compiling import compiling
 from ..system.errors import MismatchError
 from ..system.files import atomic
-from ..system.limits import LimitError, Limits
-from ..system.machine import memory_limit, peak_memory_mb, processors, reset_peak_memory, used_mb
+from ..system.limits import LimitError, Limits, memory_limit, peak_memory_mb, processors, reset_peak_memory, used_mb
 from ..system.progress import Progress
 from ..system.threads import NO_MORE_THREADS
 from .solve_record import (

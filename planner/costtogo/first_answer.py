@@ -19,8 +19,7 @@ from ..grounding.fast_downward import FastDownwardError
 from ..grounding.semantics import replay
 from ..grounding.task import Task
 from ..pddl.validation import InvalidPlanError
-from ..system.limits import LimitError, Limits, MemoryLimitError
-from ..system.machine import available_memory, used_mb
+from ..system.limits import LimitError, Limits, MemoryLimitError, available_memory, used_mb
 from .astar import astar
 
 Answer = tuple[float, list[str] | None]

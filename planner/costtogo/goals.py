@@ -17,8 +17,7 @@ from ..pddl.instances import PDDLError
 from ..search.backward_search import distances
 from ..search.numbering import SweepOptions
 from ..search.state_space import StateSpace
-from ..system.limits import Budget
-from ..system.machine import processors
+from ..system.limits import Budget, processors
 from ..system.progress import Wanted, shows_progress
 from .load import task_of
 from .sweep import explored, require_sweepable

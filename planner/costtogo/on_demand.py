@@ -34,8 +34,7 @@ from ..search.sorted_space import Successors, TooLargeError
 from ..search.state_space import Transitions, joined, state_numbers
 from ..search.successor_generator import Expanded, expanded, packed_operators
 from ..system.arrays import Ints, Words
-from ..system.limits import NO_LIMITS, LimitError, Limits
-from ..system.machine import processors
+from ..system.limits import NO_LIMITS, LimitError, Limits, processors
 from ..system.threads import on_threads
 from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
 from .cache import Cache

@@ -24,8 +24,7 @@ from ..search.packing import Packing
 from ..search.state_registry import RegistryIndex, RegistrySpace
 from ..search.state_space import StateSpace
 from ..system.arrays import Words, outline
-from ..system.limits import Budget, LimitError
-from ..system.machine import processors
+from ..system.limits import Budget, LimitError, processors
 from ..system.progress import Progress
 from .sweep import require_sweepable
 from .table import Table

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..grounding.task import Task
-from ..system.pictures import Pictured
+from ..system.results import Pictured
 
 
 @dataclass(frozen=True, repr=False)

@@ -21,8 +21,7 @@ from ..search.numbering import SweepOptions, strides
 from ..search.search_space import SearchSpace
 from ..search.sorted_space import SortedSpace, TooLargeError
 from ..search.state_space import StateSpace
-from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError
-from ..system.machine import processors
+from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError, processors
 from ..system.progress import Progress, Wanted, shows_progress
 from .load import task_of
 from .table import Table

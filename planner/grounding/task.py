@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..pddl import instances
-from ..system.pictures import Pictured
+from ..system.results import Pictured
 
 Fact = tuple[int, int]
 """A variable and one of its values."""

@@ -1,6 +1,6 @@
 """The supported fragment of PDDL: the sections and requirements that the two files may have.
 
-Fast Downward's translator grounds classical planning with action costs, to which `compiling` reduces numbers and
+Fast Downward's translator grounds classical planning with action costs, to which `compilation` reduces numbers and
 durations. Everything else is refused here, with its place. `docs/planning.md` lists what is supported.
 """
 

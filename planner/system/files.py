@@ -1,4 +1,4 @@
-"""Atomic writing of files, and records as JSON Lines.
+"""Atomic writing of files, records as JSON Lines, and folders of results that can be resumed.
 
 An output path keeps its kind. A symbolic link is kept, and its target is replaced. Pipes and devices are written to
 directly. A file without write permission is refused, also for the superuser.
@@ -14,12 +14,12 @@ import shutil
 import stat
 import tempfile
 import uuid
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Generic, TypeVar
 
-from .errors import DamagedFileError
+from .errors import DamagedFileError, ResultsExistError
 
 UNFINISHED = ".unfinished-"
 """Prefix of the temporary files of `atomic`."""
@@ -196,3 +196,57 @@ def _record(file: Path, number: int, line: bytes) -> dict[str, Any]:
     if not isinstance(record, dict):
         raise DamagedFileError(file, number, "expected a record: a JSON object")
     return record
+
+
+Key = TypeVar("Key", bound=Hashable)
+
+
+class ResumableFolder(Generic[Key]):
+    """A folder that some work fills item by item: `lines` and `records` are those of each item that is complete.
+
+    Two files hold what is done: one has the lines of each item, the other one record for each item, such as what the
+    results depend on, or the seconds that they took. The lines of an item are appended at once when it is complete. At
+    the end, both files are sorted. The same work thus gives the same bytes, however it was divided or interrupted.
+    """
+
+    def __init__(self, results: Path, beside: Path, *, resume: bool) -> None:
+        """Name both files. Results without `resume` raise a `ResultsExistError`; `begun` says whether there are any."""
+        self._results, self._beside = results, beside
+        self._folders: set[Path] = {results.parent}
+        self.lines: dict[Key, str] = {}
+        self.records: dict[Key, Mapping[str, Any]] = {}
+        self.begun = results.exists() and results.stat().st_size > 0
+        if self.begun and not resume:
+            raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
+
+    def begin(
+        self, lines: Mapping[Key, str], records: Mapping[Key, Mapping[str, Any]], folders: Iterable[Path] = ()
+    ) -> None:
+        """Keep these results of an earlier run, and no others.
+
+        `folders` are all other folders into which the work writes. Unfinished files of a killed run are removed.
+        """
+        self.lines, self.records = dict(lines), dict(records)
+        self._folders |= set(folders)
+        self.remove_unfinished()
+        self.finish(self.lines)
+
+    def add(self, item: Key, lines: str, record: Mapping[str, Any]) -> None:
+        """Store the results of an item that is complete; they replace earlier ones."""
+        append_record(self._beside, record)  # first: without it, lines may not be kept
+        append(self._results, lines)
+        self.lines[item], self.records[item] = lines, record
+
+    def add_passing(self, lines: str) -> None:
+        """Store lines that no later run keeps."""
+        append(self._results, lines)
+
+    def finish(self, order: Iterable[Key]) -> None:
+        """Sort both files."""
+        done = [item for item in dict.fromkeys(order) if item in self.lines]
+        write_text(self._results, (self.lines[item] for item in done))
+        write_records(self._beside, (self.records[item] for item in done if item in self.records))
+
+    def remove_unfinished(self) -> None:
+        """Remove temporary files that stopped processes have left."""
+        remove_unfinished(self._folders)

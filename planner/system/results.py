@@ -1,16 +1,20 @@
-"""What every result offers: one line as a string, a table in a notebook, a frame, and comparison by content."""
+"""What every result offers: one line, a table or a picture in a notebook, a frame, and comparison by content."""
 
 from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any, ClassVar
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from .arrays import outline
 from .errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 MOST_ROWS = 20
 """Rows of a result that a notebook shows; a frame has all."""
@@ -105,3 +109,26 @@ def _cell(value: Any) -> str:
     if isinstance(value, int | np.integer) and not isinstance(value, bool):
         return f"{value:,}"
     return html.escape(str(value))
+
+
+GROUP = "planner.pictures"
+
+
+@cache
+def _drawers() -> tuple[EntryPoint, ...]:
+    """Return the installed functions that draw. To find them takes some milliseconds."""
+    from importlib.metadata import entry_points  # slow to import
+
+    return tuple(entry_points(group=GROUP))
+
+
+class Pictured:
+    """An object that is a picture in a notebook if an installed package draws it, and else a line.
+
+    The planner draws nothing. A package that draws declares a function in the entry point group `planner.pictures`. The
+    function gets an object and returns an SVG document, or None if it has no picture of it. So neither package imports
+    the other by name, and users need not import the one that draws.
+    """
+
+    def _repr_svg_(self) -> str | None:
+        return next((svg for drawer in _drawers() if (svg := drawer.load()(self)) is not None), None)

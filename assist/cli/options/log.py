@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import planner
 from planner import Instance, LimitError, Limits, find_instances
-from planner.system.machine import processors
+from planner.system.limits import processors
 from planner.system.progress import progress_bar, stages
 
 from ...declare.declared import names_of

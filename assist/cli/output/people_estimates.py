@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from planner.system import files
-from planner.system.machine import processors
+from planner.system.limits import processors
 from planner.system.progress import stages
 
 from ..terminal.console import ExitCode, fail, print_json, print_table

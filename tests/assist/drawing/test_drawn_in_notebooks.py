@@ -15,7 +15,7 @@ from conftest import KITTING
 import planner
 from assist.drawing import notebook
 from planner import OnDemand, astar, cost_to_go, load
-from planner.system import pictures
+from planner.system import results
 
 PYPROJECT = Path(planner.__file__).parents[1] / "pyproject.toml"
 
@@ -23,9 +23,9 @@ PYPROJECT = Path(planner.__file__).parents[1] / "pyproject.toml"
 @pytest.fixture(autouse=True)
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let what `pyproject.toml` declares be installed, also where it was added after the installation."""
-    declared = tomllib.loads(PYPROJECT.read_text())["project"]["entry-points"][pictures.GROUP]
-    points = tuple(EntryPoint(name, value, pictures.GROUP) for name, value in declared.items())
-    monkeypatch.setattr(pictures, "_drawers", lambda: points)
+    declared = tomllib.loads(PYPROJECT.read_text())["project"]["entry-points"][results.GROUP]
+    points = tuple(EntryPoint(name, value, results.GROUP) for name, value in declared.items())
+    monkeypatch.setattr(results, "_drawers", lambda: points)
 
 
 def texts(svg: str | None) -> str:
@@ -80,7 +80,7 @@ def test_what_would_be_endless_or_cannot_be_drawn_is_text(tmp_path: Path, monkey
     for name in ("domain", "tiny"):
         (tmp_path / f"{name}.pddl").write_text((KITTING / f"{name}.pddl").read_text())
     (tmp_path / "drawing.toml").write_text("[")
-    monkeypatch.setattr(pictures, "_drawers", lambda: (EntryPoint("a", "assist.drawing.notebook:svg_of", "b"),))
+    monkeypatch.setattr(results, "_drawers", lambda: (EntryPoint("a", "assist.drawing.notebook:svg_of", "b"),))
     assert load(tmp_path / "tiny.pddl")._repr_svg_() is None
-    monkeypatch.setattr(pictures, "_drawers", tuple)
+    monkeypatch.setattr(results, "_drawers", tuple)
     assert table.task._repr_svg_() is None

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.system.machine import available_memory, memory_limit, peak_memory_mb, processors, used_mb
+from planner.system.limits import available_memory, memory_limit, peak_memory_mb, processors, used_mb
 
 MACHINE = {"proc/meminfo": "MemTotal: 9000 kB\nMemAvailable:    8000 kB\n"}
 FREE = 8000 * 1024
