@@ -84,7 +84,7 @@ def read(domain: str, problem: str, seconds: float) -> dict[str, Any]:
 def translated(domain: str, problem: str, seconds: float) -> Task | None:
     """Return the task that Fast Downward's translator makes of unchanged files; None if it refuses them."""
     from planner.grounding.fast_downward import TRANSLATE_OPTIONS
-    from planner.grounding.sas_reader import from_sas
+    from planner.grounding.translation import from_sas
 
     with tempfile.TemporaryDirectory() as folder:
         sas = Path(folder) / "output.sas"
@@ -99,8 +99,8 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
     import numpy as np
 
     from planner import Table, verify
+    from planner.batch.results_folder import SolveOptions
     from planner.batch.solve_instance import solve_instance
-    from planner.batch.solve_record import SolveOptions
     from planner.costtogo.verification import check_successors, sample
 
     compared = {"verified": 0, "consistent": 0, "compare_cpu": 0.0}
@@ -143,7 +143,7 @@ def first_answer(task: Task, number: int, state: list[int], limits: Limits) -> d
 def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
     """Count states, up to the number that `solve` enumerates."""
     from planner import LimitError, load
-    from planner.costtogo.sweep import SweepOptions, explored
+    from planner.costtogo.table import SweepOptions, explored
     from planner.system.limits import Budget
 
     found, task, why = 1, load(instance(problem, domain)), None

@@ -183,7 +183,7 @@ def measure(file: Path) -> dict[str, Any]:
     from planner import load
     from planner.system.limits import peak_memory_mb, reset_peak_memory, used_mb
 
-    module = importlib.import_module("planner.costtogo.sweep")
+    module = importlib.import_module("planner.costtogo.table")
     for small in ("kitting/tiny.pddl", "kitting/costs/ways.pddl", "depot/two-columns.pddl"):
         module.sweep(load(DOMAINS / small))
     domain = next(d for d in (file.parent / f"{file.stem}-domain.pddl", file.parent / "domain.pddl") if d.is_file())

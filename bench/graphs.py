@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from planner import Instance, Task
-from planner.grounding.sas_reader import from_sas
+from planner.grounding.translation import from_sas
 
 
 def graph_task(edges: list[tuple[int, int, int]], goal: int = 0, start: int = 1) -> Task:

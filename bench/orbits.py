@@ -23,7 +23,7 @@ from tables import Columns, record_option, write_record
 
 from planner import LimitError, Limits, OnDemand, astar, load
 from planner.costtogo.orbit_table import orbits
-from planner.search.distances import is_dead_end
+from planner.search.state_space import is_dead_end
 
 DOMAINS = Path(__file__).resolve().parent.parent / "domains"
 NAMES = ("kitting/ladder-4x8", "kitting/ladder-4x9", "kitting/ladder-4x10", "kitting/ladder-6x12")

@@ -37,7 +37,7 @@ from assist.learning.observations import EvaluatedStates, Observations
 from assist.learning.replay import Recording, situation
 from assist.people import TERMS, Situation, Term, features
 from planner import Instance, Table, cost_to_go, load
-from planner.search.distances import UNREACHED, plan_lengths
+from planner.search.state_space import UNREACHED, plan_lengths
 
 ROOT = Path(__file__).resolve().parent.parent
 TOWER = ROOT / "domains" / "tower" / "domain.pddl"

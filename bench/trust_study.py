@@ -23,7 +23,7 @@ from tables import cell, record_option, write_record
 from assist.reports.statistics import mean
 from assist.study import Study, load_study, read, run_study
 from planner import find_instances
-from planner.pddl import bundled
+from planner.pddl.instance_finder import bundled_files
 
 SHOWN = {
     "people's rule": cell("rule"), "the robot believes": cell("believed"), "people": cell("people"),
@@ -46,7 +46,7 @@ def shown(values: Any) -> str:
 def reduced(pools: int, people: int, instance: str) -> Study:
     """Return the study with fewer pools of fewer people, at another task."""
     study = read("trust", repeats=pools)
-    task = find_instances(bundled.files(instance))[0]
+    task = find_instances(bundled_files(instance))[0]
     conditions = tuple(
         replace(one, humans=tuple(range(1, people + 1)), instances=(instance,)) for one in study.conditions
     )

@@ -38,11 +38,10 @@ from unified_planning.plans import ActionInstance, Plan, SequentialPlan, TimeTri
 
 from .costtogo.astar import astar
 from .costtogo.load import load
-from .costtogo.sweep import sweep
+from .costtogo.table import sweep
 from .grounding.fast_downward import FastDownwardError
 from .grounding.task import Task
-from .pddl import built_actions
-from .pddl.built_problems import SUPPORTED, Written, written
+from .pddl.built_problems import SUPPORTED, Written, is_temporal, written
 from .pddl.compilation import NO_SEQUENTIAL_PLAN
 from .pddl.instances import PDDLError
 from .pddl.plan_execution import execute
@@ -129,7 +128,7 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
         try:
             with written(problem) as files:
-                temporal = built_actions.is_temporal(problem)
+                temporal = is_temporal(problem)
                 task = load(files.instance, limits=left())
                 words = _cheapest_plan(task, left)
                 durations = execute(files.instance, words).durations if temporal and words is not None else ()

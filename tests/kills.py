@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.batch.solve_record import COMPARING, SWEEPING, VALIDATING
+from planner.batch.results_folder import COMPARING, SWEEPING, VALIDATING
 
 ROOT = Path(__file__).parent.parent
 DOMAINS = ROOT / "domains"

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from planner.grounding.semantics import derived, successors
 from planner.grounding.task import Fact, Task
-from planner.search.distances import UNREACHED
-from planner.search.state_space import Part, StateSpace
+from planner.search.state_space import UNREACHED, Part, StateSpace
 from planner.system.arrays import Ints
 
 

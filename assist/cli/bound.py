@@ -8,7 +8,7 @@ from dataclasses import asdict
 import click
 from rich.table import Column, Table
 
-from planner.batch.solve_record import versions
+from planner.batch.results_folder import versions
 from planner.system.progress import stages
 
 from ..declare.options import Given

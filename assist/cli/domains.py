@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from rich.table import Table
 
-from planner.pddl.bundled import listed
+from planner.pddl.instance_finder import bundled_tasks
 
 from .options.common import json_option
 from .options.help import command
@@ -17,7 +17,7 @@ from .terminal.console import print_json, print_table
 @json_option
 def domains(as_json: bool) -> None:
     """List the bundled tasks, whose names every command accepts."""
-    found = listed()
+    found = bundled_tasks()
     if as_json:
         print_json([asdict(one) | {"problem": str(one.problem)} for one in found])
         return

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from planner import Instance
-from planner.batch.solve_record import versions
+from planner.batch.results_folder import versions
 from planner.system.progress import status_line
 
 from ..declare.options import Given

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from planner.batch.solve_record import versions
+from planner.batch.results_folder import versions
 from planner.system import files
 from planner.system.limits import processors
 from planner.system.progress import stages

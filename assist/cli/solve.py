@@ -9,9 +9,8 @@ from typing import Any
 import click
 
 from planner import find_instances
-from planner.batch.results_folder import DONE
+from planner.batch.results_folder import DONE, SolveOptions
 from planner.batch.solve_batch import solve_batch
-from planner.batch.solve_record import SolveOptions
 
 from .options.common import JOBS, OUTPUT_FOLDER, domain_option, max_states_option, megabytes_option, seconds_option
 from .options.help import command

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner.batch.solve_record import SolveOptions
+from planner.batch.results_folder import SolveOptions
 from planner.system.errors import MissingExtraError
 
 from ..declare.options import Given

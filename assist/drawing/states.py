@@ -10,7 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from planner.grounding.semantics import derived
-from planner.pddl.s_expressions import Expression, UnbalancedError, parse
+from planner.pddl.instances import Expression, UnbalancedError, nested
 
 from .subject import Atom, Subject, atom, is_number
 
@@ -132,7 +132,7 @@ def _facts(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
         return
     try:
         whole = re.match(r"(\s|;[^\n]*(\n|$))*\(\s*define\b", text) is not None
-        found = parse(text) if whole else parse(f"({text}\n)")
+        found = nested(text) if whole else nested(f"({text}\n)")
     except UnbalancedError as error:
         raise StateError(f"{file}:{error.line}: {str(error).replace('(define ...)', 'a fact')}") from None
     inner = found.section(":init")
@@ -186,7 +186,7 @@ def _listed(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
         at = max(at, text.find(json.dumps(fact, ensure_ascii=False), at))
         line = text.count("\n", 0, at) + 1
         try:
-            parts = parse(f"({fact})").parts
+            parts = nested(f"({fact})").parts
         except UnbalancedError:
             raise StateError(f"{file}:{line}: {fact}; expected a fact, (predicate argument ...)") from None
         yield from ((line, one) for _, one in _atoms(file, parts))

@@ -17,10 +17,9 @@ import numpy as np
 
 from planner import Task, task_of
 from planner.grounding.semantics import derived, successors
-from planner.pddl.instances import PDDLError
+from planner.pddl.instances import Expression, PDDLError
 from planner.pddl.numeric_expressions import as_shown
 from planner.pddl.reader import Rule, read
-from planner.pddl.s_expressions import Expression
 
 from ..people.action_names import Matcher, words_of
 from ..people.choices import STAND_STILL

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from planner import Instance, InstanceError, find_instances
-from planner.pddl import bundled
+from planner.pddl.instance_finder import bundled_files
 from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
 
@@ -232,7 +232,7 @@ class Reader:
     def _instances(self) -> tuple[tuple[str, Instance], ...]:
         """Return the tasks. Each is labelled with its file's name, or with its path if several files share the name."""
         folder = self.file.parent
-        known = {name: bundled.files(name) for name in self.table.instances if not (folder / name).exists()}
+        known = {name: bundled_files(name) for name in self.table.instances if not (folder / name).exists()}
         try:
             found = [find_instances(known.get(n) or [folder / n]) for n in dict.fromkeys(self.table.instances)]
         except InstanceError as error:

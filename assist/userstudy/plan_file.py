@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Strict
 
 from planner import Instance, InstanceError, find_instances
-from planner.pddl import bundled
+from planner.pddl.instance_finder import bundled_files
 from planner.system.errors import expected as meant
 
 from ..declare.declared import AnyTable, Count, Expected, Number, Seed, Text, Texts, Truth, Whole, declared
@@ -268,7 +268,7 @@ def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instan
     problem = file.parent / name
     if carried_out:
         return Instance(problem, problem.with_name("domain.pddl"))
-    known = [] if problem.exists() else bundled.files(name)
+    known = [] if problem.exists() else bundled_files(name)
     try:
         found = find_instances(known or [problem])
     except InstanceError as error:

@@ -19,9 +19,8 @@ from ..pddl.instances import Instance
 from ..system.limits import available_memory, processors
 from ..system.progress import Progress
 from ..system.workers import WorkerDiedError, outcomes
-from .results_folder import Key, Results, key
+from .results_folder import Key, Results, SolveOptions, SolveRecord, key, unfinished, unsolved
 from .solve_instance import solve_instance
-from .solve_record import SolveOptions, SolveRecord, unfinished, unsolved
 
 NEW_RECORD = "record"
 """Report of a worker that it has written a new intermediate record."""

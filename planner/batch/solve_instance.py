@@ -17,8 +17,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from ..costtogo.astar import search_of
-from ..costtogo.first_answer import Answer, Early
+from ..costtogo.astar import Answer, Early, search_of
 from ..costtogo.number_values import grounded
 from ..grounding.fast_downward import FastDownwardError
 from ..grounding.semantics import plan_cost, replay
@@ -34,7 +33,7 @@ from ..system.files import atomic
 from ..system.limits import LimitError, Limits, memory_limit, peak_memory_mb, processors, reset_peak_memory, used_mb
 from ..system.progress import Progress
 from ..system.threads import NO_MORE_THREADS
-from .solve_record import (
+from .results_folder import (
     COMPARING,
     COMPILING,
     PLANNING,

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING
 
 from ..grounding.task import Effect, Fact, Task
 from ..pddl.instances import PDDLError
-from ..search.backward_search import distances
 from ..search.numbering import SweepOptions
+from ..search.search_space import distances
 from ..search.state_space import StateSpace
 from ..system.limits import Budget, processors
 from ..system.progress import Wanted, shows_progress
 from .load import task_of
-from .sweep import explored, require_sweepable
-from .table import Table
+from .table import Table, explored, require_sweepable
 
 if TYPE_CHECKING:
     from .load import AnyTask

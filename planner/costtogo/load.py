@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from ..grounding import fast_downward
-from ..grounding.sas_reader import from_sas
 from ..grounding.task import Task
-from ..pddl import built_problems, bundled, instance_finder, instances
+from ..grounding.translation import from_sas
+from ..pddl import built_problems, instance_finder, instances
 from ..pddl.compilation import MOST_VALUES
 from ..pddl.reader import read
 from ..system.files import atomic
@@ -89,7 +89,9 @@ def load(
     if isinstance(problem, str | Path):
         problem = instance_finder.instance(problem, domain)
         if not problem.problem.exists():
-            raise instances.PDDLError(problem.problem, None, f"no such problem file{bundled.near(problem.problem)}")
+            raise instances.PDDLError(
+                problem.problem, None, f"no such problem file{instance_finder.bundled_near(problem.problem)}"
+            )
     if not isinstance(problem, instances.Instance):
         if not any(kind.__module__.startswith("unified_planning.") for kind in type(problem).__mro__):
             wanted = (

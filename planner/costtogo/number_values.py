@@ -78,9 +78,8 @@ class _Trials:
 
     def sufficient(self, refusal: UnprovenError) -> tuple[Compilation, Task]:
         """Return the compilation and the task of a trial that suffices; if there is none, raise the refusal."""
-        from ..search.forward_search import explore  # slow to import, and seldom needed
-        from .trial_search import stays_within
-        from .watched_states import BeyondError, WatchedStates
+        from ..search.search_space import explore  # slow to import, and seldom needed
+        from .trial_states import BeyondError, WatchedStates, stays_within
 
         states, open_trials = MOST_STATES, []
         for trial, compilation, task, decided in self._made():

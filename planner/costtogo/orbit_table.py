@@ -16,18 +16,15 @@ from numpy.typing import NDArray
 
 from ..grounding.task import Task
 from ..search.automorphisms import symmetries
-from ..search.backward_search import distances
 from ..search.canonical_states import Forms, canonical
-from ..search.distances import EXACT, UNREACHED, as_floats, compact, is_dead_end
-from ..search.forward_search import explore
 from ..search.packing import Packing
+from ..search.search_space import distances, explore
 from ..search.state_registry import RegistryIndex, RegistrySpace
-from ..search.state_space import StateSpace
+from ..search.state_space import EXACT, UNREACHED, StateSpace, as_floats, compact, is_dead_end
 from ..system.arrays import Words, outline
 from ..system.limits import Budget, LimitError, processors
 from ..system.progress import Progress
-from .sweep import require_sweepable
-from .table import Table
+from .table import Table, require_sweepable
 
 AT_ONCE = 300_000_000
 """Facts permuted between two checks of the deadline."""

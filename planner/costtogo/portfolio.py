@@ -23,15 +23,13 @@ from numpy.typing import ArrayLike, NDArray
 from ..grounding.task import Task
 from ..system.limits import MAX_STATES, NO_LIMITS, LimitError, Limits, MemoryLimitError
 from ..system.progress import Progress, Wanted, shows_progress
-from .cache import Cache
 from .cost_to_go import CostToGo
 from .load import task_of
-from .sweep import sweep
-from .table import Table
+from .table import Table, sweep
 
 if TYPE_CHECKING:
     from .load import AnyTask
-    from .on_demand import OnDemand
+    from .on_demand import Cache, OnDemand
     from .orbit_table import OrbitTable
 
 FIRST = 0.008

@@ -21,9 +21,8 @@ from numpy.lib import format as npy
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import in_unit, pddl_fact
-from ..search.distances import as_floats
 from ..search.packing import Packing
-from ..search.state_space import state_numbers
+from ..search.state_space import as_floats, state_numbers
 from ..system.arrays import Ints, Words, outline
 from ..system.errors import DamagedFileError
 from ..system.files import atomic

@@ -1,6 +1,6 @@
 """The only module that runs Fast Downward.
 
-Its translator grounds an instance into a finite-domain task: the SAS text that `sas_reader` reads. Its A* search finds
+Its translator grounds an instance into a finite-domain task: the SAS text that `translation` reads. Its A* search finds
 an optimal plan from the initial state or from another state. Both run as subprocesses. Fast Downward is GPL-3.0-only,
 and is never imported.
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from functools import lru_cache
 
 from .formulas import COMPARISONS, listed, word
+from .instances import Expression
 from .numeric_expressions import number
-from .s_expressions import Expression
 
 TRUE = listed(word("and"))
 FALSE = listed(word("or"))

@@ -28,8 +28,8 @@ from .conditions import (
 )  # fmt: skip
 from .declarations import Typed, refuse
 from .formulas import listed, word
+from .instances import Expression, Place
 from .numeric_expressions import DURATION, OPERATIONS
-from .s_expressions import Expression, Place
 from .schemas import END, START, Change, Literal, TimedSchema, reads_duration
 
 ZERO = word("0")

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from .declarations import Names, Symbol, Typed, meant, parameters, refuse, shown
+from .instances import Expression, Place
 from .numeric_expressions import DURATION, Number, number
-from .s_expressions import Expression, Place
 
 COMPARISONS = frozenset({"<", ">", "<=", ">="})
 CONDITIONS = ("and", "or", "not", "imply", "forall", "exists")

@@ -1,4 +1,7 @@
-"""Finding the files of an instance: the problems that a name stands for, and the domain of each problem.
+"""Finding the files of an instance: shipped tasks, the problems that a name stands for, and the domain of each problem.
+
+A shipped task is found by folder and name, such as `kitting/paper`. The name of a folder alone, such as `blocks`,
+stands for all of its tasks.
 
 A file is a domain if it contains `(define (domain NAME) ...)`, whatever its file name. A problem names its domain in
 `(:domain NAME)`. Files are read only up to this point.
@@ -6,15 +9,109 @@ A file is a domain if it contains `(define (domain NAME) ...)`, whatever its fil
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
-from . import bundled
-from .bundled import DOMAIN_FILE
 from .instances import Instance, PDDLError
+
+DOMAIN_FILE = "domain.pddl"
+README = "README.md"
+
+
+@dataclass(frozen=True)
+class BundledTask:
+    """A task that comes with the package; the number of its states and its cost are from the README of its folder."""
+
+    name: str
+    """Folder and file name without its ending, as commands accept it."""
+    problem: Path
+    about: str
+    """One-sentence description: the first sentence of its file's comment, or else of its domain's."""
+    states: int | None
+    cost: float | None
+    """Optimal cost in the file's unit; a whole number where all costs are."""
+
+
+def bundled_folder() -> Path:
+    """Return the folder of domains: inside the package, or next to it in a checkout."""
+    package = Path(__file__).parents[1]
+    return package / "domains" if (package / "domains").is_dir() else package.parent / "domains"
+
+
+@cache
+def bundled_problems() -> dict[str, Path]:
+    """Return the problem file of each bundled task, keyed and sorted by name."""
+    files = (file for file in bundled_folder().rglob("*.pddl") if file.name != DOMAIN_FILE)
+    return dict(sorted((file.relative_to(bundled_folder()).with_suffix("").as_posix(), file) for file in files))
+
+
+def bundled_problem(name: str | Path) -> Path | None:
+    """Return the problem file of the bundled task of that name; None if there is none."""
+    return bundled_problems().get(Path(name).as_posix())
+
+
+def bundled_files(name: str | Path) -> list[Path]:
+    """Return the problem files for a task name or a folder name; an empty list for an unknown name."""
+    own = Path(name).as_posix()
+    return [file for task, file in bundled_problems().items() if task == own or task.startswith(f"{own}/")]
+
+
+def bundled_near(name: str | Path) -> str:
+    """Return the part of a message that suggests bundled tasks with a similar name; empty if there are none."""
+    wanted = "/".join(Path(name).with_suffix("").parts[-2:])
+    folders = {task.rpartition("/")[0] for task in bundled_problems()}
+    alike = difflib.get_close_matches(wanted, [*bundled_problems(), *folders], n=3, cutoff=0.75)
+    if not alike:  # the name may lack its folder
+        alike = [one for one in bundled_problems() if one.endswith(f"/{Path(wanted).stem}")]
+    if wanted in folders:  # the name is a folder, where a task was expected
+        alike = [one for one in bundled_problems() if one.startswith(f"{wanted}/")][:3]
+    return f"; with the package come {', '.join(alike)}" if alike else ""
+
+
+def bundled_tasks() -> list[BundledTask]:
+    """Return the bundled tasks, sorted by name."""
+    return [
+        BundledTask(name, file, _sentence(file) or _sentence(file.parent / DOMAIN_FILE), *_known(file))
+        for name, file in bundled_problems().items()
+    ]
+
+
+def _sentence(file: Path) -> str:
+    """Return the first sentence of the comment at the beginning of a file."""
+    lines = takewhile(lambda line: line.startswith(";"), file.read_text(encoding="utf-8").splitlines())
+    words = " ".join(" ".join(line.lstrip(";") for line in lines).split())
+    sentence = re.match(r".*?\.(?=\s|$)", words)
+    return sentence[0] if sentence else words
+
+
+def _known(file: Path) -> tuple[int | None, float | None]:
+    """Return a task's number of states and optimal cost, from the README of its folder or of a parent folder."""
+    for place in file.relative_to(bundled_folder()).parents:
+        readme = bundled_folder() / place / README
+        head: list[str] = []
+        for line in readme.read_text(encoding="utf-8").splitlines() if readme.is_file() else ():
+            cells = [cell.strip(" `") for cell in line.split("|")[1:-1]]
+            if cells[:1] == ["instance"]:
+                head = cells
+            elif cells and (bundled_folder() / place / cells[0]) == file:
+                row = dict(zip(head, cells, strict=True))
+                states, cost = _number(row.get("states", "")), _number(row.get("optimal cost", ""))
+                return None if states is None else int(states), cost
+    return None, None
+
+
+def _number(cell: str) -> float | None:
+    """Return the number at the beginning of a table cell; None if there is none."""
+    found = re.match(r"[\d,]+(\.\d+)?", cell)
+    digits = found[0].replace(",", "") if found else ""
+    return (float(digits) if "." in digits else int(digits)) if digits else None
+
 
 OPTION = "--domain (in Python: domain=)"
 
@@ -136,7 +233,7 @@ def instance(problem: str | Path, domain: str | Path | None = None) -> Instance:
     """
     problem = Path(problem)
     if not problem.exists():
-        problem = bundled.find(problem) or problem
+        problem = bundled_problem(problem) or problem
     return _instance(problem, domain, Heads())
 
 
@@ -216,8 +313,8 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
             files = sorted(filter(is_problem, _matching(path)))
             if not files and any(mark in str(path) for mark in "*?["):
                 raise InstanceError(f"{name}: no problem file matches")
-            if not files and not (files := bundled.files(path)):
-                raise InstanceError(f"{name}: no such file or folder{bundled.near(path)}")
+            if not files and not (files := bundled_files(path)):
+                raise InstanceError(f"{name}: no such file or folder{bundled_near(path)}")
         found.update((_instance(file, domain, heads), None) for file in files)
     domains = {one.domain.resolve() for one in found if not heads[one.problem].is_domain}
     return [one for one in found if one.problem.resolve() not in domains]

@@ -1,6 +1,7 @@
-"""The PDDL files of an instance, and reading them as text.
+"""The PDDL files of an instance: their text, and the nested lists of words in it, each with its line and column.
 
-A faulty file raises a `PDDLError`, whose one-line message states the fault, the file and the line.
+A faulty file raises a `PDDLError`, whose one-line message states the fault, the file and the line. Words are not
+interpreted here.
 """
 
 from __future__ import annotations
@@ -8,11 +9,10 @@ from __future__ import annotations
 import codecs
 import re
 import unicodedata
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-
-from . import s_expressions
-from .s_expressions import Expression, UnbalancedError
+from typing import NamedTuple
 
 
 class PDDLError(ValueError):
@@ -118,6 +118,110 @@ def parse(file: Path, content: str) -> Expression:
     If parentheses do not match, the `PDDLError` has the line where this probably began, not the end of the file.
     """
     try:
-        return s_expressions.parse(content)
+        return nested(content)
     except UnbalancedError as error:
         raise PDDLError(file, error.line, str(error)) from None
+
+
+SECTIONS = {
+    ":requirements", ":types", ":constants", ":predicates", ":functions", ":action", ":durative-action", ":derived",
+    ":domain", ":objects", ":init", ":goal", ":metric",
+}  # fmt: skip
+
+
+class UnbalancedError(ValueError):
+    """Parentheses do not match; `line` is the line of the fault."""
+
+    def __init__(self, line: int, message: str) -> None:
+        self.line = line
+        super().__init__(message)
+
+
+class Place(NamedTuple):
+    """Position at which something begins in a file; both are counted from 1."""
+
+    line: int
+    column: int
+
+
+class Expression(NamedTuple):
+    """A word, or a list in parentheses, with the place where it begins.
+
+    `word` is empty for a list, and `parts`, the elements of the list, for a word.
+    """
+
+    word: str
+    parts: tuple[Expression, ...] = ()
+    place: Place = Place(0, 1)
+
+    def __str__(self) -> str:
+        return self.word or f"({' '.join(map(str, self.parts))})"
+
+    @property
+    def head(self) -> str:
+        """First element of a list if that is a word, else an empty text."""
+        return self.parts[0].word if self.parts else ""
+
+    @property
+    def words(self) -> list[str]:
+        """All words in the expression, in the order of the text."""
+        return [each.word for each in self.walk() if each.word]
+
+    def walk(self) -> Iterator[Expression]:
+        """Yield the expression and all its subexpressions, in the order of the text."""
+        waiting = [self]
+        while waiting:
+            expression = waiting.pop()
+            yield expression
+            waiting.extend(reversed(expression.parts))
+
+    def section(self, head: str) -> Expression | None:
+        """Return the first element that is a list beginning with the word; None if there is none."""
+        return next((part for part in self.parts if part.head == head), None)
+
+
+_TOKEN = re.compile(r"[()]|\?[^()\s?]*|[^()\s?]+")
+
+
+def tokens(text: str) -> Iterator[tuple[str, Place]]:
+    """Yield parentheses and words with their positions, without comments. A question mark begins a new word."""
+    for line, content in enumerate(text.split("\n"), start=1):
+        for match in _TOKEN.finditer(content.partition(";")[0]):
+            yield match[0], Place(line, match.start() + 1)
+
+
+def nested(text: str) -> Expression:
+    """Parse the only list of a text; raise `UnbalancedError` if parentheses do not match or are nested too deep."""
+    deepest = 200  # largest depth of nested lists. Recursive readers would otherwise exceed Python's recursion limit
+    opened: list[tuple[Place, list[Expression]]] = []
+    whole: Expression | None = None
+    section, previous = 1, ""
+    for token, place in tokens(text):
+        line = place.line
+        if token == "(":
+            opened.append((place, []))
+            if len(opened) > deepest:
+                raise UnbalancedError(line, f"more than {deepest} parentheses are open here; expected fewer")
+        elif token == ")":
+            if not opened:
+                raise UnbalancedError(line, "')' without a '(' that it closes")
+            begin, parts = opened.pop()
+            closed = Expression("", tuple(parts), begin)
+            if opened:
+                opened[-1][1].append(closed)
+            elif whole is None:
+                whole = closed
+            else:
+                raise UnbalancedError(begin.line, "nothing is expected after the end of (define ...)")
+        else:
+            if previous == "(" and token in SECTIONS:
+                if len(opened) > 2:
+                    raise UnbalancedError(opened[-2][0].line, f"'(' is not closed before ({token} on line {line}")
+                section = line
+            if not opened:
+                raise UnbalancedError(line, f"'{token}' is not within (define ...)")
+            opened[-1][1].append(Expression(token, (), place))
+        previous = token
+    if opened:
+        raise UnbalancedError(section, "')' is missing between here and the end of the file")
+    return whole or Expression("", (), Place(1, 1))

@@ -13,9 +13,9 @@ from fractions import Fraction
 from math import lcm
 
 from .declarations import refuse, shown
+from .instances import Expression
 from .numeric_expressions import Number, applied, number
 from .reader import DurativeAction, Reading
-from .s_expressions import Expression
 
 TIME = "total-time"
 COST = "total-cost"

@@ -13,16 +13,15 @@ from fractions import Fraction
 
 from . import metric, numeric_encoding, numeric_schemas, schemas, value_encoder
 from .conditions import FALSE, is_numeric, normal_form
-from .declarations import OBJECT, Symbol, Typed, Types, refuse
+from .declarations import OBJECT, REQUIREMENTS, Symbol, Typed, Types, refuse
 from .formulas import LARGEST_COST, Cost, listed, word
+from .instances import Expression
 from .numeric_encoding import EncodedAction
 from .numeric_expressions import Number, as_shown
 from .numeric_schemas import Preparation
 from .reader import Action, Domain, DurativeAction, Problem, Reading, Rule
-from .s_expressions import Expression
 from .saturation import Read, reads, saturations
 from .static_facts import Statics, TooManyError
-from .supported_fragment import REQUIREMENTS
 from .value_encoder import Encoder
 from .value_ranges import Bounds, Proofs
 from .value_scope import Scope

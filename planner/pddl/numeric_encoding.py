@@ -28,9 +28,9 @@ from .conditions import (
 from .declarations import Typed, refuse
 from .durative import Schema, key
 from .formulas import listed, word
+from .instances import Expression, Place
 from .numeric_expressions import OPERATIONS, Number, as_shown, terms_of
 from .numeric_schemas import Costed
-from .s_expressions import Expression, Place
 from .schemas import Change, Literal
 from .static_facts import literal_number
 from .value_encoder import Encoder

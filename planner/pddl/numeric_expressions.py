@@ -10,7 +10,7 @@ from collections.abc import Callable
 from fractions import Fraction
 from functools import cache
 
-from .s_expressions import Expression
+from .instances import Expression
 
 Number = int | Fraction
 """An exact rational number."""

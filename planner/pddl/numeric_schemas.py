@@ -24,10 +24,10 @@ from .conditions import (
 from .declarations import refuse
 from .durative import Schema, bound_in, key, merged, total, unified
 from .formulas import listed, word
+from .instances import Expression
 from .metric import Metric
 from .numeric_expressions import Number, terms_of, word_of
 from .reader import Reading
-from .s_expressions import Expression
 from .schemas import END, START, Change, TimedSchema
 from .static_facts import Statics, TooManyError, literal_number
 

@@ -20,8 +20,7 @@ from typing import NamedTuple
 
 from . import declarations, instances
 from .declarations import Typed
-from .instances import Instance
-from .s_expressions import Expression
+from .instances import Expression, Instance
 from .validation import InvalidPlanError
 
 Term = tuple[str, ...]

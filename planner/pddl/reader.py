@@ -10,12 +10,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from . import declarations, instance_finder, instances, supported_fragment
+from . import declarations, instance_finder, instances
 from .declarations import Names, Symbol, Typed, Types, meant, refuse, shown
 from .formulas import COMPARISONS, Cost, Formulas, listed, whole_number, word
-from .instances import Instance
+from .instances import Expression, Instance, Place
 from .numeric_expressions import DURATION, Number, number
-from .s_expressions import Expression, Place
 
 TOTAL_COST = ("total-cost",)
 """The function that sums up the costs of actions, without arguments."""
@@ -147,7 +146,7 @@ def read(instance: Instance) -> Reading:
         instances.parse(file, instances.text(file, kind))
         for file, kind in ((instance.domain, "domain"), (instance.problem, "problem"))
     )
-    supported_fragment.check(instance, domain, problem)
+    declarations.check_supported(instance, domain, problem)
     unions: dict[tuple[str, ...], str] = {}
     known, derived, numeric = _domain(instance.domain, domain, unions)
     asked, numbers = _problem(instance, problem, known, derived, unions)

@@ -20,9 +20,9 @@ from fractions import Fraction
 from .conditions import COMPLEMENT, free_variables, variables_of
 from .durative import key
 from .formulas import listed, word
+from .instances import Expression
 from .numeric_expressions import NoValueError, Number, linear, terms_of, whole
 from .numeric_schemas import Costed
-from .s_expressions import Expression
 from .static_facts import Statics, literal_number
 from .value_sets import Fluent, GroundChange, Saturation, Value
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from .conditions import TRUE, conjunction, normal_form, quantified, substituted, variables_of
 from .declarations import Typed, refuse
 from .formulas import CHANGES, listed, word
+from .instances import Expression, Place
 from .numeric_expressions import DURATION
 from .reader import Action, DurativeAction, Reading, Rule
-from .s_expressions import Expression, Place
 
 START, OVER, END = "start", "over", "end"
 

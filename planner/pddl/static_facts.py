@@ -8,9 +8,9 @@ from math import prod
 
 from .conditions import COMPLEMENT, FALSE, TRUE, conjunction, conjuncts, disjunction, free_variables, variables_of
 from .formulas import listed
+from .instances import Expression
 from .numeric_expressions import OPERATIONS, NoValueError, Number, compared, number, terms_of, value_of, word_of
 from .reader import Reading
-from .s_expressions import Expression
 
 LARGEST_JOIN = 300_000
 """Largest number of combinations of objects that are enumerated at a time, about ten seconds."""

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from .declarations import OBJECT, Symbol, Typed, refuse
+from .instances import Place
 from .numeric_expressions import Number, as_shown
-from .s_expressions import Place
 from .static_facts import Statics
 from .value_sets import Beyond, Fluent, Saturation, Value, ValueSets
 

@@ -23,11 +23,10 @@ from .conditions import COMPLEMENT, FALSE, TRUE, conjuncts, free_variables
 from .declarations import refuse
 from .durative import key
 from .formulas import listed, word
-from .instances import PDDLError
+from .instances import Expression, PDDLError, Place
 from .numeric_expressions import Number, as_shown, linear, terms_of, whole
 from .numeric_schemas import Costed
 from .reader import Reading
-from .s_expressions import Expression, Place
 from .static_facts import Statics, TooManyError, literal_number
 from .value_sets import (
     MOST_TOGETHER,

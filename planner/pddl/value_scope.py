@@ -19,8 +19,8 @@ from .conditions import (
 from .declarations import refuse, shown
 from .durative import key
 from .formulas import listed, word
+from .instances import Expression, Place
 from .numeric_expressions import OPERATIONS, NoValueError, Number, applied, compared, linear, terms_of
-from .s_expressions import Expression, Place
 from .static_facts import literal_number
 from .value_encoder import MOST_ROWS, MOST_TRIED, Encoder
 from .value_sets import Beyond, Fluent

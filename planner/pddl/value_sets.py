@@ -27,8 +27,8 @@ from .conditions import (
     unsatisfied,
 )
 from .durative import Schema, key
+from .instances import Expression
 from .numeric_expressions import OPERATIONS, NoValueError, Number, number, terms_of, whole
-from .s_expressions import Expression
 from .schemas import Change
 from .static_facts import Statics
 

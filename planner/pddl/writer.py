@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import groupby
 
-from .declarations import OBJECT, Symbol, Typed
+from .declarations import OBJECT, REQUIREMENTS, Symbol, Typed
 from .numeric_expressions import as_shown
 from .reader import TOTAL_COST, Action, DurativeAction, Reading, Rule
-from .supported_fragment import REQUIREMENTS
 
 
 def domain(reading: Reading, *, list_object: bool = False) -> str:

@@ -8,13 +8,11 @@ from contextlib import suppress
 from ..grounding.task import Task
 from ..system.limits import Budget, LimitError, MemoryLimitError
 from ..system.progress import Progress
-from .digits import LOOKING, MANY, TOO_MUCH_MEMORY, UnrankedError, moves_and_groups
-from .forward_search import explore
+from .invariants import Mutexes
 from .kernels.ranked_successors import RankedOperators
-from .mutexes import Mutexes
-from .numbering import SweepOptions
+from .numbering import LOOKING, MANY, TOO_MUCH_MEMORY, SweepOptions, UnrankedError, moves_and_groups
 from .ranked_index import RankedSpace
-from .search_space import SearchSpace
+from .search_space import SearchSpace, explore
 from .state_ranking import StateRanking
 from .state_registry import RegistrySpace
 from .successor_generator import ranked_operators

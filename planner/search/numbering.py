@@ -1,14 +1,123 @@
-"""When states are numbered by rank, and when by layer; `state_space` states the rule."""
+"""When states are numbered by rank, and when by layer; `state_space` states the rule. Ranks are by single variables.
+
+`Digits` says which variables are digits of a rank, and in which order. Variables that groups of facts imply are left
+out. Of every group, exactly one fact holds in each reachable state.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from ..grounding.task import Task
-from ..system.limits import Budget, MemoryLimitError
-from .digits import LOOKING, MANY, Digits, UnrankedError, moves_and_groups
+from ..grounding.task import Fact, Task
+from ..system.limits import Budget, Check, MemoryLimitError, unchecked
 from .sorted_space import MOST_STATES, TooLargeError
+from .transition_normal_form import TNFOperator, exactly_one, split_operators
+
+LOOKING = "a ranking was looked for"
+"""Phase in messages about limits: the construction of a ranking."""
+
+TOO_MUCH_MEMORY = "looking for a ranking took too much memory"
+"""Why a task has no ranking."""
+
+MANY = 1 << 33
+"""Number of ranks above which the dense ranking is tried: a bitmap of this size takes 1 GB."""
+
+Sum = tuple[int, dict[Fact, int]]
+"""An affine sum over facts: a constant, and the coefficient of each fact (1 where it holds, else 0)."""
+
+
+def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]], check: Check) -> dict[Fact, Sum]:
+    """Choose variables to leave out, and express each of their facts by facts of the other variables.
+
+    A fact has the value 1 where it holds and 0 elsewhere. A variable needs one group for all but one of its values, so
+    that variables with few values are tried first.
+    """
+    sums: dict[Fact, Sum] = {}
+    needed: set[int] = set()  # variables that occur in the sums of chosen ones
+    by_fact: dict[Fact, list[frozenset[Fact]]] = {}
+    for group in groups:
+        variables = Counter(v for v, _ in group)
+        for fact in group:
+            if variables[fact[0]] == 1:
+                by_fact.setdefault(fact, []).append(group)
+    for variable in sorted(range(len(sizes)), key=lambda v: (sizes[v], v)):
+        check(0)
+        if variable in needed:
+            continue
+        own: dict[Fact, Sum] = {}
+        price: dict[Fact, int] = {}  # number of additional variables that would be needed
+        for fact in ((variable, value) for value in range(sizes[variable])):
+            for group in by_fact.get(fact, ()):
+                candidate = _one_minus([sums.get(f, (0, {f: 1})) for f in group - {fact}])
+                more = len({v for v, _ in candidate[1]} - needed)
+                if more < price.get(fact, len(sizes)):
+                    own[fact], price[fact] = candidate, more
+        if len(own) < sizes[variable] - 1:
+            continue
+        if len(own) == sizes[variable]:  # one sum is superfluous
+            del own[max(price, key=lambda fact: (price[fact], fact))]
+        rest = next(value for value in range(sizes[variable]) if (variable, value) not in own)
+        own[variable, rest] = _one_minus(list(own.values()))
+        sums.update(own)
+        needed.update(v for _, terms in own.values() for v, _ in terms)
+    return sums
+
+
+def _one_minus(sums: Sequence[Sum]) -> Sum:
+    """Return one minus the sum of the given sums."""
+    terms: Counter[Fact] = Counter()
+    for _, own in sums:
+        terms.subtract(own)
+    return 1 - sum(constant for constant, _ in sums), {fact: n for fact, n in terms.items() if n}
+
+
+@dataclass(frozen=True)
+class Digits:
+    """The variables whose values are the digits of a rank, the lowest first."""
+
+    implied: dict[Fact, Sum]
+    """Facts of variables that are left out, as sums over facts of the digits."""
+    variables: tuple[int, ...]
+    size: int
+    """Upper bound on all ranks, exclusive."""
+    stride: tuple[int, ...]
+    """Factor of each variable's value in the rank; 0 for those that are left out."""
+
+    @classmethod
+    def of(
+        cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[TNFOperator], check: Check = unchecked
+    ) -> Digits:
+        """Return the digits of the states of a task."""
+        sizes = task.sizes
+        implied = _implied(sizes, groups, check)
+        # Blocks of states are sorted by rank. Variables that are tested often should change rarely, so they come last.
+        uses = Counter(v for move in moves for v in move.facts)
+        variables = sorted((v for v in range(len(sizes)) if (v, 0) not in implied), key=lambda v: (uses[v], v))
+        stride, size = [0] * len(sizes), 1
+        for v in variables:
+            stride[v] = size if sizes[v] > 1 else 0
+            size *= sizes[v]
+        return cls(implied, tuple(variables), size, tuple(stride))
+
+
+class UnrankedError(Exception):
+    """A task has no ranking; the message says why."""
+
+
+def moves_and_groups(task: Task, budget: Budget) -> tuple[list[TNFOperator], list[frozenset[Fact]]]:
+    """Return the moves of a task, and groups of facts of which exactly one always holds; else an `UnrankedError`."""
+    if any(variable.axiom_layer >= 0 for variable in task.variables):
+        raise UnrankedError("it has derived variables")
+    try:
+        moves = split_operators(task, budget.during("operators were split"))
+        if moves is None:
+            raise UnrankedError("its operators split into very many moves")
+        groups, moves = exactly_one(task, moves, budget.during(LOOKING))
+    except (MemoryLimitError, MemoryError):
+        raise UnrankedError(TOO_MUCH_MEMORY) from None
+    return moves, groups
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from ..grounding.task import Fact
 from ..system.arrays import Ints, Words
 from ..system.limits import Budget
 from ..system.threads import on_threads
-from .backward_search import relaxed
-from .digits import MANY
 from .kernels import block_steps, ranked_successors, state_sets
 from .kernels.ranked_successors import RankedOperators
 from .kernels.state_sets import RankSet
+from .numbering import MANY
+from .search_space import relaxed
 from .state_ranking import StateRanking
 from .state_space import Part
 

@@ -4,7 +4,7 @@ A *rank* is a mixed-radix number whose digits belong to clusters of variables. A
 values in the list of their possible joint values. Variables that the others determine are left out. There are two
 rankings. In `StateRanking.of`, every variable is a cluster of its own. It leaves out consequences of groups of facts
 of which exactly one always holds. A move then adds a constant to the rank. If this gives very many ranks,
-`StateRanking.dense` is tried. It leaves out variables that any linear invariant determines (`linear_invariants`), and
+`StateRanking.dense` is tried. It leaves out variables that any linear invariant determines (`invariants`), and
 uses clusters of variables with few joint values (`variable_clusters`). A move then adds an entry of a table, which
 depends on the cluster's digit.
 
@@ -26,10 +26,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..grounding.task import Fact, Task
 from ..system.arrays import Ints, Words
 from ..system.limits import Check, unchecked
-from .digits import Digits, Sum
+from .invariants import Determined, Mutexes, determined
 from .kernels.ranked_successors import FIELD_BITS, FIELDS, NOWHERE, PRIME, UnrankingTables, decode_all
-from .linear_invariants import Determined, determined
-from .mutexes import Mutexes
+from .numbering import Digits, Sum
 from .packing import Packing
 from .transition_normal_form import TNFOperator
 from .variable_clusters import Cluster, clusters

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from ..system.arrays import Ints, Words
 from ..system.jit import njit
 from ..system.limits import Check, unchecked
+from .invariants import Mutexes
 from .kernels.state_sets import entry_of, fill_slots, find, hash_of
-from .mutexes import Mutexes
 
 MOST_VALUES = 1 << 16
 """Largest number of joint values of a cluster. Larger gives fewer ranks, but larger tables."""

@@ -15,8 +15,8 @@ from conftest import invoke, write_instance
 
 from planner import load
 from planner.batch import solve_instance as solving
+from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
-from planner.batch.solve_record import SolveOptions
 
 pytestmark = pytest.mark.cases
 

@@ -18,8 +18,8 @@ import planner.costtogo.portfolio
 from assist.cli.output.solve_records import Answers
 from planner import LimitError, Limits, PDDLError, Table, astar, instance, load
 from planner.batch import solve_instance as solving
+from planner.batch.results_folder import SWEEPING, SolveOptions
 from planner.batch.solve_instance import solve_instance
-from planner.batch.solve_record import SWEEPING, SolveOptions
 from planner.costtogo.verification import check_plan
 from planner.grounding import fast_downward
 from planner.grounding.semantics import plan_cost
@@ -213,7 +213,7 @@ def test_where_a_star_does_not_answer_soon_the_table_is_checked_at_once(
             time.sleep(0.001)
         raise LimitError("Fast Downward was stopped")
 
-    monkeypatch.setattr("planner.costtogo.first_answer.astar", never)
+    monkeypatch.setattr("planner.costtogo.astar.astar", never)
     monkeypatch.setattr("planner.costtogo.verification.astar", None)  # nothing more may be asked of it
     options = SolveOptions(soon=0.2, small=0, first_answer_after=0.0)
     told: list[dict] = []

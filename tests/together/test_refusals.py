@@ -58,7 +58,7 @@ from assist.web.client import Client
 from assist.web.tokens import AccessTokens
 from planner import OnDemand, PDDLError, Table, load
 from planner.engine import Engine
-from planner.grounding.sas_reader import from_sas
+from planner.grounding.translation import from_sas
 from planner.system.files import writable
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from planner.batch.solve_record import SolveOptions
+from planner.batch.results_folder import SolveOptions
 from planner.system import files
 
 if TYPE_CHECKING:

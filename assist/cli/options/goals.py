@@ -11,7 +11,7 @@ import click
 
 import planner
 from planner import Instance, LimitError, Limits, find_instances
-from planner.batch.solve_record import SolveOptions
+from planner.batch.results_folder import SolveOptions
 from planner.system.limits import processors
 from planner.system.progress import stages
 from planner.system.threads import on_threads

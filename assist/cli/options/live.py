@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planner import Instance, InstanceError, find_instances
-from planner.batch.solve_record import SolveOptions
+from planner.batch.results_folder import SolveOptions
 from planner.system.errors import InputFileError, MissingExtraError, expected
 
 from ...declare.options import Given, setting_options

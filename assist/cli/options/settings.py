@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field
 
-from planner.batch.solve_record import SolveOptions
+from planner.batch.results_folder import SolveOptions
 
 from ...declare.declared import (
     Beside,

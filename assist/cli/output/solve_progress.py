@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from planner import Instance
-from planner.batch.solve_record import COMPILING, SolveRecord
+from planner.batch.results_folder import COMPILING, SolveRecord
 from planner.system.progress import compiling_line, stages
 
 

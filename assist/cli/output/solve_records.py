@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import click
 
-from planner.batch.solve_record import PLANNING, SWEEPING, SolveRecord
+from planner.batch.results_folder import PLANNING, SWEEPING, SolveRecord
 
 from ..terminal.console import print_json
 

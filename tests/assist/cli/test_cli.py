@@ -16,8 +16,8 @@ from assist.cli import main
 from assist.cli.command_group import COMMANDS
 from assist.cli.options.help import GROUPS
 from planner import Packing, Table, load
+from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
-from planner.batch.solve_record import SolveOptions
 from planner.grounding.fast_downward import ASTAR
 from planner.pddl.validation import validate
 

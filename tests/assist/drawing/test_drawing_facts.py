@@ -34,7 +34,7 @@ from assist.drawing.subject import Atom, Subject, words_for
 from assist.drawing.svg import document, draw_layout
 from planner import cost_to_go, load
 from planner.grounding.fast_downward import optimal_plan
-from planner.grounding.shown_names import in_the_files_terms
+from planner.grounding.translation import in_the_files_terms
 from planner.pddl.compilation import Compilation
 from planner.pddl.reader import read
 

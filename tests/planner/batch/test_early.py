@@ -21,12 +21,11 @@ import planner.costtogo.portfolio
 from assist.cli.output.solve_records import Answers
 from planner import Limits, Table, instance, load, verify
 from planner.batch import solve_batch as batch
-from planner.batch.results_folder import Results
+from planner.batch.results_folder import COMPARING, SWEEPING, Results, SolveOptions, SolveRecord, saved_files
 from planner.batch.solve_batch import solve_batch
 from planner.batch.solve_instance import _Phases, solve_instance
-from planner.batch.solve_record import COMPARING, SWEEPING, SolveOptions, SolveRecord, saved_files
-from planner.costtogo.first_answer import Early
-from planner.costtogo.sweep import sweep
+from planner.costtogo.astar import Early
+from planner.costtogo.table import sweep
 from planner.grounding import fast_downward
 from planner.grounding.semantics import plan_cost
 from planner.system.limits import Budget, LimitError, MemoryLimitError
@@ -167,7 +166,7 @@ def test_the_search_beside_a_sweep_borrows_memory() -> None:
 
 def test_a_search_that_is_stopped_says_so_and_can_be_repeated(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("planner.costtogo.first_answer.astar", never)
+        patch.setattr("planner.costtogo.astar.astar", never)
         with Early(load(TINY), Limits(), lambda _: pytest.fail("nobody is waiting"), delay=60.0) as early:
             assert not early.ended_within(0.0)
             assert early.within(0.1, Limits()) == "A* did not answer within 0 s"

@@ -16,10 +16,9 @@ from assist.cli import main
 from planner import Instance
 from planner.batch import results_folder as results
 from planner.batch import solve_batch as batch
-from planner.batch.results_folder import Results
+from planner.batch.results_folder import Results, SolveOptions
 from planner.batch.solve_batch import solve_batch
 from planner.batch.solve_instance import solve_instance
-from planner.batch.solve_record import SolveOptions
 from planner.system.workers import WorkerDiedError
 
 OPTIONS = SolveOptions(verify=1)
@@ -90,7 +89,7 @@ def test_what_an_answer_depends_on(
             records.write_text(records.read_text().replace('"cost": 6', '"cost": 7'))
         case "search":
             shutil.copytree(Path(results.__file__).parent, programs := tmp_path / "planner")
-            with (programs / "sweep.py").open("a") as file:
+            with (programs / "table.py").open("a") as file:
                 file.write("# changed\n")
             monkeypatch.setattr(results, "__file__", str(programs / "results.py"))
             monkeypatch.setattr(results, "_programs", results._programs.__wrapped__)

@@ -14,9 +14,9 @@ from planner.costtogo import verification
 from planner.costtogo.cost_to_go import optimal_choices
 from planner.costtogo.verification import check_successors, sample
 from planner.grounding import fast_downward
-from planner.grounding.sas_reader import from_sas
 from planner.grounding.semantics import plan_cost
-from planner.search.distances import UNREACHED, compact, plan_lengths, smallest_type
+from planner.grounding.translation import from_sas
+from planner.search.state_space import UNREACHED, compact, plan_lengths, smallest_type
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
 EDGES = [(1, 0, 5), (1, 2, 1), (2, 0, 3), (1, 3, 0), (3, 4, 0), (4, 0, 4), (4, 3, 0), (3, 1, 0), (2, 5, 1), (5, 6, 0)]

@@ -15,8 +15,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from planner import Instance, LimitError, Limits, MismatchError, Packing, Table, astar, instance, load, sweep, verify
+from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
-from planner.batch.solve_record import SolveOptions
 from planner.grounding.fast_downward import with_initial_state
 from planner.grounding.semantics import plan_cost
 from planner.grounding.task import Task, Variable
@@ -278,7 +278,7 @@ def test_where_neither_way_is_done_both_reasons_are_told(monkeypatch: pytest.Mon
     def slow(*_: object, **__: object) -> None:
         raise LimitError("Fast Downward ran out of time (1 s)")
 
-    monkeypatch.setattr("planner.costtogo.first_answer.astar", slow)
+    monkeypatch.setattr("planner.costtogo.astar.astar", slow)
     record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(max_states=5))
     assert record["status"] == "limit"
     assert record["error"]["message"] == "Fast Downward ran out of time (1 s); not swept: more than 5 states"

@@ -15,17 +15,17 @@ from conftest import KITTING, thinned
 from plain import distances, explore
 
 from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load, open_table, save_table
-from planner.search.distances import compact
 from planner.search.ranked_index import RankedIndex
 from planner.search.state_ranking import StateRanking
 from planner.search.state_registry import RegistryIndex
+from planner.search.state_space import compact
 from planner.search.transition_normal_form import exactly_one, split_operators
 from planner.system.errors import DamagedFileError
 
-module = importlib.import_module("planner.costtogo.sweep")
+module = importlib.import_module("planner.costtogo.table")
 successor_generator = importlib.import_module("planner.search.successor_generator")
 ranked_index = importlib.import_module("planner.search.ranked_index")
-digits = importlib.import_module("planner.search.digits")
+numbering = importlib.import_module("planner.search.numbering")
 sweep, SweepOptions = module.sweep, module.SweepOptions
 COMPILED = SweepOptions(small_states=0)
 UNLISTED = SweepOptions(0, transitions_per_pair=-1)  # a denser ranking is sought before any state is listed
@@ -211,7 +211,7 @@ def test_the_plain_sweep_can_be_stopped():
 @pytest.fixture
 def listed(monkeypatch):
     """Disable rankings, so that the sweep stores them."""
-    monkeypatch.setattr(digits, "split_operators", lambda *_: None)
+    monkeypatch.setattr(numbering, "split_operators", lambda *_: None)
 
 
 @pytest.mark.usefixtures("listed")

@@ -17,7 +17,7 @@ from test_sweep import COMPILED, UNLISTED, SweepOptions, counter, random_task
 from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, sweep
 from planner.costtogo.astar import ADMISSIBLE
 from planner.grounding import fast_downward
-from planner.grounding.sas_reader import from_sas
+from planner.grounding.translation import from_sas
 from planner.pddl.compilation import compiled
 from planner.pddl.reader import read
 

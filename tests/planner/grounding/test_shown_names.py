@@ -15,10 +15,9 @@ from assist.people.choices import Choices
 from planner import OnDemand, astar, load, sweep, verify
 from planner.costtogo.verification import check_successors
 from planner.grounding import fast_downward
-from planner.grounding.sas_reader import from_sas
 from planner.grounding.semantics import replay
-from planner.grounding.shown_names import in_the_files_terms
 from planner.grounding.task import Task
+from planner.grounding.translation import from_sas, in_the_files_terms
 from planner.pddl.compilation import Compilation
 from planner.pddl.instances import Instance
 from planner.pddl.reader import read

@@ -10,7 +10,7 @@ import pytest
 
 from planner import Instance, PDDLError, cost_to_go
 from planner.grounding import fast_downward
-from planner.grounding.sas_reader import from_sas
+from planner.grounding.translation import from_sas
 from planner.pddl.compilation import Compilation, compiled
 from planner.pddl.reader import read
 

@@ -12,7 +12,7 @@ from conftest import DOMAINS, KITTING, ROOT, SHIPPED, invoke
 
 from assist.cli import main
 from planner import InstanceError, PDDLError, find_instances, instance, load
-from planner.pddl.bundled import listed
+from planner.pddl.instance_finder import bundled_tasks
 
 
 @pytest.fixture(autouse=True)
@@ -22,7 +22,7 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_every_task_has_a_name_that_finds_it() -> None:
-    names = [one.name for one in listed()]
+    names = [one.name for one in bundled_tasks()]
     assert {file.problem for file in find_instances(names)} == {one.problem for one in SHIPPED}
     assert find_instances(["kitting/costs/ways"])[0].domain == KITTING / "costs" / "domain.pddl"
 

@@ -16,9 +16,8 @@ from plain import explore
 from test_sweep import COMPILED, UNLISTED, check, module, random_task
 
 from planner import Effect, Operator, Task, Variable, instance, load
-from planner.search.digits import Digits
-from planner.search.linear_invariants import PRIME, determined, invariants
-from planner.search.mutexes import Mutexes
+from planner.search.invariants import PRIME, Mutexes, determined, invariants
+from planner.search.numbering import Digits
 from planner.search.transition_normal_form import split_operators
 from planner.search.variable_clusters import clusters
 

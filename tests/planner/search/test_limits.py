@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import threading
 from collections.abc import Callable
@@ -18,8 +17,7 @@ from test_sweep import check as compared
 from planner import Effect, LimitError, Operator, Task, Variable, instance
 from planner.costtogo.orbit_table import orbits
 from planner.search import compiled_search
-from planner.search.linear_invariants import determined, invariants
-from planner.search.mutexes import Mutexes
+from planner.search.invariants import Mutexes, determined, invariants
 from planner.search.packing import Packing
 from planner.search.state_ranking import StateRanking
 from planner.search.state_registry import RegistrySpace
@@ -74,8 +72,10 @@ def dense(task: Task) -> StateRanking:
     return coding
 
 
-SEARCHED = ("mutexes", "linear_invariants", "variable_clusters")
-"""Modules that check their limits after a number of steps."""
+SEARCHED = (
+    "invariants.STEPS_PER_CHECK", "invariants.PRODUCTS_PER_CHECK", "variable_clusters.STEPS_PER_CHECK",
+)  # fmt: skip
+"""Numbers of steps after which limits are checked."""
 
 SEARCHES: dict[str, Callable[[Task, Check], Any]] = {
     "split": split_operators,
@@ -95,7 +95,7 @@ SEARCHES: dict[str, Callable[[Task, Check], Any]] = {
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check the limits after every step."""
     for name in SEARCHED:
-        monkeypatch.setattr(importlib.import_module(f"planner.search.{name}"), "STEPS_PER_CHECK", 0)
+        monkeypatch.setattr(f"planner.search.{name}", 0)
 
 
 @pytest.mark.usefixtures("often")
@@ -128,7 +128,7 @@ def test_what_is_found_does_not_depend_on_how_often_is_asked(seed: int) -> None:
     piecewise = found(task)
     with pytest.MonkeyPatch.context() as patch:
         for name in SEARCHED:
-            patch.setattr(importlib.import_module(f"planner.search.{name}"), "STEPS_PER_CHECK", 1 << 30)
+            patch.setattr(f"planner.search.{name}", 1 << 30)
         at_once = found(task)
     for one, other in zip(piecewise, at_once, strict=True):
         np.testing.assert_array_equal(one, other)

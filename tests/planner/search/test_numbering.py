@@ -19,8 +19,8 @@ from planner.search import compiled_search
 from planner.system.arrays import Ints
 from planner.system.limits import Budget
 
-module = importlib.import_module("planner.costtogo.sweep")
-digits = importlib.import_module("planner.search.digits")
+module = importlib.import_module("planner.costtogo.table")
+numbering = importlib.import_module("planner.search.numbering")
 State = tuple[int, ...]
 
 
@@ -71,7 +71,7 @@ def test_tasks_with_few_ranks_are_numbered_by_rank() -> None:
 
 @pytest.mark.parametrize("axioms", [False, True])
 def test_others_are_numbered_by_layer_and_packed_words(axioms: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(digits, "split_operators", lambda *_: None)
+    monkeypatch.setattr(numbering, "split_operators", lambda *_: None)
     monkeypatch.setattr("planner.search.state_registry.STATES_AT_A_TIME", 3)
     rng = random.Random(f"words {axioms}")
     for _ in range(20):
@@ -94,7 +94,7 @@ def ascending(table: Table) -> bool:
 
 
 def test_states_of_several_words_and_orbits_are_numbered_so_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(digits, "split_operators", lambda *_: None)
+    monkeypatch.setattr(numbering, "split_operators", lambda *_: None)
     rng = random.Random("several words")
     for _ in range(10):
         task = with_more(random_task(rng), rng, dead=70, tied=True)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_dense import composed, only_dense
-from test_sweep import COMPILED, UNLISTED, digits, random_task, sweep
+from test_sweep import COMPILED, UNLISTED, numbering, random_task, sweep
 from test_symmetry import copies
 
 from planner import CostToGo, Effect, LimitError, OnDemand, Operator, Packing, Table, Task, Variable
@@ -93,7 +93,7 @@ def check(task: Task, *, symmetric: bool = True) -> set[str]:
     expected, found = reference(task), {"registry"}
     equal(sweep(task), expected)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(digits, "split_operators", lambda *_: None)
+        patch.setattr(numbering, "split_operators", lambda *_: None)
         table = sweep(task, options=COMPILED)
         assert isinstance(table.space.numbering, RegistryIndex) or not task.operators
         equal(table, expected)

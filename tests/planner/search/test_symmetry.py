@@ -33,8 +33,8 @@ from planner import (
     optimal_choices,
     sweep,
 )
+from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
-from planner.batch.solve_record import SolveOptions
 from planner.costtogo import on_demand
 from planner.costtogo.orbit_table import OrbitTable, orbits
 from planner.costtogo.verification import check_successors

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import KITTING
 
-from planner.search.met_states import GrowingArray, StateRegistry
+from planner.search.state_registry import GrowingArray, StateRegistry
 from planner.system import threads
 from planner.system.threads import on_threads
 
@@ -149,7 +149,7 @@ from importlib import import_module
 from test_dense import tied
 from planner import OnDemand, instance, load, sweep
 shipped = {shipped!r}
-module, task = import_module("planner.costtogo.sweep"), tied(1, 2, 26)
+module, task = import_module("planner.costtogo.table"), tied(1, 2, 26)
 before = _thread._count()
 
 def begun(*_):

@@ -1,20 +1,22 @@
-"""Whether the cheapest plans of a trial stay within its values, by a search without a heuristic.
-
-The limit is a number of states, so that a file has the same task on every machine.
-"""
+"""The states of a trial with numbers: a search for its cheapest plan, and all reachable ones while none is beyond."""
 
 from __future__ import annotations
 
 import heapq
+import re
+from fractions import Fraction
 
 import numpy as np
 
 from ..grounding.semantics import derived
 from ..grounding.task import Task
-from ..search.met_states import StateRegistry
+from ..pddl.numeric_expressions import Number, whole
+from ..pddl.value_sets import Fluent
 from ..search.packing import Packing, holds
-from ..search.successor_generator import expanded, packed_operators
+from ..search.state_registry import RegistrySpace, StateRegistry
+from ..search.successor_generator import Expanded, expanded, packed_operators
 from ..system.arrays import Ints
+from ..system.limits import Budget, LimitError
 
 STATES_AT_A_TIME = 10_000
 
@@ -23,7 +25,7 @@ def stays_within(task: Task, most_states: int) -> bool | None:
     """Return whether no plan of the trial is as cheap if it may end beyond the values; None if that is not known.
 
     It is also True if there is no plan, and no number can be beyond. The search by increasing cost (Dijkstra) ends
-    without an answer once it has met more than `most_states` states.
+    without an answer once it has met more than `most_states` states, so that a file has the same task everywhere.
     """
     packing = Packing.of(task)
     operators, costs = packed_operators(task, packing), np.asarray(task.costs, dtype=np.int64)
@@ -69,3 +71,37 @@ def _wait(states: Ints, costs: Ints, waiting: dict[int, list[Ints]], queue: list
             waiting[cost] = []
             heapq.heappush(queue, cost)
         waiting[cost].append(np.unique(states[costs == cost]))
+
+
+class BeyondError(LimitError):
+    """A reachable state has a number beyond its values."""
+
+
+class WatchedStates(RegistrySpace):
+    """The states of a trial, whose enumeration ends once one has a number beyond its values."""
+
+    def __init__(self, task: Task, most_states: int) -> None:
+        self.task, self.budget = task, Budget.within(most_states)
+        super().__init__(task, self.budget)
+        packing = Packing.of(task)
+        self._beyond = [packing.condition([fact]) for fact in task.beyond]
+
+    def numbers(self) -> dict[Fluent, set[Number]]:
+        """Return the numbers that each fluent has in the states."""
+        found: dict[Fluent, set[Number]] = {}
+        values = self.index.values(np.arange(len(self)))
+        for variable, column in zip(self.task.variables, values.T, strict=True):
+            for value in np.unique(column):
+                match = re.fullmatch(r"Atom ([^()]+)\((.*)\) = (-?\d[\d./]*)", variable.facts[value])
+                if match is not None:
+                    fluent = (match[1], *(match[2].split(", ") if match[2] else ()))
+                    found.setdefault(fluent, set()).add(whole(Fraction(match[3])))
+        return found
+
+    def expand(self, block: range) -> list[Expanded]:
+        """Return the successors of a block's states."""
+        parts = super().expand(block)
+        for _, _, after in parts:
+            if any(np.any(holds(after, *condition)) for condition in self._beyond):
+                raise BeyondError("a number is beyond its values")
+        return parts
