@@ -13,12 +13,14 @@ import pickle
 import signal
 import sys
 import threading
+import time
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import Future, as_completed
 from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import active_children, get_context, resource_tracker
+from math import inf
+from multiprocessing import get_context, resource_tracker
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from . import processes
@@ -28,8 +30,6 @@ from .progress import UNSHOWN
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
-    from pebble import ProcessPool
-    from pebble.pool.process import WorkerManager
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -185,12 +185,7 @@ def _work_in_fork(
         processes.join(group)
         os.environ[UNSHOWN] = "0"
         for number, item in enumerate(items):
-            outcome: Any
-            try:
-                outcome = _sendable(work(item, *arguments, *(report(number) for report in reports)))
-            except Exception as error:  # noqa: BLE001  as in a pool
-                outcome = error
-            sending.send(outcome)
+            sending.send(_outcome(work, item, *arguments, *(report(number) for report in reports)))
     finally:
         os._exit(1)
 
@@ -203,115 +198,132 @@ def _in_a_pool(
     timeout: float | None,
     hear: Callable[..., None] | None,
 ) -> Generator[tuple[Item, Result | Exception]]:
-    from multiprocessing.connection import Connection
+    from multiprocessing.connection import Connection, wait
 
-    from pebble import ProcessExpired
-
-    if not items:
-        return
     listener = None if hear is None else Listener(lambda number, *report: hear(items[number], *report))
+    workers: list[_Worker] = []
+    waiting = deque(range(len(items)))
     with (
         nullcontext() if listener is None else closing(listener),
         nullcontext() if listener is None else Connection(os.dup(listener.pipe), readable=False) as pipe,
-        _pool(min(jobs, len(items)), pipe) as pool,
+        processes.safe_path(),
     ):
+        # Otherwise the first worker starts it, and unblocks Ctrl-C.
+        resource_tracker.ensure_running()
+        begin = (work, arguments, processes.guarded_group(), pipe)
         with _interrupts_left_to_this_process():
-            futures: dict[Future[Result], Item] = {
-                pool.schedule(_carry_out, args=(work, number, item, *arguments), timeout=timeout): item
-                for number, item in enumerate(items)
-            }
             if listener is not None:
                 listener.start()
-        for future in as_completed(futures):
-            outcome: Any
-            try:
-                outcome = future.result()
-            except ProcessExpired as error:
-                outcome = _died(error.exitcode)
-            except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
-                outcome = error
-            yield futures[future], outcome
-
-
-@contextmanager
-def _pool(workers: int, pipe: Connection | None) -> Iterator[ProcessPool]:
-    """Yield a pool of processes. They end with the context; if it is left by an exception, they are killed."""
-    from pebble import ProcessPool
-
-    with processes.safe_path():
-        # Otherwise the first worker starts it, in the thread that starts all of them, and unblocks Ctrl-C there.
-        resource_tracker.ensure_running()
-        others = set(active_children())
-        begin = (processes.guarded_group(), pipe)
-        pool = ProcessPool(max_workers=workers, context=get_context("spawn"), initializer=_begin, initargs=begin)
-        _hear_the_dead_out(pool._pool_manager.worker_manager)
-        done = False
         try:
-            yield pool
-            done = True
-        finally:
-            pool.stop()  # type: ignore[no-untyped-call]
-            # All at once: `join` waits up to three seconds for each. It also removes what a worker that is still
-            # starting would look for, and then print an error.
-            for worker in set(active_children()) - others:
-                (worker.terminate if done else worker.kill)()
-            pool.join()
+            while waiting or workers:
+                while waiting and len(workers) < jobs:
+                    workers.append(_Worker(begin, waiting.popleft(), items, timeout))
+                left = min(worker.deadline for worker in workers) - time.monotonic()
+                heard = wait([worker.connection for worker in workers], None if left == inf else max(0.0, left))
+                for worker in list(workers):
+                    done, number = worker.outcome(worker.connection in heard), worker.number
+                    if not done:
+                        continue
+                    if worker.ended or not waiting:
+                        workers.remove(worker)
+                        worker.end()
+                    else:
+                        worker.give(waiting.popleft())
+                    yield items[number], done[0]
+        finally:  # what is still at work was left by an exception
+            for worker in workers:
+                worker.kill()
+            for worker in workers:
+                worker.end()
 
 
-def _hear_the_dead_out(workers: WorkerManager) -> None:
-    """Let a pool learn that a worker died after it has read all that the worker sent, and no message has come since.
+class _Worker:
+    """A process of this machine that works on one item at a time, in a new interpreter; `number` is that of its item.
 
-    A pool of pebble otherwise looks for the work of a dead worker at once. If it has not read yet what the worker
-    began, which happens on a busy machine, it waits for that work for ever, or gives up all work.
+    It sends an empty tuple when it has started, and then a tuple of one outcome for each item that it is given.
     """
-    from pebble.pool.process import NoMessage
 
-    receive, inspect, silences, dead = workers.receive, workers.inspect_workers, 0, list[tuple[int, Any]]()
+    def __init__(self, begin: tuple[Any, ...], number: int, items: Sequence[Any], timeout: float | None) -> None:
+        context = get_context("spawn")
+        self.number, self.deadline, self.ended = number, inf, False
+        self._items, self._timeout = items, timeout
+        self.connection, other = context.Pipe()
+        with other, _interrupts_left_to_this_process():
+            self._process = context.Process(target=_serve, args=(other, *begin), daemon=True)
+            self._process.start()
 
-    def received(timeout: float) -> Any:
-        nonlocal silences
-        message = receive(timeout)
-        silences += isinstance(message, NoMessage)
-        return message
+    def give(self, number: int) -> None:
+        """Let the process, which has nothing to do, work on an item."""
+        self.number = number
+        self.deadline = inf if self._timeout is None else time.monotonic() + self._timeout
+        with suppress(OSError):  # it has died, which `outcome` finds
+            self.connection.send((number, self._items[number]))
 
-    def expired() -> tuple[Any, ...]:
-        dead.extend((silences + 2, worker) for worker in inspect())  # one silence may have begun before the death
-        known = tuple(worker for after, worker in dead if silences >= after)
-        dead[:] = [each for each in dead if each[1] not in known]
-        return known
+    def outcome(self, heard: bool) -> tuple[Any, ...]:
+        """Return a tuple of the outcome of its item, empty if it is still at work; `heard` is whether it has sent."""
+        try:
+            if heard:
+                done: tuple[Any, ...] = self.connection.recv()
+                if not done:
+                    self.give(self.number)
+                return done
+        except (EOFError, ConnectionResetError):
+            self._process.join()
+            self.ended = True
+            return (_died(self._process.exitcode or 0),)
+        if time.monotonic() < self.deadline:
+            return ()
+        self.kill()
+        self.ended = True
+        return (TimeoutError(f"it took more than {self._timeout:g} s"),)
 
-    workers.receive, workers.inspect_workers = received, expired  # type: ignore[method-assign]
+    def kill(self) -> None:
+        """Stop the process at its work."""
+        self._process.kill()
+
+    def end(self) -> None:
+        """End the process, which has nothing to do or was killed."""
+        self._process.terminate()
+        self._process.join(3.0)
+        self._process.kill()  # where it ignores that it was asked
+        self._process.join()
+        self.connection.close()
 
 
-_pipe: Connection | None = None  # in a worker: the pipe for its reports
-
-
-def _begin(group: int, pipe: Connection | None) -> None:
-    """Initialise a worker process. It shares the terminal, and shows no progress of its own."""
-    global _pipe
+def _serve(
+    connection: Connection,
+    work: Callable[..., Any],
+    arguments: Sequence[Any],
+    group: int,
+    pipe: Connection | None,
+) -> None:
+    """Work on items in a process that shares the terminal, and shows no progress of its own."""
     os.environ[UNSHOWN] = "0"
     processes.join(group)
-    _pipe = pipe
+    for given in (connection, pipe):
+        if given is not None:
+            os.set_inheritable(given.fileno(), False)  # its end is seen when this process ends
+    with suppress(EOFError, OSError):  # the other process has ended
+        connection.send(())
+        while True:
+            number, item = connection.recv()
+            reports = () if pipe is None else (Reporter(pipe.fileno(), number),)
+            connection.send((_outcome(work, item, *arguments, *reports),))
 
 
-def _carry_out(work: Callable[..., Result], number: int, item: Item, *arguments: Any) -> Result:
-    """Do the work on one item in a worker process."""
-    if _pipe is not None:
-        arguments = (*arguments, Reporter(_pipe.fileno(), number))
+def _outcome(work: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the result of some work, or its exception, as another process can receive it."""
+    outcome: Any
     try:
-        return _sendable(work(item, *arguments))
-    except Exception as error:  # noqa: BLE001  raised in the other process
-        raise _sendable(error) from None
-    except BaseException as error:  # noqa: BLE001  SystemExit, for instance; otherwise the pool would wait forever for a result
-        raise WorkerDiedError(f"the worker process was ended by {error!r}") from None
-
-
-def _sendable(outcome: Result) -> Result:
-    """Return a result or an exception; raise `WorkerDiedError` if it cannot be pickled or unpickled."""
+        outcome = work(*arguments)
+    except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
+        outcome = error
+    except BaseException as error:  # noqa: BLE001  SystemExit, for instance
+        return WorkerDiedError(f"the worker process was ended by {error!r}")
     try:
         pickle.loads(pickle.dumps(outcome))
     except Exception as error:  # noqa: BLE001  pickling may run any code of the outcome's classes
-        raise WorkerDiedError(f"{outcome!r} cannot be sent to another process: {error}") from None
+        return WorkerDiedError(f"{outcome!r} cannot be sent to another process: {error}")
     return outcome
 
 

@@ -97,7 +97,7 @@ def test_workers_are_heard_and_ctrl_c_does_not_reach_them_from_their_beginning(t
 
 
 SHADOWING = (
-    "planner assist fast_downward up_fast_downward unified_planning numpy numba scipy pebble click multiprocessing "
+    "planner assist fast_downward up_fast_downward unified_planning numpy numba scipy click multiprocessing "
     "json queue signal random types logging pickle threading runpy tempfile struct"
 )
 """Names of modules that the programs import."""
