@@ -40,7 +40,7 @@ from assist.people.choice_model import ChoiceModel, boltzmann
 from assist.people.choices import Choices
 from assist.people.decision import Floats, perceived_value
 from assist.people.goals import Goals
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.people.state_keys import mix
 from assist.people.trust_rules import constant, outcome, outcome_at_disagreement
 from assist.person import truncated_bound

@@ -22,9 +22,11 @@ import numpy as np
 from tables import Columns, cell, more_option, record_option, write_record
 
 from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel, Population
+from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
-from assist.person.pomdp import AssistPOMDP, Suggestions
+from assist.people.ranges import Population
+from assist.person.pomdp import AssistPOMDP
+from assist.person.robots import Suggestions
 from assist.person.solver import solve
 from planner import Instance, load, sweep
 

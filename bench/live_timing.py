@@ -20,7 +20,7 @@ from tables import Columns, cell, record_option, write_record
 
 from assist.live.assistant import Assistant
 from assist.live.simulated_person import SimulatedPerson
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.person.settings import Setting
 from planner import CostToGo, cost_to_go, load
 

@@ -11,7 +11,8 @@ from assist.learning import EvaluatedStates, Log, Observations, observe, replay
 from assist.learning.replay import situation
 from assist.people import NOTHING_YET, Situation, Term, Vocabulary, features, goals_met
 from assist.people.decision import NOTHING, choice, influence, trust
-from assist.people.trust_rules import PerceivedSuggestions, TrustRule, moved
+from assist.people.perceived_suggestions import PerceivedSuggestions, moved
+from assist.people.trust_rules import TrustRule
 from planner import CostToGo
 
 

@@ -36,7 +36,8 @@ from assist.certify.team_bound import upper_bound
 from assist.cli.options.help import Command
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import HumanModel, Population
+from assist.people.human import HumanModel
+from assist.people.ranges import Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting

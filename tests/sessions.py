@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from assist.live.events import Acted, Elapsed, Paused, TeamEvent, kinds
 from assist.live.session import Session
 from assist.live.team import Team
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.person.settings import Setting
 
 # People to whom the robot says something after one mistake, too, that they made against its advice.

@@ -33,16 +33,15 @@ ROOMS = {
     "planner": "engine",
     "assist.declare": "declared tables options",
     "assist.texts": "catalogue refusals",
-    "assist.people": """arguments state_keys hidden_type choices misconception decision goals terms memory choice_model
-        weighted_choice user_code human real_people spread belief influence_kernels type_kernels trust_rules
-        action_names signals""",
-    "assist.person": """tie_kernels ties leaf_bounds observation_model pomdp assumptions robots travel settings
-        visiting_robot
-        problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics joint_belief beliefs
-        rounding action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull convex_bound hsvi search
-        memory_needed further_beliefs solver time_expansion subproblem_frontier attention_subproblem truncated_task
-        state_cache growing_problem leaf_estimates backups compliance_relaxation truncated_bound truncated_policy
-        person_problem""",
+    "assist.people": """arguments state_keys hidden_type choices misconception decision user_code goals terms memory
+        choice_model weighted_choice human ranges real_people spread belief influence_kernels type_kernels trust_rules
+        perceived_suggestions action_names signals""",
+    "assist.person": """tie_kernels ties leaf_bounds evidence observation_model robots fleet travel settings pomdp
+        assumptions visiting_robot problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics
+        joint_belief beliefs rounding action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull
+        convex_bound hsvi search memory_needed further_beliefs solver time_expansion subproblem_frontier
+        attention_subproblem truncated_task state_cache growing_problem leaf_estimates backups compliance_relaxation
+        truncated_bound truncated_policy person_problem""",
     "assist.learning": """method log_steps log_json log_files log comparison intervals advice_log advice_rules
         advice_model advice_fit replay observations joint_states evidence likelihood choosing
         likelihood_table person_estimate profiles maximum_likelihood logit_likelihood hierarchy misconception_fit

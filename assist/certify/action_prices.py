@@ -1,6 +1,6 @@
 """Prices of actions in a bound for robots that differ, in addition to the price of their attention.
 
-In people's problems every robot has the best ability and the lowest costs of any (`person.robots`). Prices of
+In people's problems every robot has the best ability and the lowest costs of any (`person.fleet`). Prices of
 suggestions and of executions account for it that not every robot of the team has them. Let e_m(a) be what an action of
 class a costs robot m more than the best robot: infinite if it cannot execute.
 
@@ -13,7 +13,7 @@ where V_k is the optimal value of person k's subproblem with the best robot, at 
 the price lambda_t, and an action of class a the price mu_t(a) in addition.
 
 Proof. Consider any policy of the team, as a policy of the best robots that has the costs e_m(a) in addition
-(`assist.person.robots`). In a step, a robot attends to no person, or to a person without an action, or
+(`assist.person.fleet`). In a step, a robot attends to no person, or to a person without an action, or
 takes one action, of some class a. In its part of the first sum the robot has at least as much as the prices of what it
 does, minus e_m(a): nothing, lambda_t, or lambda_t + mu_t(a). So the return increases or stays the same if the first sum
 is added, and the prices are subtracted and the costs e_m(a) added back. The result is the first sum plus, for each
@@ -28,7 +28,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..people.decision import Floats
-from ..person.robots import EXECUTION, SUGGESTION
+from ..person.fleet import EXECUTION, SUGGESTION
 from ..person.settings import Setting
 
 

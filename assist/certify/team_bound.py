@@ -32,7 +32,7 @@ without prices need no step in their states, so that the solver gets further in 
 account for the conflicts.
 
 Why the bound also holds for people with unknown goals and for robots that differ stands at `certify.prices` and
-`person.robots`. Prices of actions lower that of robots that differ (`certify.action_prices`).
+`person.fleet`. Prices of actions lower that of robots that differ (`certify.action_prices`).
 
 The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated
 in the same model.

@@ -37,7 +37,7 @@ def infer(
     """
     from ..learning.goals import infer_goals
     from ..people.belief import Grid
-    from ..people.human import Population
+    from ..people.ranges import Population
     from .output.goal_posteriors import show_goals
 
     if file.suffix == ".pddl":

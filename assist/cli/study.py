@@ -43,11 +43,11 @@ def study(
     """
     from planner.system.errors import InputFileError
 
+    from ..people.user_code import UserCodeError
     from ..reports.study_report import cost_notes, headline, limit_notes, require, write_report
     from ..study.cells import check
     from ..study.protocol import read
     from ..study.runner import run_study
-    from ..team.state import PolicyError
 
     say = partial(click.echo, err=True)
     with one_line_errors("interrupted; finished parts are saved, --resume continues"):
@@ -60,7 +60,7 @@ def study(
         except InputFileError as error:
             fail(str(error), ExitCode.USAGE)
         for cell, reason in failed:
-            say(f"{cell}: {reason if isinstance(reason, InputFileError | PolicyError) else repr(reason)}")
+            say(f"{cell}: {reason if isinstance(reason, InputFileError | UserCodeError) else repr(reason)}")
         if failed:
             fail(
                 f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again",

@@ -130,7 +130,7 @@ def conduct(
     try:
         from planner.system.errors import InputFileError
 
-        from ..team.state import PolicyError
+        from ..people.user_code import UserCodeError
         from ..userstudy.plan_file import read
         from ..web.user_study import server as serving
     except ImportError as error:
@@ -161,7 +161,7 @@ def conduct(
                 study, tasks, folder, listening, ready, participants=rehearse, public_url=public_url,
                 trusted_proxies=trusted_proxies,
             )  # fmt: skip
-    except PolicyError as error:
+    except UserCodeError as error:
         fail(str(error), ExitCode.USAGE)
     if rehearse:
         _report(folder)

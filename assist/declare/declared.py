@@ -100,7 +100,8 @@ def _number(value: Any) -> float:
     raise PydanticCustomError("kind", "a number")
 
 
-def _whole(value: Any) -> int:
+def whole_number(value: Any) -> int:
+    """Return a whole number of any type as Python's own; truth values are none."""
     try:
         found = None if isinstance(value, bool) or type(value).__name__ == "bool" else operator.index(value)
     except TypeError:
@@ -123,7 +124,7 @@ def _pair(value: Any) -> Any:
 
 
 Number = Annotated[float, BeforeValidator(_number), Kind("a number")]
-Whole = Annotated[int, BeforeValidator(_whole), Kind("a whole number")]
+Whole = Annotated[int, BeforeValidator(whole_number), Kind("a whole number")]
 Truth = Annotated[bool, BeforeValidator(_truth), Kind("true or false")]
 Count = Annotated[Whole, Field(ge=1)]
 Seed = Annotated[Whole, Field(ge=0)]
@@ -225,7 +226,7 @@ def _declared(cls: type[T], *, partial: bool, kw_only: bool) -> type[T]:
         }
         for name in said:
             setattr(cls, name, None)
-    made: Any = validated(frozen=True, kw_only=kw_only, config=CONFIG)(cls)
+    made: Any = validated(frozen=True, repr=False, kw_only=kw_only, config=CONFIG)(cls)
     bare = made.__init__
     positional = [one.name for one in dataclasses.fields(made) if not one.kw_only]
 
@@ -240,10 +241,17 @@ def _declared(cls: type[T], *, partial: bool, kw_only: bool) -> type[T]:
             raise DeclarationError.of(type(self), error, every) from None
 
     made.__init__ = __init__
+    if made.__repr__ is object.__repr__:  # a base's own is kept
+        made.__repr__ = _outline
     rows = [f"{name}\n    {text}" for name, text in sentences(made).items() if text]
     if made.__doc__ and rows and "Attributes\n" not in made.__doc__:
         made.__doc__ = "\n".join([made.__doc__.rstrip(), "", "Attributes", "----------", *rows, ""])
     return made
+
+
+def _outline(self: Any) -> str:
+    every = (f"{one.name}={getattr(self, one.name)!r}" for one in dataclasses.fields(self))
+    return f"{type(self).__qualname__}({', '.join(every)})"
 
 
 def is_declared(kind: Any) -> bool:

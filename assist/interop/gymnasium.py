@@ -22,7 +22,7 @@ from planner.system.errors import MissingExtraError
 from ..people.choices import Choices
 from ..people.decision import Floats
 from ..people.goals import Goals
-from ..people.human import Population
+from ..people.ranges import Population
 from ..person.settings import Setting
 from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.model_group import World

@@ -17,7 +17,7 @@ from planner import Table, sweep, task_of
 
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
-from ..people.human import Population
+from ..people.ranges import Population
 from ..person.beliefs import Seen
 from ..person.settings import Setting
 from ..simulation.beginning import Beginning, Beginnings

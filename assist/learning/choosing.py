@@ -36,7 +36,7 @@ def with_model(
 
     Raises
     ------
-    ChoiceModelError
+    UserCodeError
         The model fails, or does not return probabilities.
     """
     choices = Choices.of(table)

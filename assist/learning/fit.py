@@ -17,8 +17,9 @@ from planner.system.results import Result
 
 from ..people.arguments import positive
 from ..people.choice_model import ChoiceModel, boltzmann
-from ..people.human import Human, Population
+from ..people.human import Human
 from ..people.misconception import Misconception
+from ..people.ranges import Population
 from ..people.terms import TERMS, Term
 from ..people.weighted_choice import Weighted
 from .choosing import with_model

@@ -24,7 +24,7 @@ from ..people.belief import Grid
 from ..people.choices import STAND_STILL
 from ..people.decision import NOTHING, Floats, choice
 from ..people.decision import lapse as lapses
-from ..people.human import Population
+from ..people.ranges import Population
 from .evidence import Evidence, Reading, Records, evidence
 from .log import Fault
 from .observations import Ints

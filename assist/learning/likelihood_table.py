@@ -16,7 +16,8 @@ from planner.system.jit import njit
 from planner.system.results import ByContent
 
 from ..people.decision import Floats
-from ..people.trust_rules import LEAST, EquationSeven, Event, PerceivedSuggestions, TrustRule, moved
+from ..people.perceived_suggestions import PerceivedSuggestions, moved
+from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule
 from .likelihood import Data, Method, alone, largest_beta, with_trust
 from .log import LogError
 from .observations import Ints, Observations

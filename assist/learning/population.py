@@ -29,7 +29,7 @@ from planner.system.results import Result
 from ..declare.declared import DeclarationError, plain, spelt
 from ..people.arguments import number
 from ..people.decision import NOTHING, Floats
-from ..people.human import Population, Range
+from ..people.ranges import Population, Range
 from ..people.trust_rules import EquationSeven, Shipped, rule_of
 from .evidence import Evidence, observations_of
 from .hierarchy import Hierarchy

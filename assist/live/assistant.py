@@ -31,7 +31,7 @@ from planner import CostToGo, known_costs
 
 from ..declare.declared import plain
 from ..people.goals import Goals
-from ..people.human import Population
+from ..people.ranges import Population
 from ..person.policy import Policy
 from ..person.robots import Robot
 from ..person.settings import Setting

@@ -20,7 +20,7 @@ from ..explain.explanation import Explanation
 from ..people.action_names import in_pddl
 from ..people.decision import NOTHING
 from ..people.goals import Goals
-from ..people.human import Population
+from ..people.ranges import Population
 from ..people.real_people import advice_takers
 from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy

@@ -21,7 +21,7 @@ from ..people.choice_model import chances
 from ..people.choices import Choices
 from ..people.decision import perceived_cost
 from ..people.goals import Goals, first_of
-from ..people.human import Population
+from ..people.ranges import Population
 from ..person.person_problem import WHOLE, is_whole
 from .desk import Desk
 from .live_task import digest

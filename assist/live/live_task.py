@@ -22,8 +22,9 @@ from ..people.action_names import Matcher, UnmatchedError, words_of
 from ..people.arguments import require_goal
 from ..people.choices import STAND_STILL, WAIT, Choices
 from ..people.goals import Goals, first_of
-from ..people.human import Population
 from ..people.memory import choices_of
+from ..people.ranges import Population
+from ..person.assumptions import Assumptions
 from ..person.person_problem import WHOLE, is_whole, rows_within
 from ..person.policy import Policy
 from ..person.qmdp import qmdp
@@ -197,8 +198,8 @@ def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) ->
     """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
     if is_whole(known):
         choices = known.choices() if isinstance(known, Goals) else choices_of(known, tuple(prior.weights))
-        return qmdp(setting.problem(choices, None, prior))
-    return TruncatedPolicy(SharedTask(known), setting.assumptions(None, prior))
+        return qmdp(Assumptions.of(setting, None, prior).problem(choices))
+    return TruncatedPolicy(SharedTask(known), Assumptions.of(setting, None, prior))
 
 
 def _known(task: CostToGo | Goals | Policy) -> CostToGo | Choices:

@@ -29,7 +29,7 @@ from planner import CostToGo
 from planner.system.errors import DamagedFileError, ResultsExistError
 
 from ..people.goals import Goals
-from ..people.human import Population
+from ..people.ranges import Population
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, InapplicableError, InvalidError, Refusal

@@ -19,10 +19,12 @@ from ..people.choice_model import boltzmann
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats, perceived_cost
 from ..people.goals import Goals
-from ..people.human import Human, Population
+from ..people.human import Human
+from ..people.perceived_suggestions import PerceivedSuggestions, moved
+from ..people.ranges import Population
 from ..people.state_keys import keys_of
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
-from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule, moved
+from ..people.trust_rules import EquationSeven, TrustRule
 from ..people.weighted_choice import Weighted
 from ..person.dynamics import drawn_slots, influenced
 from ..person.observation_model import ObservationModel

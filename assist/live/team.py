@@ -22,7 +22,7 @@ from planner import CostToGo
 from ..explain.explanation import Explanation, WhyNothing
 from ..people.decision import Floats
 from ..people.goals import Goals
-from ..people.human import Population
+from ..people.ranges import Population
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, InvalidError

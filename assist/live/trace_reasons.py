@@ -10,9 +10,9 @@ import numpy as np
 from planner import CostToGo
 
 from ..people.goals import Goals
-from ..people.human import Population
+from ..people.ranges import Population
+from ..person.fleet import SUGGESTION
 from ..person.policy import Policy
-from ..person.robots import SUGGESTION
 from ..person.settings import Setting
 from ..team.state import TeamState
 from .decision_point import DecisionPoint

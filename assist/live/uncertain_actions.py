@@ -12,8 +12,9 @@ from ..people.belief import ImpossibleObservationError
 from ..people.choices import Choices
 from ..people.decision import NOTHING
 from ..person.beliefs import Glimpse, PerhapsMissed, PersonModel, Reported
+from ..person.evidence import Evidence
 from ..person.joint_belief import JointBelief
-from ..person.observation_model import Evidence, ObservationModel
+from ..person.observation_model import ObservationModel
 from ..person.settings import Setting
 from ..texts.refusals import InapplicableError, InvalidError, Refusal
 from .live_task import LiveTask

@@ -1,7 +1,6 @@
 from .belief import Grid as Grid
 from .belief import ImpossibleObservationError as ImpossibleObservationError
 from .choice_model import ChoiceModel as ChoiceModel
-from .choice_model import ChoiceModelError as ChoiceModelError
 from .choice_model import boltzmann as boltzmann
 from .choices import WAIT as WAIT
 from .choices import Choices as Choices
@@ -15,10 +14,10 @@ from .decision import trust as trust
 from .goals import Goals as Goals
 from .human import Human as Human
 from .human import HumanModel as HumanModel
-from .human import Population as Population
 from .memory import remembered as remembered
 from .misconception import Misconception as Misconception
 from .misconception import perceived_cost_to_go as perceived_cost_to_go
+from .ranges import Population as Population
 from .real_people import advice_takers as advice_takers
 from .signals import ActionRecovery as ActionRecovery
 from .signals import FactChange as FactChange
@@ -41,4 +40,5 @@ from .trust_rules import TrustRule as TrustRule
 from .trust_rules import constant as constant
 from .trust_rules import outcome as outcome
 from .trust_rules import outcome_at_disagreement as outcome_at_disagreement
+from .user_code import UserCodeError as UserCodeError
 from .weighted_choice import Weighted as Weighted

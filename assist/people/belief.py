@@ -18,7 +18,7 @@ from planner.system.arrays import frozen
 
 from .decision import Floats
 from .hidden_type import HiddenType
-from .human import Population
+from .ranges import Population
 from .spread import Cells, Spread
 
 

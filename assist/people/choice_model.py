@@ -12,10 +12,7 @@ import numpy as np
 
 from .choices import Choices
 from .decision import Floats, choice, perceived_value
-
-
-class ChoiceModelError(ValueError):
-    """A choice model fails, or does not return probabilities."""
+from .user_code import UserCodeError
 
 
 class ChoiceModel(Protocol):
@@ -62,7 +59,7 @@ def chances(chooses: ChoiceModel, choices: Choices, q: Floats, beta: Floats) -> 
 
     Raises
     ------
-    ChoiceModelError
+    UserCodeError
         The shape is wrong, a number is negative or not finite, or the sum in a state is not 1.
     """
     p = chooses(choices, q, beta)
@@ -71,14 +68,14 @@ def chances(chooses: ChoiceModel, choices: Choices, q: Floats, beta: Floats) -> 
     named = getattr(chooses, "__name__", type(chooses).__name__)
     p, shape = np.asarray(p, dtype=float), (len(beta), *choices.applicable.shape)
     if p.shape != shape:
-        raise ChoiceModelError(f"{named}: gives an array of shape {p.shape}; expected {shape}: types, states, choices")
+        raise UserCodeError(f"{named}: gives an array of shape {p.shape}; expected {shape}: types, states, choices")
     wanted = choices.applicable.any(axis=1).astype(float)
     total = p.sum(axis=2)
     unbalanced = ~(np.abs(total - wanted) <= 1e-9)  # more than rounding errors, or NaN
     wrong = ~((p >= 0) & (choices.applicable | (p == 0))).all(axis=2) | unbalanced
     if wrong.any():
         b, x = np.argwhere(wrong)[0]
-        raise ChoiceModelError(
+        raise UserCodeError(
             f"{named}: chances {p[b, x].tolist()} in state {x} for beta {beta[b]:g}; expected 0 or more, 0 in empty "
             f"slots, adding up to {wanted[x]:g}"
         )
@@ -91,7 +88,5 @@ def value(chooses: ChoiceModel, choices: Choices, q: Floats) -> Floats:
     v = np.asarray(own(choices, q), dtype=float)
     if v.shape != choices.h.shape or np.isnan(v).any():
         named = getattr(chooses, "__name__", type(chooses).__name__)
-        raise ChoiceModelError(
-            f"{named}: value of shape {v.shape}; expected a number for each of {len(choices)} states"
-        )
+        raise UserCodeError(f"{named}: value of shape {v.shape}; expected a number for each of {len(choices)} states")
     return v

@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from statistics import NormalDist
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from ..declare.declared import MOST
-from .choice_model import ChoiceModel
-from .human import Population, Range
+from .ranges import Population, Range
+
+if TYPE_CHECKING:
+    from .choice_model import ChoiceModel
 
 
 def advice_takers(
@@ -35,9 +36,7 @@ def advice_takers(
     """
     if not (-MOST <= center <= MOST and 0 < spread <= MOST):
         raise ValueError(f"center {center:g}, spread {spread:g}: expected log-odds, and a spread above 0")
-    edges = np.linspace(0.0, 1.0, 11)
-    below = [0.0, *(NormalDist(center, spread).cdf(math.log(e / (1 - e))) for e in edges[1:-1].tolist()), 1.0]
-    parts = tuple(
-        Population(beta, (low, high), sigma, chooses=chooses) for low, high in itertools.pairwise(edges.tolist())
-    )
-    return Population.mixed(parts, np.diff(below).tolist())
+    edges = [tenth * 0.1 for tenth in range(10)] + [1.0]
+    below = [0.0, *(NormalDist(center, spread).cdf(math.log(e / (1 - e))) for e in edges[1:-1]), 1.0]
+    parts = tuple(Population(beta, (low, high), sigma, chooses=chooses) for low, high in itertools.pairwise(edges))
+    return Population.mixed(parts, [high - low for low, high in itertools.pairwise(below)])

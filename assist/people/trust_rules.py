@@ -15,16 +15,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from planner.system.errors import expected
 
 from ..declare.declared import MOST, DeclarationError, Number, Truth, Whole, declared, plain
-from .decision import Floats, trust
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from .decision import Floats
 
 Feedback = Literal["perceived", "true", "never"]
 OF_FEEDBACK = "What people who follow a suggestion see of the outcome: by their own costs, by exact ones, or nothing."
@@ -102,6 +105,8 @@ class EquationSeven:
 
     def update(self, theta: Floats, event: Event) -> Floats:
         """Return theta after the event; equation (7)."""
+        from .decision import trust
+
         return trust(theta, 0.0, event.gain, self.eta, self.utility_scale)
 
 
@@ -152,6 +157,8 @@ class LogitSteps:
 
     def update(self, theta: Floats, event: Event) -> Floats:
         """Return theta after the event, between `LEAST` and 1 - `LEAST` where it moves."""
+        import numpy as np
+
         seen = np.where(event.shown, np.where(event.right, self.gain, -self.loss), 0.0)
         step = seen if self.at_agreement else np.where(event.agrees, self.agreement, seen)
         start = np.clip(np.asarray(theta, dtype=float), LEAST, 1 - LEAST)
@@ -202,6 +209,8 @@ class Reliability:
         count : int array
             Number of outcomes before, at most `counts`.
         """
+        import numpy as np
+
         kept, before = 1 - self.forgetting, [self.weight]
         for _ in range(self.counts):
             before.append(kept * before[-1] + 1)
@@ -209,27 +218,6 @@ class Reliability:
         start = np.clip(np.asarray(theta, dtype=float), LEAST, 1 - LEAST)
         moved = np.clip((n * start + event.right) / (n + 1), LEAST, 1 - LEAST)
         return np.where(event.shown, moved, theta)
-
-
-def moved(rule: TrustRule, theta: Floats, count: NDArray[np.int64], event: Event) -> tuple[Floats, NDArray[np.int64]]:
-    """Return theta and the count of a rule after an event; the count stays 0 for rules without `counts`.
-
-    It is the number of outcomes that the person has seen, unless the rule has a method `counted(count, event)`.
-
-    Parameters
-    ----------
-    rule : TrustRule
-    theta : float array
-    count : int array
-        From 0 to the rule's `counts`.
-    event : Event
-    """
-    most = counts_of(rule)
-    if not most:
-        return rule.update(theta, event), count
-    counting: Any = rule
-    counted = getattr(rule, "counted", lambda count, event: np.minimum(count + event.shown, most))
-    return counting.update(theta, event, count), counted(count, event)
 
 
 def counts_of(rule: TrustRule) -> int:
@@ -348,47 +336,3 @@ def trust_rule(rule: str | TrustRule | None, eta: float, utility_scale: float) -
         assert found is not None
         return found
     return EquationSeven(eta, utility_scale) if found == "paper" else RULES[found]()
-
-
-@dataclass(frozen=True)
-class PerceivedSuggestions:
-    """What people think of suggestions, and whether these are optimal; arrays that broadcast.
-
-    Attributes
-    ----------
-    gain : float array
-        V(x_r) - V(x), in cost units.
-    agrees : bool array
-        No action has a lower perceived cost.
-    optimal : bool array
-        The suggested action is an optimal choice.
-    """
-
-    gain: Floats
-    agrees: NDArray[np.bool_]
-    optimal: NDArray[np.bool_]
-
-    @classmethod
-    def of(
-        cls, cost: Floats, least: Floats, before: Floats, after: Floats, optimal: NDArray[np.bool_]
-    ) -> PerceivedSuggestions:
-        """Evaluate suggestions; all arrays broadcast.
-
-        Parameters
-        ----------
-        cost, least : float arrays
-            Perceived cost of the suggested action, and the least one of all actions.
-        before, after : float arrays
-            V of the present state, and of the state in which the suggested action would end.
-        optimal : bool array
-            The suggested action is an optimal choice.
-        """
-        with np.errstate(invalid="ignore"):  # from one dead end to another nothing is gained
-            gain = np.where(before == after, 0.0, np.subtract(after, before))
-        return cls(gain, np.asarray(cost <= least), np.asarray(optimal))
-
-    def event(self, followed: NDArray[np.bool_] | bool, feedback: Feedback) -> Event:
-        """Return the event of these suggestions, followed or not, with what people see of the outcome."""
-        followed = np.asarray(followed)
-        right = self.optimal if feedback == "true" else self.gain > 0
-        return Event(self.gain, self.agrees, followed, followed & (feedback != "never"), right)

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from .choice_model import ChoiceModelError
-from .choices import Choices
-from .decision import Floats
+if TYPE_CHECKING:
+    from .choices import Choices
+    from .decision import Floats
 
 
 class UserCodeError(ValueError):
-    """A user's file or function does not exist, or fails."""
+    """A user's function, class or file does not exist, fails, or does not return what it should."""
 
 
 def parse(text: str, folder: Path | None = None) -> tuple[Path, str] | None:
@@ -105,14 +105,14 @@ class UserChoiceModel:
 
         Raises
         ------
-        ChoiceModelError
+        UserCodeError
             The function failed; the message has file and line.
         """
         function = _loaded(self.file, self.name)
         try:
             return function(choices, q, beta)
         except (Exception, SystemExit) as error:
-            raise ChoiceModelError(described(error, self.file)) from error
+            raise UserCodeError(described(error, self.file)) from error
 
     def __str__(self) -> str:
         return f"{self.file}:{self.name}"

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .choice_model import ChoiceModelError, boltzmann
+from .choice_model import boltzmann
 from .choices import Choices
 from .decision import Floats, choice
+from .user_code import UserCodeError
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Weighted:
         known = choices.terms or ()
         if unknown := self.weights.keys() - set(known):
             named = ", ".join(sorted(unknown))
-            raise ChoiceModelError(f"terms {named}: the choices do not have them; expected `remembered(table, terms)`")
+            raise UserCodeError(f"terms {named}: the choices do not have them; expected `remembered(table, terms)`")
         if choices.features is None:
             return boltzmann(choices, q, beta)
         bias = choices.features @ np.array([self.weights.get(name, 0.0) for name in known])

@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
-from ..people.human import Human, HumanModel, Population
+from ..people.human import Human, HumanModel
+from ..people.ranges import Population
 from ..people.trust_rules import EquationSeven, TrustRule, counts_of
 from .leaf_bounds import LeafBounds
-from .pomdp import AssistPOMDP, Suggestions
+from .pomdp import AssistPOMDP
+from .robots import Suggestions
+from .settings import Setting
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,25 @@ class Assumptions:
     lapse: float = 1e-3
     eta: float = 0.2
     utility_scale: float = 1.0
+
+    @classmethod
+    def of(cls, setting: Setting, human: Human | None, population: Population) -> Assumptions:
+        """Return what the robots of a setting assume of a person of a population, by the best of them (`Fleet.best`).
+
+        Parameters
+        ----------
+        setting : Setting
+        human : Human or None
+            The person, if the robots know their perceived costs; None if they know the task only.
+        population : Population
+            The robots' prior.
+        """
+        fleet = setting.fleet
+        return cls(
+            population, human, setting.believed_rule(), gamma=setting.gamma, c_suggest=fleet.least("c_suggest"),
+            suggestions=setting.considered_suggestions, execute=fleet.executes, c_execute=fleet.least("c_execute"),
+            lapse=setting.lapse, eta=setting.eta, utility_scale=setting.utility_scale,
+        )  # fmt: skip
 
     @property
     def chooses(self) -> ChoiceModel:

@@ -29,8 +29,9 @@ from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from .belief_filter import update_seen
 from .belief_update import mistaken, updated, without_reached
+from .evidence import Evidence
 from .joint_belief import JointBelief, expected_answers, said_in, same_suggestions
-from .observation_model import Evidence, ObservationModel
+from .observation_model import ObservationModel
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only

@@ -22,7 +22,7 @@ from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from ..people.type_kernels import is_mistake, leave_out_reached
 from .belief_filter import posterior
-from .observation_model import Evidence
+from .evidence import Evidence
 from .policy import Policy
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays

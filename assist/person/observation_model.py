@@ -4,53 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from pydantic import Field
 
 from ..declare.declared import Number, declared
-from ..people.action_names import words_of
-from ..people.choices import STAND_STILL, WAIT, Choices
-from ..people.decision import Floats
+
+if TYPE_CHECKING:
+    from ..people.choices import Choices
+    from ..people.decision import Floats
+    from .evidence import Evidence
 
 Table = Mapping[str, Mapping[str, float]]
-
-
-class Evidence(NamedTuple):
-    """The likelihood of what was seen under each action, in the form that compiled code reads.
-
-    Attributes
-    ----------
-    likelihood : float array, shape (names + 1,)
-        Likelihood of each ground action, and of waiting, which is last. It is not used if `rate` is 0 or more.
-    seen : int
-        The ground action that was seen.
-    rate : float
-        Probability of seeing one of the other actions that are applicable; -1 if `likelihood` is used.
-    unseen : bool
-        Whether nothing was seen.
-    only : int
-        The one ground action that may have been taken; -2 if any may.
-    """
-
-    likelihood: Floats
-    seen: int = WAIT
-    rate: float = -1.0
-    unseen: bool = False
-    only: int = -2
-
-    @classmethod
-    def none(cls, choices: Choices) -> Evidence:
-        """Return the evidence of a step in which nothing was seen."""
-        return cls(np.ones(len(choices.names) + 1), unseen=True)
-
-    @classmethod
-    def of(cls, choices: Choices, likelihoods: Mapping[int, float]) -> Evidence:
-        """Return the evidence with a likelihood for each of some ground actions, and 0 for the others."""
-        each = np.zeros(len(choices.names) + 1)
-        each[list(likelihoods)] = list(likelihoods.values())
-        return cls(each)
 
 
 Share = Annotated[Number, Field(ge=0, lt=1)]
@@ -93,6 +58,10 @@ class ObservationModel:
 
     def evidence(self, choices: Choices, seen: int | None) -> Evidence:
         """Return the likelihood of each action of a task after an action was seen, or nothing (None)."""
+        import numpy as np
+
+        from .evidence import Evidence
+
         if seen is None:
             return Evidence.none(choices)
         if not isinstance(self.confusion, Mapping):
@@ -132,6 +101,8 @@ class ObservationModel:
 
 def _numbers(choices: Choices, table: Table) -> dict[str, int]:
     """Return the ground action of each name, after checking that the table's names are among them."""
+    from ..people.choices import STAND_STILL, WAIT
+
     numbers = {STAND_STILL: WAIT}
     for n, name in enumerate(choices.names):
         numbers.setdefault(name, n)  # as in `choices.actions`
@@ -146,4 +117,6 @@ def _total(row: Mapping[str, float]) -> float:
 
 
 def _plain(action: str) -> str:
+    from ..people.action_names import words_of
+
     return f"({' '.join(words_of(action))})"

@@ -14,12 +14,14 @@ from planner.system.arrays import outline
 
 from ..people.arguments import whole
 from ..people.goals import Goals, each_of, first_of
-from ..people.human import Human, HumanModel, Population
+from ..people.human import Human, HumanModel
 from ..people.memory import choices_of
 from ..people.misconception import Misconception
+from ..people.ranges import Population
 from ..people.trust_rules import TrustRule, trust_rule
 from .memory_needed import depth_within, first_bounds_bytes
-from .pomdp import AssistPOMDP, Suggestions
+from .pomdp import AssistPOMDP
+from .robots import Suggestions
 from .truncated_task import TruncatedTask
 
 if TYPE_CHECKING:

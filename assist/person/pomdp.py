@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,12 @@ from ..people.choice_model import ChoiceModel, boltzmann, chances, value
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import KNOWN, HiddenType
-from ..people.human import HumanModel, Population
-from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule, counts_of, moved
+from ..people.human import HumanModel
+from ..people.perceived_suggestions import PerceivedSuggestions, moved
+from ..people.ranges import Population
+from ..people.trust_rules import EquationSeven, TrustRule, counts_of
 from .leaf_bounds import LeafBounds
-
-Suggestions = Literal["optimal", "all"]
+from .robots import Suggestions
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,34 +1,17 @@
-"""The robots of a team, which may differ in what they can do and in what it costs.
-
-A property of a robot is a field of `Robot`; `Fleet` has the fields of all M robots as arrays of shape (M,).
-
-People's problems have the *best* robot: it can do what any robot of the team can, at the lowest cost and in the
-shortest time of any. Policies and simulations add what an action of each robot costs more (`Fleet.extra`). A bound on
-the value of all policies for M of the best robots is one for the team, too.
-
-Proof. Any policy of the team is one of those robots, too: where a robot of the team is still on its way, the faster one
-has arrived and waits, which no other robot can disturb. Its actions are possible, and cost no more. A robot that makes
-room for another one leaves for free, as in people's problems, and comes back at the cost of a move.
-"""
+"""What the robots of a team can do and what it costs; they may differ."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from planner.system.arrays import frozen
-
 from ..declare.declared import MOST, Number, Truth, Usual, declared
-from ..people.decision import Floats
 
-SUGGESTION, EXECUTION = 0, 1
-"""The two classes of robot actions, which cost differently."""
+LONGEST = 1e9
+"""Steps; far beyond the length of any episode."""
+
+Suggestions = Literal["optimal", "all"]
 
 
 @declared
@@ -45,81 +28,9 @@ class OfRobots:
     c_move: Annotated[
         Number, Usual(), Field(ge=0, le=MOST, description="Cost of moving by a distance of 1, in cost units.")
     ] = 0.5
-    travel_time: Annotated[Number, Field(ge=0, le=MOST, description="Steps for moving by a distance of 1.")] = 0.0
+    travel_time: Annotated[Number, Field(ge=0, le=LONGEST, description="Steps for moving by a distance of 1.")] = 0.0
 
 
 @declared(partial=True)
 class Robot(OfRobots):
     """One robot of a team. Where a field is None, the robot has the value of the setting."""
-
-
-USUAL = OfRobots()
-"""A robot of a setting that says nothing else."""
-
-
-@dataclass(frozen=True)
-class Fleet:
-    """The M robots of a team with all of their values, which none of their fields lacks.
-
-    Attributes
-    ----------
-    robots : tuple of Robot
-    """
-
-    robots: tuple[Robot, ...]
-
-    @classmethod
-    def of(cls, robots: Sequence[Robot], usual: OfRobots = USUAL) -> Fleet:
-        """Return robots with the values of `usual`, such as a `Setting`, in the fields that are None."""
-        return cls(tuple(
-            replace(robot, **{name: getattr(usual, name) for name, value in vars(robot).items() if value is None})
-            for robot in robots
-        ))  # fmt: skip
-
-    def __len__(self) -> int:
-        return len(self.robots)
-
-    def each(self, name: str) -> NDArray[Any]:
-        """Return the value of a field for each robot, shape (M,)."""
-        return np.array([getattr(robot, name) for robot in self.robots])
-
-    @cached_property
-    def executes(self) -> bool:
-        """Whether any robot can execute an action."""
-        return bool(self.each("execute").any())
-
-    def least(self, name: str) -> float:
-        """Return the lowest value of a cost or time of any robot: of an execution, of any that can execute."""
-        values = self.each(name)
-        return float(values[self.each("execute")].min() if name == "c_execute" and self.executes else values.min())
-
-    @property
-    def best(self) -> Robot:
-        """The best robot: it can do what any can, at the lowest cost and in the shortest time of any."""
-        costs = {name: self.least(name) for name in ("c_suggest", "c_execute", "c_move", "travel_time")}
-        return Robot(execute=self.executes, **costs)
-
-    @cached_property
-    def extra(self) -> Floats:
-        """What a suggestion and an execution by each robot cost more than by the best one, in cost units, shape (M, 2).
-
-        It is infinite for the execution of an action by a robot that executes none, if others do.
-        """
-        never = np.inf if self.executes else 0.0
-        executing = np.where(self.each("execute"), self.each("c_execute") - self.least("c_execute"), never)
-        return frozen(np.stack([self.each("c_suggest") - self.least("c_suggest"), executing], axis=1))
-
-    @cached_property
-    def costs_differ(self) -> bool:
-        """Whether an action of any robot costs more than one of the best robot, so that it is to be added."""
-        return bool(self.extra.any())
-
-    @cached_property
-    def kinds(self) -> tuple[Floats, NDArray[np.int64]]:
-        """The distinct rows of `extra`, shape (U, 2), and the number of each robot's row, shape (M,)."""
-        rows, number = np.unique(self.extra, axis=0, return_inverse=True)
-        return frozen(rows), frozen(number.reshape(-1))
-
-    def extra_of(self, robot: NDArray[np.int64], executes: NDArray[np.bool_]) -> Floats:
-        """Return the extra costs of actions of robots, given by their numbers from 0; others are suggestions."""
-        return np.where(executes, self.extra[robot, EXECUTION], self.extra[robot, SUGGESTION])

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
-from pydantic_core import PydanticCustomError
 
-from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of
-from ..people.arguments import whole
-from ..people.choices import Choices
-from ..people.human import Human, Population
+from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of, whole_number
 from ..people.trust_rules import TrustRule, rule_given, trust_rule
-from .assumptions import Assumptions
-from .leaf_bounds import LeafBounds
 from .observation_model import ObservationModel
-from .pomdp import AssistPOMDP, Suggestions
-from .robots import Fleet, OfRobots, Robot
-from .travel import Travel
+from .robots import OfRobots, Robot, Suggestions
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from .fleet import Fleet
+    from .travel import Travel
 
 Knowledge = Literal["own", "exact"]
 
@@ -29,10 +26,7 @@ def _robots(given: Any) -> Any:
     """Return as many robots as a number says; anything else as it is."""
     if isinstance(given, list | tuple):
         return given
-    try:
-        return (Robot(),) * whole("robots", given, 1)
-    except ValueError:
-        raise PydanticCustomError("kind", "a number of robots") from None
+    return (Robot(),) * whole_number(given)
 
 
 def _observed(given: ObservationModel | None) -> ObservationModel | None:
@@ -112,15 +106,17 @@ class Setting(OfRobots):
     ] = 0.0
 
     def __post_init__(self) -> None:
-        for m, robot in enumerate(self.fleet.robots, start=1):
-            if self.observation is not None and robot.execute:
+        for m, robot in enumerate(self.robots, start=1):
+            executes = self.execute if robot.execute is None else robot.execute
+            if self.observation is not None and executes:
                 who = f"robot {m}: " * (self.robots[m - 1].execute is not None)
                 raise ValueError(f"{who}execute: expected actions that are all seen as they are")
-        self.travel(1)  # raises an error for impossible travel
 
     @cached_property
     def fleet(self) -> Fleet:
         """The robots with all of their values."""
+        from .fleet import Fleet
+
         return Fleet.of(self.robots, self)
 
     def trust_rule(self) -> TrustRule:
@@ -171,30 +167,9 @@ class Setting(OfRobots):
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Return the travel between `places` people; `distance` as in `Travel.of`."""
+        from .travel import Travel
+
         fleet = self.fleet
         return Travel.of(
             places, c_move=fleet.each("c_move"), travel_time=fleet.each("travel_time"), distance=distance
         )  # fmt: skip
-
-    def assumptions(self, human: Human | None, population: Population) -> Assumptions:
-        """Return what the robots assume of a person of a population, by the best of them (`person.robots`).
-
-        Parameters
-        ----------
-        human : Human or None
-            The person, if the robots know their perceived costs; None if they know the task only.
-        population : Population
-            The robots' prior.
-        """
-        fleet = self.fleet
-        return Assumptions(
-            population, human, self.believed_rule(), gamma=self.gamma, c_suggest=fleet.least("c_suggest"),
-            suggestions=self.considered_suggestions, execute=fleet.executes, c_execute=fleet.least("c_execute"),
-            lapse=self.lapse, eta=self.eta, utility_scale=self.utility_scale,
-        )  # fmt: skip
-
-    def problem(
-        self, choices: Choices, human: Human | None, population: Population, *, frontier: LeafBounds | None = None
-    ) -> AssistPOMDP:
-        """Return the problem of assisting a person in some states; arguments as in `assumptions` and `Assumptions`."""
-        return self.assumptions(human, population).problem(choices, frontier)

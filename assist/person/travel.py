@@ -14,6 +14,7 @@ from planner.system.arrays import frozen
 
 from ..people.arguments import MOST, whole, within
 from ..people.decision import Floats
+from .robots import LONGEST
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +53,8 @@ class Travel:
         if not (least >= 0 and most <= MOST) or self.distance.diagonal().any():
             raise ValueError(f"distance: expected 0 from each place to itself, and from 0 to {MOST:g} to the others")
         longest = float(most * self.travel_time.max())
-        if longest >= LONGEST:
-            raise ValueError(f"travel_time: the longest way takes {longest:g} steps; expected less than {LONGEST:,}")
+        if longest > LONGEST:
+            raise ValueError(f"travel_time: the longest way takes {longest:g} steps; expected at most {LONGEST:,.0f}")
         object.__setattr__(self, "distance", frozen(self.distance))
 
     @classmethod
@@ -165,10 +166,6 @@ class Travel:
     def longest_way(self) -> int:
         """The number of steps from a place to the farthest one by the slowest robot."""
         return int(_whole_steps(self.distance.max() * self.travel_time.max()))
-
-
-LONGEST = 1_000_000_000
-"""Steps; far beyond the length of any episode."""
 
 
 def _whole_steps(steps: Floats) -> NDArray[np.int64]:

@@ -41,12 +41,14 @@ from ..people.belief import Grid
 from ..people.choices import WAIT, Choices
 from ..people.decision import Floats, choice
 from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, joined, optimal_for_each
-from ..people.human import Human, HumanModel, Population
+from ..people.human import Human, HumanModel
 from ..people.misconception import Misconception
+from ..people.ranges import Population
 from ..people.state_keys import keys_of
 from ..people.trust_rules import EquationSeven, TrustRule, constant, counts_of
 from .leaf_bounds import LeafBounds
-from .pomdp import AssistPOMDP, Suggestions
+from .pomdp import AssistPOMDP
+from .robots import Suggestions
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are expanded together, between two looks at the clock
 SURVEYED = 10_000_000  # states of a table up to which `_Survey` scans all transitions, to limit its time

@@ -20,8 +20,10 @@ from planner.system.results import Result, same
 from ..people.arguments import Seed, entropy, require_goal, whole
 from ..people.choices import Choices
 from ..people.goals import Goals, costs_to_go, each_of, first_of
-from ..people.human import Human, Population
+from ..people.human import Human
 from ..people.misconception import Misconception
+from ..people.ranges import Population
+from ..person.assumptions import Assumptions
 from ..person.lazy_policy import LazyPolicy
 from ..person.memory_needed import MEMORY_LIMIT_MB, states_within
 from ..person.person_problem import WHOLE, is_whole
@@ -340,9 +342,9 @@ class Pool(Result):
             models = size if setting.knowledge == "own" else 1
             room = states_within(limit, len(each_of(table)), models)
             ground = SharedTask(table, region or min(default_size(table), room), models)
-            policies = [of_task := TruncatedPolicy(ground, setting.assumptions(None, prior))]
+            policies = [of_task := TruncatedPolicy(ground, Assumptions.of(setting, None, prior))]
             if setting.knowledge == "own":
-                policies = [TruncatedPolicy(ground, setting.assumptions(one, prior), of_task) for one in people]
+                policies = [TruncatedPolicy(ground, Assumptions.of(setting, one, prior), of_task) for one in people]
         number = np.arange(size) if len(policies) > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number, again, table)
 
@@ -415,6 +417,6 @@ def _enumerated(
     advance = adding(progress, "setting up people's POMDPs", len(known))
     policies: list[Policy] = []
     for human in known:
-        policies.append(LazyPolicy(setting.problem(choices, human, prior), solver))
+        policies.append(LazyPolicy(Assumptions.of(setting, human, prior).problem(choices), solver))
         advance(1)
     return policies

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
+from ..people.user_code import UserCodeError
 from ..person.beliefs import Beliefs, Hidden, Seen
 from ..person.travel import Travel
 from ..team.action_check import check
 from ..team.engine import Engine, PeopleAtWork, StepTaken
 from ..team.questions import Asked, Questions
 from ..team.robots_at_work import RobotsAtWork
-from ..team.state import PolicyError, TeamAction, TeamPolicy, TeamState
+from ..team.state import TeamAction, TeamPolicy, TeamState
 from .beginning import Beginning, Beginnings
 from .common_random_numbers import CommonRandomNumbers
 from .episodes import Episodes
@@ -182,8 +183,8 @@ class Simulation:
         action = self.policy(team)
         try:
             check(team, action)
-        except PolicyError as error:
-            raise PolicyError(f"{getattr(self.policy, 'place', self.name)}: {error}") from None
+        except UserCodeError as error:
+            raise UserCodeError(f"{getattr(self.policy, 'place', self.name)}: {error}") from None
         if watcher is not None:
             watcher.decided(engine, team, action, teams)
         return action

@@ -116,7 +116,7 @@ def simulate(
         `pool` is no pool, but for instance a task.
     ValueError
         A parameter is out of its range.
-    PolicyError
+    UserCodeError
         The policy chooses an impossible action, such as going to a person who has finished.
     LimitError
         The episodes would exceed the memory limit.

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..people.trust_rules import PerceivedSuggestions, TrustRule, moved
+from ..people.perceived_suggestions import PerceivedSuggestions, moved
+from ..people.trust_rules import TrustRule
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.problem_arrays import ProblemArrays
 

@@ -17,8 +17,10 @@ from planner.system.errors import InputFileError
 from planner.system.progress import Progress, adding
 
 from ..people.choices import Choices
-from ..people.human import Population
 from ..people.memory import choices_of
+from ..people.ranges import Population
+from ..people.user_code import UserCodeError
+from ..person.assumptions import Assumptions
 from ..person.leaf_bounds import LeafBounds
 from ..person.person_problem import is_whole
 from ..person.qmdp import qmdp
@@ -28,7 +30,7 @@ from ..simulation.episodes import Episodes
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.policies import UserPolicy
-from ..team.state import PolicyError, TeamPolicy
+from ..team.state import TeamPolicy
 from .study import OWN, Cell, Study
 from .tasks import costs_of
 
@@ -205,14 +207,14 @@ def check(study: Study, progress: Progress = lambda *_: None) -> None:
     for _, (file, name) in study.own_policies:
         try:
             _own(file, name)
-        except PolicyError as error:
+        except UserCodeError as error:
             raise InputFileError(str(error)) from None
     for condition in study.conditions:
         for label, setting in condition.settings:
             for name in condition.instances:
                 try:
                     choices, frontier = _part(_task(dict(study.instances)[name]))
-                    setting.problem(choices, None, Population(), frontier=frontier)
+                    Assumptions.of(setting, None, Population()).problem(choices, frontier)
                     setting.require_questions(len(choices.goals))
                 except ValueError as error:
                     place = f"condition '{condition.name}', setting '{label}'" if label else "setting"

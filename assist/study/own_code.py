@@ -24,8 +24,8 @@ from ..people.choice_model import chances
 from ..people.choices import Choices
 from ..people.decision import Floats, perceived_cost
 from ..people.goals import Goals
-from ..people.human import Population
 from ..people.memory import remembered
+from ..people.ranges import Population
 from ..people.terms import Situation
 from ..people.trust_rules import Event, Feedback, TrustRule
 from ..people.user_code import UserChoiceModel, UserCodeError, described, parse

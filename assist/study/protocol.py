@@ -33,7 +33,7 @@ from ..declare.declared import (
 )
 from ..declare.tables import convert, fault, label, load, located, replaced
 from ..learning import population as populations
-from ..people.human import Population
+from ..people.ranges import Population
 from ..people.real_people import advice_takers
 from ..people.terms import TERMS
 from ..people.user_code import parse

@@ -23,7 +23,7 @@ from pydantic import Field
 from planner import Instance
 
 from ..declare.declared import Count, Seed, declared, plain
-from ..people.human import Population
+from ..people.ranges import Population
 from ..people.user_code import UserChoiceModel
 from ..person.settings import Setting
 

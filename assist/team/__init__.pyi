@@ -9,7 +9,6 @@ from .rollout import Rollout as Rollout
 from .rollout import RolloutOptions as RolloutOptions
 from .state import BASE as BASE
 from .state import NOBODY as NOBODY
-from .state import PolicyError as PolicyError
 from .state import TeamAction as TeamAction
 from .state import TeamPolicy as TeamPolicy
 from .state import TeamState as TeamState

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..people.decision import NOTHING
-from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState, by_model
+from ..people.user_code import UserCodeError
+from .state import BASE, NOBODY, TeamAction, TeamState, by_model
 
 
 def check(team: TeamState, action: TeamAction) -> None:
@@ -13,12 +14,12 @@ def check(team: TeamState, action: TeamAction) -> None:
 
     Raises
     ------
-    PolicyError
+    UserCodeError
         It names the fault and the step.
     """
     shape, people = team.location.shape, team.x.shape[1]
 
-    def refused(fault: str) -> PolicyError:
+    def refused(fault: str) -> UserCodeError:
         return team.refused(f"the policy {fault}")
 
     wanted = f"two int arrays of shape {shape}, an entry for each robot of each team"

@@ -1,7 +1,7 @@
 """Team policies by name: those of the package, and those of the user in a file.
 
 `named` returns the paper's policies and ours. `UserPolicy` is a function in a Python file, written as
-`FILE.py:FUNCTION`. An error in it is reported as a `PolicyError` with its file and line.
+`FILE.py:FUNCTION`. An error in it is reported as a `UserCodeError` with its file and line.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from planner.system.errors import expected
 from planner.system.progress import adding
 from planner.system.threads import on_threads
 
-from ..people import user_code
+from ..people.user_code import UserCodeError, described, load
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
@@ -24,7 +24,7 @@ from .attention_never import AttentionAgainstNever
 from .policy_names import POLICIES
 from .priority import Priority
 from .rollout import Rollout
-from .state import PolicyError, TeamAction, TeamPolicy, TeamState
+from .state import TeamAction, TeamPolicy, TeamState
 from .whittle import Whittle
 
 
@@ -139,14 +139,11 @@ class UserPolicy:
 
         Raises
         ------
-        PolicyError
+        UserCodeError
             The file or the function does not exist, or the file cannot be run.
         """
         file = Path(file)
-        try:
-            return cls(file, name, user_code.load(file, name))
-        except user_code.UserCodeError as error:
-            raise PolicyError(str(error)) from error.__cause__
+        return cls(file, name, load(file, name))
 
     @property
     def uses_belief(self) -> bool:
@@ -164,4 +161,4 @@ class UserPolicy:
         try:
             return self.function(team)
         except (Exception, SystemExit) as error:
-            raise PolicyError(user_code.described(error, self.file).replace("PolicyError: ", "", 1)) from error
+            raise UserCodeError(described(error, self.file).replace("UserCodeError: ", "", 1)) from error

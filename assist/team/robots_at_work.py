@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..person.robots import Fleet
+from ..person.fleet import Fleet
 from ..person.travel import Travel
 from .assignment import placed
 from .state import BASE, NOBODY, TeamAction

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from ..people.arguments import number, whole
 from ..people.decision import NOTHING, Floats
+from ..people.user_code import UserCodeError
 from ..person.beliefs import PersonModel, Seen
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
@@ -36,7 +37,7 @@ from .by_policy import ByPolicy
 from .engine import Engine, PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
-from .state import BASE, NOBODY, PolicyError, TeamAction, TeamState
+from .state import BASE, NOBODY, TeamAction, TeamState
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -167,7 +168,7 @@ class Rollout:
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return priority's action in every team, or an alternative that is better by simulation."""
         if not team.beliefs.sees_states:
-            raise PolicyError("policy 'rollout': expected actions that are all seen as they are")
+            raise UserCodeError("policy 'rollout': expected actions that are all seen as they are")
         actions, simulated = self._alternatives(team)
         best = np.zeros(len(team.x), dtype=np.int64)
         rows = np.flatnonzero(simulated.any(axis=1))

@@ -18,19 +18,17 @@ from planner.system.arrays import outline
 
 from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
+from ..people.user_code import UserCodeError
 from ..person.beliefs import Ask, Beliefs
+from ..person.fleet import EXECUTION, SUGGESTION, Fleet
 from ..person.policy import Policy
-from ..person.robots import EXECUTION, SUGGESTION, Fleet, Robot
+from ..person.robots import Robot
 from ..person.travel import Travel
 
 BASE = -1
 """The robot's place before it has gone to a person; also the index of the base in a distance matrix."""
 
 NOBODY = -1
-
-
-class PolicyError(ValueError):
-    """A team policy fails, or chooses an impossible action."""
 
 
 @dataclass(frozen=True)
@@ -142,9 +140,9 @@ class TeamState:
         """The number of robots of each team, M."""
         return self.location.shape[1]
 
-    def refused(self, fault: str) -> PolicyError:
+    def refused(self, fault: str) -> UserCodeError:
         """Return the error for a fault of the policy in this step."""
-        return PolicyError(f"step {self.step}: {fault}")
+        return UserCodeError(f"step {self.step}: {fault}")
 
     def groups(self) -> list[tuple[int, NDArray[np.int64]]]:
         """Return each model that an active person has, with the indices of its people in the flattened arrays."""
@@ -260,7 +258,7 @@ class TeamState:
 
         Raises
         ------
-        PolicyError
+        UserCodeError
             An array has another shape, is not of whole numbers, or a person is not one of the team.
         """
         person, robot = np.asarray(person), np.asarray(robot)

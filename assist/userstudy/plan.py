@@ -9,7 +9,7 @@ from pathlib import Path
 
 from planner import Instance
 
-from ..people.human import Population
+from ..people.ranges import Population
 from ..person.settings import Setting
 from ..texts.catalogue import Catalogue
 from .assignment import balanced_orders

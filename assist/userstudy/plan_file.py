@@ -20,7 +20,7 @@ from planner.system.errors import expected as meant
 
 from ..declare.declared import AnyTable, Count, Expected, Number, Seed, Text, Texts, Truth, Whole, declared
 from ..declare.tables import convert, fault, load, located, replaced
-from ..people.human import Population
+from ..people.ranges import Population
 from ..people.real_people import advice_takers
 from ..people.user_code import parse
 from ..person.settings import Setting

@@ -28,7 +28,7 @@ from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson
 from ..live.store import JournalError
 from ..people.goals import Goals
-from ..people.human import Population
+from ..people.ranges import Population
 from ..person.observation_model import ObservationModel
 from ..person.settings import Setting
 from ..team.state import TeamPolicy

@@ -19,7 +19,9 @@ from assist.interop import pomdp, pomdpx
 from assist.interop.observed import Observed, bytes_needed
 from assist.live import TraceReasons
 from assist.people.choices import Choices
-from assist.people.human import HumanModel, Population
+from assist.people.human import HumanModel
+from assist.people.ranges import Population
+from assist.people.user_code import UserCodeError
 from assist.person import AssistPOMDP, ObservationModel, Robot, solve
 from assist.person import solver as person_solver
 from assist.person.qmdp import QMDP, qmdp
@@ -31,7 +33,7 @@ from assist.study import cells
 from assist.study.protocol import read
 from assist.study.runner import load_study, run_study
 from assist.team.policies import UserPolicy
-from assist.team.state import PolicyError, TeamAction, TeamState
+from assist.team.state import TeamAction, TeamState
 from planner import Table
 
 pytestmark = pytest.mark.cases
@@ -396,13 +398,13 @@ def test_what_a_policy_of_ones_own_should_return_is_said(robots: int, tiny: Tabl
         if words is None:
             assert simulate(pool, policy, humans=3, episodes=20, seed=0).interventions.any()
             continue
-        with pytest.raises(PolicyError) as raised:
+        with pytest.raises(UserCodeError) as raised:
             simulate(pool, policy, humans=3, episodes=20, seed=0)
         assert str(raised.value).startswith(f"{tmp_path / 'own.py'}:")
         if name == "unlike_any" and robots == 2:  # both robots with one person
             words = "lets two robots be with one person"
         assert words in str(raised.value)
-        assert "PolicyError" not in str(raised.value)
+        assert "UserCodeError" not in str(raised.value)
 
 
 TEAM = "assist.interop.gymnasium:kitassist/Team-v0"

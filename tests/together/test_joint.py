@@ -15,7 +15,8 @@ from assist.certify.team_bound import upper_bound
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import Floats
-from assist.people.human import HumanModel, Population
+from assist.people.human import HumanModel
+from assist.people.ranges import Population
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp

@@ -34,11 +34,13 @@ from assist.live.record import TeamRecord
 from assist.live.team import Team
 from assist.people import user_code
 from assist.people.action_names import Matcher, UnmatchedError
-from assist.people.choice_model import ChoiceModelError, boltzmann, value
+from assist.people.choice_model import boltzmann, value
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
-from assist.people.human import Human, Population
+from assist.people.human import Human
 from assist.people.misconception import Misconception
+from assist.people.ranges import Population
+from assist.people.user_code import UserCodeError
 from assist.people.weighted_choice import Weighted
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
@@ -50,7 +52,7 @@ from assist.simulation.pool import Pool
 from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.action_check import check
-from assist.team.state import PolicyError, TeamAction
+from assist.team.state import TeamAction
 from assist.texts import InapplicableError
 from assist.userstudy.questionnaires import Item, Questionnaire
 from assist.web import request_limits
@@ -196,14 +198,14 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     ),
     "actions of floats": (
         lambda g: check(state(g.pool, [0, 0]), TeamAction(np.zeros((1, 1)), np.zeros((1, 1), dtype=np.int64))),
-        PolicyError, "step 0: the policy ",
+        UserCodeError, "step 0: the policy ",
     ),
     "speaks on its way": (
         lambda g: check(
             state(g.pool, [0, 0], travel=Travel.of(2, travel_time=2.0)),
             TeamAction(np.zeros((1, 1), dtype=np.int64), np.ones((1, 1), dtype=np.int64)),
         ),
-        PolicyError, "speaks to a person before the robot has arrived",
+        UserCodeError, "speaks to a person before the robot has arrived",
     ),
     # Environments.
     "team of nobody": (lambda g: TeamEnv(g.pool, 0), ValueError, "humans 0: expected 1 to 5, the size of the pool"),
@@ -425,5 +427,5 @@ def test_a_choice_model_without_terms_is_the_papers(tiny_choices: Choices) -> No
         def value(self, _: Choices, q: np.ndarray) -> np.ndarray:
             return q[:3, 0]
 
-    with pytest.raises(ChoiceModelError, match=r"Worthless: value of shape \(3,\); expected a number for each of \d+"):
+    with pytest.raises(UserCodeError, match=r"Worthless: value of shape \(3,\); expected a number for each of \d+"):
         value(Worthless(), tiny_choices, q)

@@ -67,9 +67,9 @@ def policies_of(names: tuple[str, ...]) -> dict[str, str | UserPolicy]:
 @contextmanager
 def policy_errors() -> Iterator[None]:
     """Report an error of a policy in one line, with file and line number."""
-    from ...team.state import PolicyError
+    from ...people.user_code import UserCodeError
 
     try:
         yield
-    except PolicyError as error:
+    except UserCodeError as error:
         fail(str(error), ExitCode.FAILED)

@@ -25,7 +25,7 @@ from ...declare.declared import (
     names_of,
 )
 from ...learning.method import Method
-from ...people.human import Population
+from ...people.ranges import Population
 from ...people.real_people import advice_takers
 from ...people.user_code import function_beside
 from ...person.settings import Setting

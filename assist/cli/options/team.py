@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from planner import CostToGo
 
     from ...people.goals import Goals
-    from ...people.human import Population
+    from ...people.ranges import Population
     from ...person.travel import Travel
     from ...simulation.pool import Pool
     from ...team.state import TeamPolicy

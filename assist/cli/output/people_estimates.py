@@ -19,19 +19,19 @@ if TYPE_CHECKING:
     from ...learning.fit import FittedPeople, Model
     from ...learning.likelihood import Method
     from ...learning.population import PopulationFit
-    from ...people.human import Range
+    from ...people.ranges import Range
 
 
 def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs: int | None) -> FittedPeople:
     """Estimate the parameters of the people in a log. Expected errors end the command in one line."""
     from ...learning.fit import fit
     from ...learning.log import LogError
-    from ...people.choice_model import ChoiceModelError
+    from ...people.user_code import UserCodeError
 
     try:
         with stages() as show:
             return fit(seen, method=method, model=model, seed=seed, jobs=jobs or processors(), progress=show)
-    except (LogError, ChoiceModelError) as error:
+    except (LogError, UserCodeError) as error:
         fail(str(error), ExitCode.FAILED)
 
 

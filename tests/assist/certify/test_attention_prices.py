@@ -16,7 +16,7 @@ from test_goal_bounds import ring
 from assist.certify import prices
 from assist.certify.prices import SubproblemKind, kinds_of, window_of
 from assist.people.choices import Choices
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting

@@ -24,7 +24,8 @@ from assist.certify.prices import SubproblemKind, kinds_of, search
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound
 from assist.people.choices import Choices
-from assist.people.human import HumanModel, Population
+from assist.people.human import HumanModel
+from assist.people.ranges import Population
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.memory_needed import policy_bytes
 from assist.person.pomdp import AssistPOMDP

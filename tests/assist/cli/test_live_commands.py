@@ -15,8 +15,9 @@ from assist.live.events import Paused
 from assist.live.session import Session
 from assist.live.simulated_person import SimulatedPerson
 from assist.people.choices import Choices
-from assist.people.human import Human, Population
+from assist.people.human import Human
 from assist.people.memory import choices_of
+from assist.people.ranges import Population
 from assist.people.user_code import UserChoiceModel, _loaded
 from assist.people.weighted_choice import Weighted
 from assist.web import server

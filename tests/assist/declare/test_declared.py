@@ -6,6 +6,8 @@ import copy
 import inspect
 import json
 import pickle
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from importlib import import_module
@@ -195,3 +197,26 @@ def test_tables_of_pages_are_as_the_classes_declare_them() -> None:
     assert sum(text.count("<!-- declared ") for text in pages.values()) >= 3
     wrong = [str(page) for page, text in pages.items() if text != declared_tables.renewed(text)]
     assert wrong == [], "python tests/declared_tables.py writes them anew"
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["people.trust_rules", "people.ranges", "people.real_people", "person.settings", "learning.method"],
+)
+def test_declarations_import_no_arrays(module: str) -> None:
+    code = f"import sys, assist.{module}; print(*{{'numpy', 'scipy', 'numba'}} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
+def test_a_representation_of_a_base_is_kept() -> None:
+    class Short:
+        def __repr__(self) -> str:
+            return "short"
+
+    @declared
+    class Mixed(Short):
+        size: Number = 1.0
+
+    assert repr(Mixed()) == "short"
+    assert repr(Wheel(2)) == "Wheel(size=2.0)"

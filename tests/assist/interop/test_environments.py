@@ -20,7 +20,7 @@ from assist import Pool, simulate
 from assist.interop.gymnasium import ID, TeamEnv, TeamVectorEnv
 from assist.interop.pettingzoo import parallel_env
 from assist.people.choices import Choices
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.people.trust_rules import outcome_at_disagreement
 from assist.person.robots import Robot
 from assist.person.settings import Setting

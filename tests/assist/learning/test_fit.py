@@ -36,7 +36,8 @@ from assist.learning.population import fit_population, mixture
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
-from assist.people.human import HumanModel, Population
+from assist.people.human import HumanModel
+from assist.people.ranges import Population
 from assist.person.pomdp import AssistPOMDP
 from planner import Cache, LimitError, Table, Task, load
 from planner.costtogo import on_demand

@@ -13,9 +13,10 @@ from recorded import lines, people_at_work, write_log
 from assist import fit
 from assist.learning.fit import FittedPeople
 from assist.learning.log import Log
-from assist.people.choice_model import ChoiceModelError, boltzmann
+from assist.people.choice_model import boltzmann
 from assist.people.choices import Choices
 from assist.people.decision import perceived_value
+from assist.people.user_code import UserCodeError
 from planner import OnDemand
 
 PAPER = kit("paper")
@@ -109,7 +110,7 @@ def test_what_cannot_be_fitted_is_refused() -> None:
     log = Log.of(ROWS)
     with pytest.raises(ValueError, match="expected a table of the whole task"):
         fit(OnDemand(PAPER.task), Log.of(lines("(fetch box-a)")), model=same)
-    with pytest.raises(ChoiceModelError, match=r"gives an array of shape \(836, \d+\); expected \(8, 836, "):
+    with pytest.raises(UserCodeError, match=r"gives an array of shape \(836, \d+\); expected \(8, 836, "):
         fit(PAPER, log, model=lambda choices, q, beta: q)  # noqa: ARG005
 
 

@@ -22,7 +22,7 @@ from assist.learning.maximum_likelihood import maximum_likelihood
 from assist.learning.observations import EvaluatedStates, observe
 from assist.learning.replay import replay
 from assist.people.choices import Choices
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.simulation.pool import Pool, Setting
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace

@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 from assist.live.assistant import Assistant
 from assist.people.choice_model import boltzmann
 from assist.people.choices import Choices
-from assist.people.human import HumanModel, Population
+from assist.people.human import HumanModel
 from assist.people.memory import remembered
+from assist.people.ranges import Population
 from assist.people.terms import TERMS
 from assist.people.weighted_choice import Weighted
 from assist.person import person_problem, truncated_policy
+from assist.person.assumptions import Assumptions
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
@@ -469,7 +471,7 @@ def test_a_reason_counts_answers_and_expects_the_next(tiny: Table) -> None:
     answered = [row for row in desk.log() if row["suggestion"] is not None]
     assert advice.reason.suggestions == len(answered) == 3
     assert advice.reason.followed == sum(row["suggestion"] == row["action"] for row in answered)
-    state, policy = desk.person("ann"), qmdp(desk.setting.problem(Choices.of(tiny), None, Population()))
+    state, policy = desk.person("ann"), qmdp(Assumptions.of(desk.setting, None, Population()).problem(Choices.of(tiny)))
     x, robot = np.array([state.state]), np.array([int(policy.choose(np.array([state.state]), state.belief[None])[0])])
     chance = policy.pomdp.likelihood(x, robot, policy.pomdp.suggested[x, robot])[0]
     assert advice.reason.follow == pytest.approx(float((chance * state.belief).sum()))

@@ -17,7 +17,7 @@ from assist.declare.declared import plain
 from assist.live.assistant import Assistant
 from assist.live.events import Acted, Arrived, Elapsed, Joined, Paused, TeamEvent, kinds
 from assist.live.session import Session
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.person.robots import Robot
 from assist.person.settings import Setting
 from assist.simulation.pool import Pool

@@ -15,7 +15,7 @@ from serving import TINY, served
 from assist.cli import main
 from assist.live import Assistant, Joined, PeopleStore, Session
 from assist.people.goals import Goals
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.person.settings import Setting
 from assist.texts import AbsentError
 from planner import Table, sweep_goals

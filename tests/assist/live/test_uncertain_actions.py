@@ -15,6 +15,7 @@ from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
 from assist.person import QMDP, ObservationModel, Setting, qmdp
+from assist.person.assumptions import Assumptions
 from assist.person.truncated_policy import SharedTask, TruncatedPolicy
 from assist.texts import InapplicableError
 from planner import OnDemand, Table
@@ -197,6 +198,8 @@ def test_a_task_that_is_too_large_is_refused_before_anybody_joins(
     with pytest.raises(ValueError, match=message):
         Assistant(large, ["ann"], setting=NOISY)
     with pytest.raises(ValueError, match="observation: expected an enumerated task"):
-        Assistant(TruncatedPolicy(SharedTask(large), SURE.assumptions(None, advice_takers())), ["ann"], setting=NOISY)
+        Assistant(
+            TruncatedPolicy(SharedTask(large), Assumptions.of(SURE, None, advice_takers())), ["ann"], setting=NOISY
+        )
     assert not caplog.records
     Session({"large": large}, tmp_path / "journal.sqlite").close()

@@ -14,7 +14,8 @@ import pytest
 from assist.certify.team_bound import upper_bound
 from assist.people.arguments import number
 from assist.people.belief import Grid
-from assist.people.human import Human, Population
+from assist.people.human import Human
+from assist.people.ranges import Population
 from assist.person.person_problem import PersonProblem
 from assist.person.settings import Setting
 from assist.person.travel import Travel

@@ -14,8 +14,9 @@ from assist.people.belief import Grid, ImpossibleObservationError, update
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
 from assist.people.hidden_type import KNOWN, HiddenType
-from assist.people.human import Human, HumanModel, Population
+from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
+from assist.people.ranges import Population
 from assist.people.real_people import advice_takers
 from assist.people.spread import Spread
 from assist.people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement

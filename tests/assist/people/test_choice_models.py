@@ -19,12 +19,14 @@ from scipy.special import softmax
 from assist.declare import plain
 from assist.live.assistant import Assistant
 from assist.people.belief import Grid
-from assist.people.choice_model import ChoiceModelError, boltzmann, chances
+from assist.people.choice_model import boltzmann, chances
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_value, trust
-from assist.people.human import Human, HumanModel, Population
+from assist.people.human import Human, HumanModel
 from assist.people.memory import remembered
+from assist.people.ranges import Population
 from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
+from assist.people.user_code import UserCodeError
 from assist.people.weighted_choice import Weighted
 from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
@@ -325,7 +327,7 @@ def test_what_trust_looks_at_may_be_ones_own(tiny: Table) -> None:
 )
 def test_what_gives_no_chances_is_refused(tiny: Table, own: Any, message: str) -> None:
     choices = Choices.of(tiny)
-    with pytest.raises(ChoiceModelError, match=message):
+    with pytest.raises(UserCodeError, match=message):
         chances(own, choices, HumanModel.exact(choices).q, np.array([0.5, 2.0]))
 
 

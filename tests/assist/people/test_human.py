@@ -16,8 +16,9 @@ from assist.people.arguments import MOST
 from assist.people.choice_model import boltzmann
 from assist.people.choices import WAIT, Choices
 from assist.people.decision import NOTHING, choice, influence, lapse, perceived_cost, perceived_value, trust
-from assist.people.human import Human, HumanModel, Population
+from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
+from assist.people.ranges import Population
 from assist.people.weighted_choice import Weighted
 from assist.person.travel import Travel
 from planner import Table, load, sweep

@@ -10,8 +10,8 @@ from plain import explore
 from scipy import stats
 
 from assist.people.choices import Choices
-from assist.people.human import Population
 from assist.people.misconception import Misconception, standard_normal
+from assist.people.ranges import Population
 from assist.people.state_keys import keys_of
 from planner import OnDemand, Table
 

@@ -23,7 +23,8 @@ from assist.live.assistant import Assistant
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
-from assist.people.human import HumanModel, Population
+from assist.people.human import HumanModel
+from assist.people.ranges import Population
 from assist.people.real_people import advice_takers
 from assist.people.trust_rules import (
     LEAST,

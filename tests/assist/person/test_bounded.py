@@ -14,8 +14,10 @@ from graphs import graph_task
 
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost, perceived_value
-from assist.people.human import Human, Population
+from assist.people.human import Human
+from assist.people.ranges import Population
 from assist.person import AssistPOMDP, qmdp, solve, truncated_bound
+from assist.person.assumptions import Assumptions
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
@@ -43,9 +45,9 @@ def part_and_whole(
 ) -> tuple[AssistPOMDP, np.ndarray, Choices]:
     """Return the truncated problem, and the frontier's exact values, shape (m, 2, B, T)."""
     table = kit(task)
-    problem = bounded(table, setting.assumptions(human, PRIOR), entry=ENTRY, size=size).problem
+    problem = bounded(table, Assumptions.of(setting, human, PRIOR), entry=ENTRY, size=size).problem
     choices = Choices.of(table)
-    visits = AttentionSubproblem.of(setting.problem(choices, human, PRIOR), ENTRY, steps)
+    visits = AttentionSubproblem.of(Assumptions.of(setting, human, PRIOR).problem(choices), ENTRY, steps)
     values = qmdp(visits.pomdp).value_mdp
     both = np.stack([values[visits.states(0, position)] for position in (AWAY, HERE)], axis=1)
     assert problem.frontier is not None
@@ -90,11 +92,13 @@ def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(
     prior = Population(beta=(0.3, 2.0), theta=(0.6, 0.9), sigma=(1.0, 1.0), chooses=MODELS[model])
     (human,) = prior.sample(None, 1, np.random.default_rng(3))
     known = human if knowledge == "own" else None
-    exact = qmdp(setting.problem(choices := Choices.of(table), known, prior), tolerance=1e-8).value_mdp[choices.initial]
+    exact = qmdp(Assumptions.of(setting, known, prior).problem(choices := Choices.of(table)), tolerance=1e-8).value_mdp[
+        choices.initial
+    ]
     for seen in (0, 20_000):
         monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, seen=seen))
         for size in (1, 2, 4, 8, 12):
-            problem = bounded(table, setting.assumptions(known, prior), entry=0.0, size=size).problem
+            problem = bounded(table, Assumptions.of(setting, known, prior), entry=0.0, size=size).problem
             value = qmdp(problem, tolerance=1e-8).value_mdp[problem.model.choices.initial]
             assert (value >= exact - 1e-6).all()
 
@@ -121,11 +125,11 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
     sizes = replace(truncated_bound.SIZES, hidden=3, tolerance=1e-6, sweeps=10_000)
     monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     table, setting, human = kit("tiny"), Setting(c_suggest=0.2), somebody()
-    found = bounded(table, setting.assumptions(human, PRIOR), entry=ENTRY, size=100, with_outer=True)
+    found = bounded(table, Assumptions.of(setting, human, PRIOR), entry=ENTRY, size=100, with_outer=True)
     assert found.outer is not None
     assert found.between is not None
     price = np.array([0.0, 0.6, 0.3, 0.5])
-    everything = setting.problem(found.outer.visits.alone.model.choices, human, PRIOR)
+    everything = Assumptions.of(setting, human, PRIOR).problem(found.outer.visits.alone.model.choices)
     whole = AttentionSubproblem.of(everything, ENTRY, steps, price)
     exact, layout = qmdp(whole.pomdp).value_mdp, whole.layout
     for around in (found.outer, found.between) if not steps else ():
@@ -204,7 +208,7 @@ def test_what_is_expected_beyond_is_known() -> None:
 
 def test_memory_is_asked_for_beforehand() -> None:
     with pytest.raises(LimitError, match=r"^bounding a person's value on \d+ states takes about \d+ MB"):
-        bounded(kit("tiny"), Setting().assumptions(somebody(), PRIOR), entry=ENTRY, size=2, memory_limit_mb=0.01)
+        bounded(kit("tiny"), Assumptions.of(Setting(), somebody(), PRIOR), entry=ENTRY, size=2, memory_limit_mb=0.01)
 
 
 def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,7 +216,7 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
     table, who = kit("paper"), somebody()
     found = [
         bounded(
-            table, Setting().assumptions(who, PRIOR), entry=ENTRY, size=10, with_outer=True, memory_limit_mb=most
+            table, Assumptions.of(Setting(), who, PRIOR), entry=ENTRY, size=10, with_outer=True, memory_limit_mb=most
         ).outer
         for most in (math.inf, 3.0)
     ]
@@ -230,7 +234,7 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
 def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch: pytest.MonkeyPatch) -> None:
     sizes = replace(truncated_bound.SIZES, hidden=40, hidden_least=5, pairs=300, pairs_least=50)
     monkeypatch.setattr(truncated_bound, "SIZES", sizes)
-    looked_at, assumed = [], Setting().assumptions(somebody(), PRIOR)
+    looked_at, assumed = [], Assumptions.of(Setting(), somebody(), PRIOR)
     for limits in ({}, {"kept_mb": 0.1}, {"kept_mb": 4.0}, {"until": 0.0}):
         found = bounded(kit("paper"), assumed, entry=ENTRY, size=50, with_outer=True, **limits)
         looked_at.append([int((~found.problem.ends).sum()), found.pairs])
@@ -244,7 +248,7 @@ def test_without_time_nobody_errs_beyond() -> None:
     """Without time the bounds are those of people who never err, which are always valid."""
     table, setting = kit("tiny"), Setting()
     at_once, in_time = (
-        bounded(table, setting.assumptions(somebody(), PRIOR), entry=ENTRY, size=3, until=until).problem
+        bounded(table, Assumptions.of(setting, somebody(), PRIOR), entry=ENTRY, size=3, until=until).problem
         for until in (0.0, math.inf)
     )
     hurried, bound = at_once.frontier, in_time.frontier
@@ -277,7 +281,7 @@ def test_a_robot_that_may_mistake_the_state_considers_all_suggestions(monkeypatc
     )
     pool = Pool.sample(table, 1, seed=1, setting=setting, population=people, states=1, region=1)
     ((_, one),) = pool.policies[0].bounded(0.0)
-    whole = solve(setting.problem(Choices.of(table), None, people))
+    whole = solve(Assumptions.of(setting, None, people).problem(Choices.of(table)))
     assert solve(one.problem).upper >= whole.lower - 1e-9
-    only_optimal = replace(setting, observation=None).problem(Choices.of(table), None, people)
+    only_optimal = Assumptions.of(replace(setting, observation=None), None, people).problem(Choices.of(table))
     assert solve(only_optimal).upper < whole.lower - 1

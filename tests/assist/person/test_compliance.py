@@ -10,7 +10,8 @@ from conftest import KITTING, table_of
 
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel, Population
+from assist.people.human import Human, HumanModel
+from assist.people.ranges import Population
 from assist.person import AssistPOMDP, qmdp
 from assist.person.compliance_relaxation import breadth_first, compliance_bounds
 from assist.person.truncated_task import never_erring

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
-from assist.people.human import HumanModel, Population
+from assist.people.human import HumanModel
+from assist.people.ranges import Population
 from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome
 from assist.person import truncated_task
 from assist.person.pomdp import AssistPOMDP

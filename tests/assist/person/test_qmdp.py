@@ -15,8 +15,9 @@ from hypothesis.extra import numpy as arrays
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
-from assist.people.human import Human, HumanModel, Population
+from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
+from assist.people.ranges import Population
 from assist.people.trust_rules import constant
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel, Population
+from assist.people.human import Human, HumanModel
 from assist.people.misconception import Misconception
+from assist.people.ranges import Population
 from assist.people.trust_rules import Reliability
 from assist.person import truncated_task as region
 from assist.person.archive import ArchiveError

@@ -17,8 +17,9 @@ from test_qmdp import GRID, make
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
-from assist.people.human import Human, HumanModel, Population
+from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
+from assist.people.ranges import Population
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp

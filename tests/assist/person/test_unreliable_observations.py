@@ -17,8 +17,8 @@ from assist.people import Grid, HumanModel, ImpossibleObservationError
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.person import AssistPOMDP, JointBelief, ObservationModel, Setting, qmdp
+from assist.person.evidence import Evidence
 from assist.person.joint_belief import expected_answers, said_in
-from assist.person.observation_model import Evidence
 from assist.person.problem_arrays import ProblemArrays
 from assist.simulation import Episodes, Pool, simulate
 from assist.team.state import worth_of_actions

@@ -18,7 +18,7 @@ from assist.certify.prices import kinds_of
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.live import Assistant, live_task
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.person import truncated_bound, truncated_policy
 from assist.person.settings import Setting
 from assist.person.solver import solve

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from assist.people.choices import Choices
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.person.settings import Setting
 from assist.plots import study as study_figures
 from assist.plots.episode import episode_figure

@@ -14,7 +14,8 @@ from teams import reachable, run
 
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
-from assist.people.human import Human, Population
+from assist.people.human import Human
+from assist.people.ranges import Population
 from assist.person.observation_model import ObservationModel
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP

@@ -16,7 +16,8 @@ from teams import equal, run
 from assist.people.belief import ImpossibleObservationError
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
-from assist.people.human import HumanModel, Population
+from assist.people.human import HumanModel
+from assist.people.ranges import Population
 from assist.person.beliefs import Acts, PersonModel, Seen
 from assist.person.dynamics import Minds, PeopleArrays, act
 from assist.person.pomdp import AssistPOMDP

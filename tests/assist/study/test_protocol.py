@@ -10,7 +10,7 @@ import pytest
 from conftest import DOMAINS, KITTING, ROOT
 from studies import TINY, write
 
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.person.settings import Setting
 from assist.study.cells import check, pool_of
 from assist.study.protocol import read

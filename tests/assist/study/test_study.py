@@ -15,12 +15,12 @@ from conftest import invoke
 from fuzz import here
 from studies import TINY, contents, write
 
+from assist.people.user_code import UserCodeError
 from assist.reports.study_report import write_report
 from assist.study.cells import carry_out
 from assist.study.protocol import read
 from assist.study.runner import load_study, profile, run_study
 from assist.study.study import Study
-from assist.team.state import PolicyError
 from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError
 
 
@@ -167,7 +167,7 @@ def test_a_policy_that_fails_is_named_with_its_line_and_words(tmp_path: Path, bo
     (tmp_path / "mine.py").write_text(f"def faulty(team):\n{body}\n")
     study = read(write(tmp_path, TINY.replace('policies = ["attention"]', 'policies = ["mine.py:faulty"]')))
     cell = next(cell for cell in study.cells() if cell.condition == "dear")
-    with pytest.raises(PolicyError) as caught:
+    with pytest.raises(UserCodeError) as caught:
         carry_out(cell, study)
     assert str(caught.value).startswith(f"{tmp_path / 'mine.py'}:{line}: ")
     assert what in str(caught.value)

@@ -27,7 +27,8 @@ from assist.cli.serve import serve
 from assist.declare.declared import plain
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
-from assist.people.human import Population
+from assist.people.ranges import Population
+from assist.people.user_code import UserCodeError
 from assist.person.beliefs import Seen
 from assist.person.qmdp import qmdp
 from assist.person.robots import Robot
@@ -40,7 +41,7 @@ from assist.study.protocol import read
 from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.policy_names import POLICIES
-from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
+from assist.team.state import BASE, NOBODY, TeamAction, TeamState
 from planner import sweep
 from planner.system.errors import InputFileError
 
@@ -193,7 +194,7 @@ def test_each_robot_pays_its_own_costs() -> None:
     assert paid([NOBODY, 0], [0, suggests]) == pytest.approx(1.125)
     assert paid([NOBODY, 1], [0, executes]) == pytest.approx(1.25)
     assert paid([1, 0], [suggests, executes]) == pytest.approx(3.75)
-    with pytest.raises(PolicyError, match="lets robot 1 execute an action, which it cannot"):
+    with pytest.raises(UserCodeError, match="lets robot 1 execute an action, which it cannot"):
         paid([0, NOBODY], [executes, 0])
 
 
@@ -233,9 +234,9 @@ def test_a_robot_without_a_task_makes_room_for_a_better_one() -> None:
         location=np.array([[0, BASE]]),
     )  # fmt: skip
     assert pool.policy("priority")(team).person.tolist() == [[NOBODY, 0]]
-    with pytest.raises(PolicyError, match="lets two robots be with one person"):
+    with pytest.raises(UserCodeError, match="lets two robots be with one person"):
         check(team, TeamAction(np.array([[0, 0]]), np.zeros((1, 2), dtype=np.int64)))
-    with pytest.raises(PolicyError, match="or on their way there"):
+    with pytest.raises(UserCodeError, match="or on their way there"):
         check(
             replace(team, free=np.array([[False, True]])),
             TeamAction(np.array([[NOBODY, 0]]), np.zeros((1, 2), dtype=np.int64)),

@@ -22,7 +22,8 @@ from assist.certify.team_bound import upper_bound
 from assist.coupled import Agents, joint_optimum
 from assist.declare.declared import plain
 from assist.people.choices import Choices
-from assist.people.human import Population
+from assist.people.ranges import Population
+from assist.people.user_code import UserCodeError
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.beliefs import Seen
 from assist.person.qmdp import qmdp
@@ -36,7 +37,7 @@ from assist.simulation.trace import Trace
 from assist.team.action_check import check
 from assist.team.assignment import assigned
 from assist.team.policy_names import POLICIES
-from assist.team.state import BASE, NOBODY, PolicyError, TeamAction, TeamState
+from assist.team.state import BASE, NOBODY, TeamAction, TeamState
 from planner import sweep
 
 FAR: list[list[float]] = [[0, 1, 2, 3], [1, 0, 1.5, 1], [2, 1.5, 0, 2], [3, 1, 2, 0]]
@@ -205,14 +206,14 @@ def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:
         ([0, 0], "lets two robots be with one person"),
         ([0, 3], "goes to person 3 in a team of 3"),
     ):
-        with pytest.raises(PolicyError, match=complaint):
+        with pytest.raises(UserCodeError, match=complaint):
             check(team, TeamAction(np.array([person]), np.zeros((1, 2), dtype=np.int64)))
     for person in ([1, 0], [1, NOBODY]):  # the second robot goes elsewhere, or makes room
         check(team, TeamAction(np.array([person]), np.zeros((1, 2), dtype=np.int64)))
-    with pytest.raises(PolicyError, match=r"shape \(1, 2\), an entry for each robot"):
+    with pytest.raises(UserCodeError, match=r"shape \(1, 2\), an entry for each robot"):
         check(team, TeamAction(np.array([0]), np.array([0])))
     under_way = replace(team, free=np.array([[True, False]]))
-    with pytest.raises(PolicyError, match="sends a robot that is under way"):
+    with pytest.raises(UserCodeError, match="sends a robot that is under way"):
         check(under_way, TeamAction(np.array([[NOBODY, 2]]), np.zeros((1, 2), dtype=np.int64)))
 
 

@@ -20,7 +20,7 @@ from streams import EndedError, Stream, opened
 from assist.live.events import Acted, Joined
 from assist.live.session import Session
 from assist.live.store import JournalError
-from assist.people.human import Population
+from assist.people.ranges import Population
 from assist.person.settings import Setting
 from assist.web import server
 from assist.web.app import make_app

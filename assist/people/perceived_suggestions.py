@@ -1,0 +1,77 @@
+"""What people think of suggestions, and how their theta and the count of their rule move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .decision import Floats
+from .trust_rules import Event, Feedback, TrustRule, counts_of
+
+
+def moved(rule: TrustRule, theta: Floats, count: NDArray[np.int64], event: Event) -> tuple[Floats, NDArray[np.int64]]:
+    """Return theta and the count of a rule after an event; the count stays 0 for rules without `counts`.
+
+    It is the number of outcomes that the person has seen, unless the rule has a method `counted(count, event)`.
+
+    Parameters
+    ----------
+    rule : TrustRule
+    theta : float array
+    count : int array
+        From 0 to the rule's `counts`.
+    event : Event
+    """
+    most = counts_of(rule)
+    if not most:
+        return rule.update(theta, event), count
+    counting: Any = rule
+    counted = getattr(rule, "counted", lambda count, event: np.minimum(count + event.shown, most))
+    return counting.update(theta, event, count), counted(count, event)
+
+
+@dataclass(frozen=True)
+class PerceivedSuggestions:
+    """What people think of suggestions, and whether these are optimal; arrays that broadcast.
+
+    Attributes
+    ----------
+    gain : float array
+        V(x_r) - V(x), in cost units.
+    agrees : bool array
+        No action has a lower perceived cost.
+    optimal : bool array
+        The suggested action is an optimal choice.
+    """
+
+    gain: Floats
+    agrees: NDArray[np.bool_]
+    optimal: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, cost: Floats, least: Floats, before: Floats, after: Floats, optimal: NDArray[np.bool_]
+    ) -> PerceivedSuggestions:
+        """Evaluate suggestions; all arrays broadcast.
+
+        Parameters
+        ----------
+        cost, least : float arrays
+            Perceived cost of the suggested action, and the least one of all actions.
+        before, after : float arrays
+            V of the present state, and of the state in which the suggested action would end.
+        optimal : bool array
+            The suggested action is an optimal choice.
+        """
+        with np.errstate(invalid="ignore"):  # from one dead end to another nothing is gained
+            gain = np.where(before == after, 0.0, np.subtract(after, before))
+        return cls(gain, np.asarray(cost <= least), np.asarray(optimal))
+
+    def event(self, followed: NDArray[np.bool_] | bool, feedback: Feedback) -> Event:
+        """Return the event of these suggestions, followed or not, with what people see of the outcome."""
+        followed = np.asarray(followed)
+        right = self.optimal if feedback == "true" else self.gain > 0
+        return Event(self.gain, self.agrees, followed, followed & (feedback != "never"), right)
