@@ -410,7 +410,7 @@ def timing(instance: str, count: int, actions: int, huge: bool, out: Path, recor
 def run(instance: Path, log: Path, out: Path, kill_after: float | None = None) -> dict[str, Any]:
     """Run the command; return its seconds and the number of states in its cache."""
     command = [str(Path(sys.executable).with_name("kitassist")), "fit", str(instance), str(log), "--jobs", "2"]
-    command += ["--out", str(out / "people.jsonl"), "--population", str(out / "population.json")]
+    command += ["--out", str(out / "people.jsonl"), "--write-population", str(out / "population.json")]
     command += ["--figures", str(out / "figures"), "--set", f"cache={out / 'cache'}"]
     start = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)

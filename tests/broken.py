@@ -59,7 +59,8 @@ ARGUMENTS: dict[str, list[str]] = {
     "bound": ["problem.pddl", "--humans", "2", "--episodes", "4", "--time-limit", "0.5", "--jobs", "1", "--json"],
     "export": ["problem.pddl", "--out", "person.pomdpx", "--json"],
     "fit": [
-        "problem.pddl", "log.jsonl", "--jobs", "1", "--out", "people.jsonl", "--population", "fitted.json", "--json",
+        "problem.pddl", "log.jsonl", "--jobs", "1", "--out", "people.jsonl", "--write-population", "fitted.json",
+        "--json",
     ],
     "study": ["--protocol", "study.toml", "--out", "study", "--json"],
     "draw": ["problem.pddl", "--plan", "found.plan", "--out", "drawn.svg", "--json"],

@@ -128,7 +128,7 @@ def fit(log: Path) -> Case:
         "fit",
         lambda folder, _: [
             *arguments, "--set", f"cache={folder / 'cache'}", "--out", str(folder / "people.jsonl"),
-            "--population", str(folder / "population.json"),
+            "--write-population", str(folder / "population.json"),
         ],
         lambda folder: outcome(folder) if (folder / "population.json").exists() else {},
         outcome,

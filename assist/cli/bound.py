@@ -12,7 +12,7 @@ from planner.batch.results_folder import versions
 from planner.system.progress import stages
 
 from ..declare.options import Given
-from .options.common import JOBS, gap_option, instance_argument, json_option, seconds_option
+from .options.common import gap_option, instance_argument, jobs_option, json_option, time_limit_option
 from .options.goals import check_questions, goals_option, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
@@ -28,15 +28,13 @@ from .terminal.console import end_after_showing, kept_if_interrupted, print_json
     "--episodes", type=click.IntRange(2, 10**8), default=20_000, show_default=True,
     help="Simulated episodes that estimate each policy's value.",
 )  # fmt: skip
-@gap_option("Relative gap to which each person's problem is solved.")
-@seconds_option("Seconds for the whole computation. The bound proven by then is reported.", default=300.0)
+@gap_option
+@time_limit_option
 @click.option(
     "--samples", type=click.IntRange(min=0), default=0, show_default=True,
     help="Number of sample paths for a tighter bound (95 % confidence; at least 30).",
 )  # fmt: skip
-@click.option(
-    "--jobs", type=JOBS, help="Number of problems solved at the same time. One for each processor unless given."
-)
+@jobs_option
 @team_options
 @goals_option
 @json_option

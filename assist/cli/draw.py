@@ -12,9 +12,11 @@ import click
 import planner
 from planner.system.files import each_record
 
+from ..declare.options import Given, setting_options
 from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option
-from .options.goals import goal_prior_option, goals_option, prior_of, several_goals
+from .options.goals import goals_option, several_goals
 from .options.help import command
+from .options.settings import DrawSetting
 from .options.task import one_instance
 from .terminal.console import ExitCode, fail, print_json
 
@@ -30,15 +32,12 @@ if TYPE_CHECKING:
 @click.option("--trace", type=INPUT_FILE, help="Trace to draw (JSON Lines), as written by `simulate --trace`.")
 @click.option("--episode", metavar="E", help="Episode of the trace. The first unless given.")
 @goals_option
-@goal_prior_option
-@click.option(
-    "--width", type=click.IntRange(200, 4000), default=760, show_default=True, help="Approximate width in pixels."
-)
+@setting_options(DrawSetting)
 @click.option("--out", type=OUTPUT_FILE, required=True, help="Output file: .svg, .png, .gif or .html.")
 @json_option
 def draw(
     instance: str, domain: str | None, state: Path | None, plan: Path | None, trace: Path | None, episode: str | None,
-    problems: tuple[str, ...], goal_prior: tuple[str, ...], width: int, out: Path, as_json: bool,
+    problems: tuple[str, ...], out: Path, as_json: bool, setting: DrawSetting, given: Given[DrawSetting],
 ) -> None:  # fmt: skip
     """Draw a state, a plan or an episode as a picture (.svg, .png) or an animation (.gif, .html).
 
@@ -60,12 +59,14 @@ def draw(
             f"--episode {episode} has no effect without --trace FILE, the trace that has the episode "
             "(`simulate --trace FILE` writes one)"
         )
-    if (problems or goal_prior) and not trace:
+    if problems and not trace:
         raise click.UsageError("--goals: expected --trace as well, the actions from which goals are inferred")
+    if not problems:
+        given.refuse(["goal_prior"], "without --goals")
     separate_files({"--out": out}, {"--state": state, "--plan": plan, "--trace": trace})
     require(out.suffix)
     found = one_instance(instance, domain)
-    goals = several_goals(instance, problems, prior_of(goal_prior) or {}, domain=domain)
+    goals = several_goals(instance, problems, setting.goal_prior, domain=domain)
     try:
         artist = Artist(planner.load(found), goal=goals is None)
         if plan:
@@ -89,7 +90,7 @@ def draw(
         fail(f"{plan or trace}: {error}", ExitCode.FAILED)
     except (ProfileError, StateError) as error:
         fail(str(error), ExitCode.FAILED)
-    frames = save(artist, rows, out, width=width)
+    frames = save(artist, rows, out, width=setting.width)
     record = {
         "instance": str(found.problem), "domain": str(found.domain), "out": str(out), "people": len(rows),
         "frames": frames, "bytes": out.stat().st_size,

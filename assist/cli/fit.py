@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 @click.argument("file", metavar="LOG", type=INPUT_FILE, required=False)
 @click.option("--out", type=OUTPUT_FILE, help="Write one record per person (JSON Lines).")
 @click.option(
-    "--population", type=OUTPUT_FILE,
+    "--write-population", "population", type=OUTPUT_FILE, metavar="FILE",
     help="Write the distribution of expertise (beta) and influence (theta), for `simulate --population`.",
 )  # fmt: skip
 @click.option(
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option("--terms", is_flag=True, help="Fit preferences besides cost (hierarchical model).")
 @click.option(
-    "--trust", type=click.Choice(TRUST),
+    "--influence", "trust", type=click.Choice(TRUST),
     help="Estimate influence (theta) under this trust rule, carried from episode to episode (hierarchical model).",
 )  # fmt: skip
 @advice_options
@@ -75,23 +75,23 @@ def fit(
     from ..plots import style
 
     if family and as_json and not population:
-        raise click.UsageError("--family: expected --population, since with --json it has no effect otherwise")
+        raise click.UsageError("--family: expected --write-population, since with --json it has no effect otherwise")
     kinds = {
         "--goals": problems, "--misconception": misconceptions, "--terms": terms, "chooses": setting.chooses,
-        "--trust": trust,
+        "--influence": trust,
     }  # fmt: skip
     apart(kinds)
-    for name in ("--goals", "chooses", "--trust"):
+    for name in ("--goals", "chooses", "--influence"):
         if kinds[name]:
             given.refuse(["seed"], f"with {name}")
     for name, value in {"--family": family, "--figures": figures}.items():
-        apart({name: value, "--trust": trust})
+        apart({name: value, "--influence": trust})
     if trust not in (None, "paper"):
-        given.refuse(RATES, f"with --trust {trust}")
+        given.refuse(RATES, f"with --influence {trust}")
     if not trust:
-        given.refuse(["theta_per_episode"], "without --trust")
+        given.refuse(["theta_per_episode"], "without --influence")
     if advice and not trust:
-        raise click.UsageError("--advice: expected --trust as well")
+        raise click.UsageError("--advice: expected --influence as well")
     with one_line_errors("interrupted; nothing was estimated"):
         judgements = advice_of(advice, rows, setting, given, {"trust"})
         if judgements is not None and trust is not None:
@@ -101,7 +101,9 @@ def fit(
     if instance is None or file is None:
         raise click.UsageError("expected INSTANCE and LOG, or --advice")
     if population and setting.chooses:
-        raise click.UsageError("--population and chooses: a population file has no functions; expected one of them")
+        raise click.UsageError(
+            "--write-population and chooses: a population file has no functions; expected one of them"
+        )
     apart({"--family": family, "--terms": terms})
     apart({"--goals": problems, "--figures": figures})
     if not problems:
@@ -110,7 +112,7 @@ def fit(
     with one_line_errors("interrupted; states evaluated on demand are saved"):
         found = one_instance(instance, domain)
         inputs = {"INSTANCE": found.problem, "its domain": found.domain, "LOG": file}
-        separate_files({"--out": out, "--population": population}, inputs)
+        separate_files({"--out": out, "--write-population": population}, inputs)
         if figures:
             style.require()
         chooses = choice_model_of(setting.chooses)

@@ -17,7 +17,7 @@ from .options.common import (
     gap_option,
     instance_argument,
     json_option,
-    seconds_option,
+    time_limit_option,
 )
 from .options.goals import goals_option, several_goals
 from .options.help import command
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 @command("policy kitting/tiny --gap 0.01")
 @instance_argument
-@gap_option("Stop when (upper - lower) / |lower| is at most this.")
-@seconds_option("Seconds for the search.", default=60.0)
+@gap_option
+@time_limit_option
 @click.option("--out", type=OUTPUT_FILE, help="Save policy and bounds (.npz).")
 @person_options
 @goals_option

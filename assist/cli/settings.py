@@ -6,11 +6,12 @@ import click
 
 from ..declare.options import printed
 from .options.help import command
-from .options.settings import EstimateSetting, GoalSetting, LiveSetting, PersonSetting, TeamSetting
+from .options.settings import DrawSetting, EstimateSetting, GoalSetting, LiveSetting, PersonSetting, TeamSetting
 
 OF_COMMANDS = {
     "simulate": TeamSetting, "bound": TeamSetting, "serve": LiveSetting, "policy": PersonSetting,
     "export": PersonSetting, "fit": EstimateSetting, "compare": EstimateSetting, "infer": GoalSetting,
+    "draw": DrawSetting,
 }  # fmt: skip
 """The setting of each command that has one."""
 

@@ -13,7 +13,7 @@ from planner.system.limits import processors
 from planner.system.progress import stages
 
 from ..declare.options import Given
-from .options.common import JOBS, OUTPUT_FILE, instance_argument, json_option, separate_files
+from .options.common import OUTPUT_FILE, instance_argument, jobs_option, json_option, separate_files
 from .options.goals import check_questions, goals_option, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
@@ -34,7 +34,7 @@ from .terminal.console import kept_if_interrupted, print_json
 @click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines).")
 @click.option("--reasons", is_flag=True, help="Explain each suggestion in the trace.")
 @click.option("--figure", type=OUTPUT_FILE, help="Plot an episode that the last policy shortened (.png, .svg).")
-@click.option("--jobs", type=JOBS, help="Number of threads. One for each processor unless given.")
+@jobs_option
 @team_options
 @goals_option
 @json_option

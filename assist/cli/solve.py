@@ -11,8 +11,18 @@ import click
 from planner import find_instances
 from planner.batch.results_folder import DONE, SolveOptions
 from planner.batch.solve_batch import solve_batch
+from planner.system.limits import processors
 
-from .options.common import JOBS, OUTPUT_FOLDER, domain_option, max_states_option, megabytes_option, seconds_option
+from .options.common import (
+    MEGABYTES,
+    OUTPUT_FOLDER,
+    domain_option,
+    is_given,
+    jobs_option,
+    resume_option,
+    scheduler_option,
+    time_limit_option,
+)
 from .options.help import command
 from .output.solve_progress import solving
 from .output.solve_records import Answers
@@ -23,10 +33,13 @@ from .terminal.console import ExitCode, one_line_errors
 @click.argument("instances", metavar="INSTANCE...", nargs=-1, required=True)
 @domain_option
 @click.option("--out", type=OUTPUT_FOLDER, help="Folder for results.jsonl, tables and plans.")
-@click.option("--jobs", type=JOBS, default=1, show_default=True, help="Number of worker processes.")
-@seconds_option("Seconds for each instance.")
-@megabytes_option("Memory for each instance.")
-@max_states_option("Largest number of states solved exhaustively. Larger tasks are solved in the initial state only.")
+@jobs_option
+@time_limit_option
+@click.option("--memory-limit", type=MEGABYTES, metavar="MB", help="Memory for each instance. No limit unless given.")
+@click.option(
+    "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
+    help="Largest number of states solved exhaustively. Larger tasks are solved in the initial state only.",
+)  # fmt: skip
 @click.option(
     "--most-values", type=click.IntRange(min=1), default=SolveOptions.most_values, show_default=True,
     help="Largest number of values of one number of the files, such as a stock or a battery.",
@@ -35,14 +48,14 @@ from .terminal.console import ExitCode, one_line_errors
     "--verify", type=click.IntRange(min=1), metavar="N", show_default="20 in a fourth of the search's time",
     help="Number of states compared with Fast Downward's A*, however long it takes.",
 )  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Solve on the workers of a Dask cluster (extra `cluster`).")
-@click.option("--resume", is_flag=True, help="Keep the results in --out and solve the remaining instances.")
+@scheduler_option
+@resume_option
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def solve(
     instances: tuple[str, ...],
     domain: str | None,
     out: Path | None,
-    jobs: int,
+    jobs: int | None,
     scheduler: str | None,
     resume: bool,
     as_json: bool,
@@ -56,7 +69,8 @@ def solve(
         raise click.UsageError("--resume needs --out")
     with one_line_errors("interrupted; finished results are saved, --resume continues" if out else "interrupted"):
         found = find_instances(instances, domain)
-        if len(found) == 1 and options["time_limit"] is None and options["memory_limit"] is None:
+        jobs = jobs or processors()
+        if len(found) == 1 and options["memory_limit"] is None and not is_given("time_limit"):
             jobs = 0  # starting a worker takes longer than solving most tasks
         answers = Answers([str(each.problem) for each in found], as_json=as_json)
         try:

@@ -8,9 +8,10 @@ from pathlib import Path
 import click
 from rich.table import Table
 
+from planner.system.limits import processors
 from planner.system.progress import stages
 
-from .options.common import JOBS, OUTPUT_FOLDER
+from .options.common import OUTPUT_FOLDER, jobs_option, resume_option, scheduler_option
 from .options.help import command
 from .terminal.console import ExitCode, fail, one_line_errors, print_json, print_table
 
@@ -26,16 +27,16 @@ from .terminal.console import ExitCode, fail, one_line_errors, print_json, print
     metavar="N",
     help="Number of pools of people. The protocol's own number unless given.",
 )
-@click.option("--jobs", type=JOBS, default=1, show_default=True, help="Number of worker processes.")
-@click.option("--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster (extra `cluster`).")
+@jobs_option
+@scheduler_option
 @click.option(
     "--out", type=OUTPUT_FOLDER, required=True,
     help="Folder for episodes, summary, figures and report.",
 )  # fmt: skip
-@click.option("--resume", is_flag=True, help="Keep the finished parts in --out and run the remaining ones.")
+@resume_option
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON document.")
 def study(
-    protocol: str, repeats: int | None, jobs: int, scheduler: str | None, out: Path, resume: bool, as_json: bool
+    protocol: str, repeats: int | None, jobs: int | None, scheduler: str | None, out: Path, resume: bool, as_json: bool
 ) -> None:
     """Run a simulation study over pools of people, teams, policies and conditions, and write its report.
 
@@ -56,7 +57,9 @@ def study(
             planned = read(protocol, repeats=repeats)
             with stages() as show:
                 check(planned, show)
-                failed = run_study(planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=show, warn=say)
+                failed = run_study(
+                    planned, out, jobs=jobs or processors(), scheduler=scheduler, resume=resume, progress=show, warn=say
+                )
         except InputFileError as error:
             fail(str(error), ExitCode.USAGE)
         for cell, reason in failed:
@@ -66,7 +69,7 @@ def study(
                 f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again",
                 ExitCode.FAILED,
             )
-        summary = write_report(planned, out, jobs=jobs).summary
+        summary = write_report(planned, out, jobs=jobs or processors()).summary
     if as_json:
         print_json(summary)
         return

@@ -214,7 +214,7 @@ def mixture(record: dict[str, Any]) -> Population:
     Parameters
     ----------
     record : dict
-        A record, as `fit --population` writes it.
+        A record, as `fit --write-population` writes it.
 
     Raises
     ------
@@ -231,7 +231,7 @@ def mixture(record: dict[str, Any]) -> Population:
         return Population.mixed(tuple(parts), tuple(shares))
     except (KeyError, TypeError, AttributeError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else f"{error}"
-        raise ValueError(f"expected a population as `kitassist fit --population` writes it ({what})") from None
+        raise ValueError(f"expected a population as `kitassist fit --write-population` writes it ({what})") from None
 
 
 def trust_of(record: dict[str, Any]) -> Shipped | None:
@@ -246,7 +246,7 @@ def trust_of(record: dict[str, Any]) -> Shipped | None:
     if plain is None:
         return None
     if not isinstance(plain, dict):
-        raise ValueError(f"trust {plain!r}; expected an object as `kitassist fit --trust --population` writes it")  # noqa: TRY004
+        raise ValueError(f"trust {plain!r}; expected an object as `fit --write-population` writes it")  # noqa: TRY004
     try:
         return rule_of(plain)
     except DeclarationError as error:

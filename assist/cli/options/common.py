@@ -6,16 +6,12 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
-from planner.batch.results_folder import SolveOptions
 from planner.system import files
-
-if TYPE_CHECKING:
-    pass
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Option = Callable[[Command], Command]
@@ -37,11 +33,7 @@ class Number(click.FloatRange):
         return "" if self.min is self.max is None else super()._describe_range()
 
 
-GAP = Number(min=0)
-SECONDS = Number(min=0, max=1e9, min_open=True)
 MEGABYTES = Number(min=0, max=1e12, min_open=True)
-JOBS = click.IntRange(min=1, max=10_000)
-SEED = click.IntRange(min=0)
 
 
 class Output(click.Path):
@@ -120,32 +112,24 @@ def apart(options: Mapping[str, object]) -> None:
         raise click.UsageError(f"{' and '.join(given)}: expected one of them")
 
 
-def gap_option(text: str) -> Option[Any]:
-    """Return the option `--gap`, the relative gap between the bounds at which a solver stops."""
-    return click.option("--gap", type=GAP, default=1e-3, show_default=True, help=text)
-
-
-def seconds_option(text: str, default: float | None = None) -> Option[Any]:
-    """Return the option `--time-limit`. Without a default, time is unlimited."""
-    return click.option(
-        "--time-limit", type=SECONDS, default=default, show_default=default is not None, metavar="SECONDS", help=text
-    )
-
-
-def megabytes_option(text: str, default: float | None = None) -> Option[Any]:
-    """Return the option `--memory-limit`. Without a default, memory is unlimited."""
-    return click.option(
-        "--memory-limit", type=MEGABYTES, default=default, show_default=default is not None, metavar="MB", help=text
-    )
-
-
-def max_states_option(text: str) -> Option[Any]:
-    """Return the option `--max-states`, the largest number of states that is enumerated."""
-    return click.option(
-        "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True, help=text
-    )
-
-
+gap_option = click.option(
+    "--gap", type=Number(min=0), default=1e-3, show_default=True,
+    help="Relative gap between the bounds of each person's problem, (upper - lower) / |lower|, that is small enough.",
+)  # fmt: skip
+time_limit_option = click.option(
+    "--time-limit", type=Number(min=0, max=1e9, min_open=True), default=300.0, show_default=True, metavar="SECONDS",
+    help="Time for an instance, or for a bound. What is known by then is reported.",
+)  # fmt: skip
+jobs_option = click.option(
+    "--jobs", type=click.IntRange(min=1, max=10_000), help="Number of processors to use. All unless given."
+)
+scheduler_option = click.option(
+    "--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster (extra `cluster`)."
+)
+resume_option = click.option("--resume", is_flag=True, help="Keep what is finished in --out, and do the rest.")
+seed_option = click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed."
+)  # fmt: skip
 instance_argument = click.argument("instance", metavar="INSTANCE")
 domain_option = click.option(
     "--domain",

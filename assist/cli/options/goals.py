@@ -67,11 +67,6 @@ goals_option = click.option(
     help="A problem with a further goal, or a folder of problems. Repeat it for several.",
 )  # fmt: skip
 
-goal_prior_option = click.option(
-    "--goal-prior", multiple=True, metavar="GOAL=P,...",
-    help="Probability of each goal, by the problem's name. All are equal unless given.",
-)  # fmt: skip
-
 
 def check_questions(setting: Setting, given: Given[Any], problems: Sequence[str], *, doubtful: bool = False) -> None:
     """Raise a usage error if a robot would ask where no question is possible.
@@ -124,24 +119,3 @@ def _same_domain(found: Sequence[Instance]) -> None:
         files = first.domain, other.domain
         if files[0] != files[1] and len({file.read_bytes() for file in files if file.is_file()}) > 1:
             fail(f"{other}: its domain is {files[1]}; expected {files[0]}, as for {first}", ExitCode.FAILED)
-
-
-def prior_of(given: Sequence[str]) -> dict[str, float] | None:
-    """Return the prior that `--goal-prior` gives, by the names of the goals.
-
-    Raises
-    ------
-    click.UsageError
-        A part is not of the form GOAL=P.
-    """
-    prior: dict[str, float] = {}
-    for pair in filter(None, (pair.strip() for text in given for pair in text.split(","))):
-        name, _, share = (part.strip() for part in pair.rpartition("="))
-        try:
-            value = float(share)
-        except ValueError:
-            name = ""
-        if not name or name in prior:
-            raise click.UsageError(f"--goal-prior {pair}: expected GOAL=PROBABILITY, once for each goal")
-        prior[name] = value
-    return prior or None

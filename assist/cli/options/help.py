@@ -14,11 +14,11 @@ from .config import named
 
 GROUPS = {
     "Task": (
-        "--domain", "--max-states", "--state", "--plan", "--protocol", "--format", "--goals", "--goal-prior", "--as",
+        "--domain", "--max-states", "--state", "--plan", "--protocol", "--format", "--goals", "--as",
     ),
     "Log": ("--columns", "--drop", "--rename", "--strict", "--advice", "--rows"),
     "People": ("--humans", "--pool", "--population", "--simulate"),
-    "Estimates": ("--misconception", "--terms", "--folds", "--family"),
+    "Estimates": ("--misconception", "--terms", "--influence", "--folds", "--family"),
     "Robot": ("--robots", "--policy", "--trust", "--c-suggest", "--c-move"),
     "Setting": ("--setting", "--set"),
     "Service": (
@@ -29,7 +29,10 @@ GROUPS = {
         "--episodes", "--episode", "--repeats", "--samples", "--gap", "--time-limit", "--memory-limit", "--verify",
         "--most-values", "--jobs", "--scheduler", "--resume", "--seed",
     ),
-    "Output": ("--out", "--size-limit", "--trace", "--reasons", "--figure", "--figures", "--width", "--json", "--help"),
+    "Output": (
+        "--out", "--write-population", "--size-limit", "--trace", "--reasons", "--figure", "--figures", "--width",
+        "--json", "--help",
+    ),
 }  # fmt: skip
 """Options of all commands by topic, in the order in which the help shows them."""
 
@@ -100,6 +103,11 @@ def command(example: str, name: str | None = None) -> Callable[[Callable[..., An
         for option in made.params:
             if option.metavar is None and isinstance(option.type, click.IntRange):
                 option.metavar = "N"  # click's own placeholder is INTEGER RANGE
+            elif isinstance(option, click.Option) and isinstance(option.type, click.Choice):
+                names = option.type.choices
+                if option.metavar is None and len("|".join(names)) > 24:  # a longer placeholder would be cut
+                    option.metavar = option.opts[0].removeprefix("--").upper()
+                    option.help = f"{option.help} One of {', '.join(names)}."
         return made
 
     return decorated

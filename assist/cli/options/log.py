@@ -18,9 +18,9 @@ from planner.system.progress import progress_bar, stages
 from ...declare.declared import names_of
 from ..terminal.console import ExitCode, fail
 from .common import (
-    JOBS,
     Command,
     Option,
+    jobs_option,
     with_options,
 )
 from .goals import goals_of
@@ -54,7 +54,7 @@ def reading_options(command: Command) -> Command:
         click.option(
             "--strict", is_flag=True, help="Stop if any line cannot be used, or if any state exceeds the time limit."
         ),
-        click.option("--jobs", type=JOBS, help="Number of processors. All unless given."),
+        jobs_option,
     )  # fmt: skip
     return with_options(command, options)
 

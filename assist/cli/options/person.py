@@ -12,7 +12,7 @@ from planner import Instance
 from planner.system.progress import progress_bar
 
 from ...declare.options import Given, setting_options
-from .common import SEED, Command, Option, domain_option, with_options
+from .common import Command, Option, domain_option, seed_option, with_options
 from .population import chosen_setting
 from .settings import PersonSetting
 from .task import one_instance
@@ -33,9 +33,7 @@ if TYPE_CHECKING:
 def person_options(command: Command) -> Command:
     """Add the options that describe one person's problem. `person_problem` takes their values."""
     options: tuple[Option[Any], ...] = (
-        click.option(
-            "--seed", type=SEED, default=0, show_default=True, help="Random seed of the person's misconception."
-        ),
+        seed_option,
         domain_option,
         setting_options(PersonSetting, without=("c_move", "robots")),
     )

@@ -21,6 +21,7 @@ from ...declare.declared import (
     Text,
     Truth,
     Usual,
+    Whole,
     declared,
     names_of,
 )
@@ -78,7 +79,7 @@ def _texts_beside(folder: Path, text: str) -> str:
 
 
 def record_of(file: Path) -> dict[str, Any]:
-    """Return the record that `fit --population` wrote.
+    """Return the record that `fit --write-population` wrote.
 
     Raises
     ------
@@ -93,7 +94,7 @@ def record_of(file: Path) -> dict[str, Any]:
 
 
 def _population(given: Any) -> Any:
-    """Return a population; a text is the name of a file that `fit --population` wrote."""
+    """Return a population; a text is the name of a file that `fit --write-population` wrote."""
     if not isinstance(given, str):
         return given
     from ...learning import population as populations
@@ -115,9 +116,9 @@ def _real(given: Any) -> Any:
 REGION_STATES = 20_000
 """States of the truncated problem of a larger task, if a setting has no number."""
 
-FILE = "a file that `fit --population` wrote, or a table of ranges"
+FILE = "a file that `fit --write-population` wrote, or a table of ranges"
 PRIOR = "The robot's prior over people, as `population`; the true population unless given."
-PEOPLE = "The people: a file that `fit --population` wrote, or ranges of their parameters."
+PEOPLE = "The people: a file that `fit --write-population` wrote, or ranges of their parameters."
 
 
 @declared
@@ -207,6 +208,14 @@ class LiveSetting(Setting):
     keep_people: Annotated[
         Number, Field(gt=0, le=36_500, description="Days after which the store forgets a person.")
     ] = 30.0
+
+
+@declared
+class DrawSetting:
+    """The setting of a picture."""
+
+    width: Annotated[Whole, Usual("N"), Field(ge=200, le=4000, description="Approximate width in pixels.")] = 760
+    goal_prior: Prior = field(default_factory=dict, hash=False)
 
 
 @declared

@@ -10,7 +10,7 @@ from planner import Instance, LimitError
 
 from ...declare.options import Given, setting_options
 from ..terminal.console import ExitCode, fail
-from .common import SEED, Command, Option, domain_option, with_options
+from .common import Command, Option, domain_option, seed_option, with_options
 from .population import chosen_setting
 from .settings import REGION_STATES, TeamSetting
 from .task import costs_of, one_instance
@@ -33,7 +33,7 @@ def team_options(command: Command) -> Command:
             "--humans", type=click.IntRange(min=1), required=True, metavar="K",
             help="Number of people in a team.",
         ),
-        click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed."),
+        seed_option,
         domain_option,
         setting_options(TeamSetting),
     )  # fmt: skip

@@ -44,7 +44,7 @@ def show_people(
     from .estimate_tables import lines_of, table_of
 
     if family and not population and len(people) < 3:
-        raise click.UsageError("--family: expected a log of 3 people or more, or --population")
+        raise click.UsageError("--family: expected a log of 3 people or more, or --write-population")
     records = people.as_dicts()
     if out:  # written first, since fitting a population takes longer
         files.write_records(out, records)

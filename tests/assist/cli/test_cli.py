@@ -297,25 +297,37 @@ def test_every_shipped_instance_is_described() -> None:
 
 
 WITHIN = {"compare": ("models", "rules")}
+EVERY = [
+    " ".join((name, *inner))
+    for name in COMMANDS
+    for inner in ([(one,) for one in WITHIN[name]] if name in WITHIN else [()])
+]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        " ".join((name, *inner))
-        for name in COMMANDS
-        for inner in ([(one,) for one in WITHIN[name]] if name in WITHIN else [()])
-    ],
-)
-def test_the_help_shows_an_example_and_every_option_in_a_group(name: str) -> None:
-    text = invoke(*name.split(), "--help").output
-    assert f"Example: kitassist {name}" in text
+def options_of(name: str) -> list[click.Option]:
     command: click.Command | None = main
     for part in name.split():
         assert isinstance(command, click.Group)
         command = command.get_command(click.Context(command), part)
     assert command is not None
-    options = [option for option in command.params if isinstance(option, click.Option)]
+    return [option for option in command.params if isinstance(option, click.Option)]
+
+
+def test_an_option_has_the_same_default_on_all_commands() -> None:
+    defaults: dict[str, set[str]] = {}
+    for name in EVERY:
+        for option in options_of(name):
+            defaults.setdefault(option.opts[0], set()).add(str(option.default))
+    # Bounds need many episodes; a live team has one policy.
+    assert {name for name, values in defaults.items() if len(values) > 1} == {"--episodes", "--policy"}
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_the_help_shows_an_example_and_every_option_in_a_group(name: str) -> None:
+    text = invoke(*name.split(), "--help").output
+    assert f"Example: kitassist {name}" in text
+    assert "…" not in text  # choices are never cut
+    options = options_of(name)
     grouped = {option for group in GROUPS.values() for option in group}
     for option in options:
         assert option.opts[0] in grouped

@@ -337,7 +337,7 @@ def judgements(tmp_path: Path) -> Path:
 def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = {name: COMPARED[name] for name in ("base rates", "one theta", "constant", "outcome")}
     monkeypatch.setattr(rule_comparison, "COMPARED", few)
-    done = invoke("fit", "--advice", judgements, "--trust", "constant", "--out", tmp_path / "one.jsonl")
+    done = invoke("fit", "--advice", judgements, "--influence", "constant", "--out", tmp_path / "one.jsonl")
     assert done.exit_code == 0, done.output
     assert "6 people, 36 choices" in done.stdout
     assert json.loads((tmp_path / "one.jsonl").read_text())["rule"] == "constant"
@@ -352,7 +352,7 @@ def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path, monkeypat
             "fit",
             "--advice",
             judgements,
-            "--trust",
+            "--influence",
             "constant",
             "--rows",
             "sequence=a",
@@ -367,7 +367,7 @@ def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path, monkeypat
 def test_a_line_of_advice_that_is_wrong_is_named(judgements: Path) -> None:
     rows = judgements.read_text().splitlines()
     judgements.write_text("\n".join([*rows[:3], rows[3].replace(",a,2,", ",a,two,"), *rows[4:]]))
-    done = invoke("fit", "--advice", judgements, "--trust", "constant")
+    done = invoke("fit", "--advice", judgements, "--influence", "constant")
     assert done.exit_code == 1
     assert f"{judgements}:4: trial 'two'; expected a number" in done.stderr
     judgements.write_text("\n".join(rows[:5]))

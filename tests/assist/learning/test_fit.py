@@ -400,7 +400,7 @@ def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) 
     assert run(*team, "--trace", trace).exit_code == 0
     files = {name: tmp_path / name for name in ("people.jsonl", "population.json", "figures")}
     result = run(
-        "fit", tiny, trace, "--out", files["people.jsonl"], "--population", files["population.json"],
+        "fit", tiny, trace, "--out", files["people.jsonl"], "--write-population", files["population.json"],
         "--figures", files["figures"], "--misconception",
     )  # fmt: skip
     assert (result.exit_code, "trace.jsonl" in result.stderr) == (0, False)

@@ -142,7 +142,7 @@ def test_fit_takes_a_function_of_the_users_own(tmp_path: Path) -> None:
         ("wrong", (), 1, "gives an array of shape (836, "),
         ("broken", (), 1, "mine.py:13: NameError"),
         ("mine", ("--terms",), 2, "--terms and chooses: expected one of them"),
-        ("mine", ("--population", tmp_path / "p.json"), 2, "a population file has no functions"),
+        ("mine", ("--write-population", tmp_path / "p.json"), 2, "a population file has no functions"),
         ("mine", ("--set", "max_states=10"), 2, "chooses: expected a task of at most 10 states"),
     ):
         refused = invoke("fit", "kitting/paper", log, "--set", f"chooses={mine}:{people_option}", "--jobs", 1, *more)

@@ -128,7 +128,7 @@ def test_the_command(tmp_path: Path) -> None:
     given = [kits / "travel.pddl", "--goals", kits, "--humans", "2", "--pool", "3", "--episodes", "2"]
     invoke("simulate", *given, "--policy", "none", "--trace", log)
     asked = ["fit", kits / "travel.pddl", log, "--goals", kits, "--set", "goal_prior=travel=.4,mend=.4,mount=.2"]
-    result = invoke(*asked, "--json", "--population", people)
+    result = invoke(*asked, "--json", "--write-population", people)
     assert result.exit_code == 0, result.stderr
     for record_ in json.loads(result.stdout):
         assert record_["beta_interval"][0] <= (record_["beta"] or 1e9)

@@ -113,11 +113,11 @@ def test_eta_of_a_population_only_where_it_is_known(tiny: Table) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--out", "{0}/x", "--population", "{0}/x"], "--population {0}/x: the same file as --out"),
+        (["--out", "{0}/x", "--write-population", "{0}/x"], "--write-population {0}/x: the same file as --out"),
         (["--out", "{0}/log.jsonl"], "--out {0}/log.jsonl: the same file as LOG"),
-        (["--population", "{0}/tiny.pddl"], "--population {0}/tiny.pddl: the same file as INSTANCE"),
+        (["--write-population", "{0}/tiny.pddl"], "--write-population {0}/tiny.pddl: the same file as INSTANCE"),
         (["--out", "{0}/domain.pddl"], "--out {0}/domain.pddl: the same file as its domain"),
-        (["--family", "uniform", "--json"], "--family: expected --population"),
+        (["--family", "uniform", "--json"], "--family: expected --write-population"),
         (["--set", "largest_beta=1e300"], "largest_beta: 1e+300; expected a number from 1e-09 to 1e+09"),
         (["--set", "utility_scale=1e-300"], "utility_scale: 1e-300; expected a number from 1e-09 to 1e+09"),
         (["--set", "eta=1e300"], "eta: 1e+300; expected a number from 0 to 1e+09"),
@@ -138,7 +138,9 @@ def test_options_that_cannot_be(tmp_path: Path, options: list[str], words: str) 
 def test_people_are_kept_where_their_population_finds_no_room(tmp_path: Path) -> None:
     file = write_log(tmp_path / "log.jsonl", lines(*PLAN))
     out = tmp_path / "people.jsonl"
-    result = CliRunner().invoke(main, ["fit", str(TINY), str(file), "--out", str(out), "--population", "/dev/full"])
+    result = CliRunner().invoke(
+        main, ["fit", str(TINY), str(file), "--out", str(out), "--write-population", "/dev/full"]
+    )
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     assert "/dev/full" in result.stderr
     assert [json.loads(line)["person"] for line in out.read_text().splitlines()] == ["ann"]

@@ -312,7 +312,7 @@ def log_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_influence_is_fitted_by_command(log_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "people.jsonl"
-    done = invoke("fit", KITTING / "tiny.pddl", log_file, "--trust", "outcome", "--out", out)
+    done = invoke("fit", KITTING / "tiny.pddl", log_file, "--influence", "outcome", "--out", out)
     assert done.exit_code == 0, done.output
     assert "of 15" in done.stdout
     assert "trust rule outcome, gain " in done.stdout
@@ -322,7 +322,7 @@ def test_influence_is_fitted_by_command(log_file: Path, tmp_path: Path) -> None:
         "fit",
         KITTING / "tiny.pddl",
         log_file,
-        "--trust",
+        "--influence",
         "paper",
         "--set",
         "theta_per_episode=true",
@@ -349,7 +349,7 @@ def test_rules_are_compared_by_command(tmp_path: Path) -> None:
 def test_a_population_file_has_the_rule(rule: str, log_file: Path, tmp_path: Path) -> None:
     """`simulate` draws people from it whose theta moves by its rule, which the robot knows."""
     people = tmp_path / "people.json"
-    fitted = invoke("fit", KITTING / "tiny.pddl", log_file, "--trust", rule, "--population", people, "--json")
+    fitted = invoke("fit", KITTING / "tiny.pddl", log_file, "--influence", rule, "--write-population", people, "--json")
     assert fitted.exit_code == 0, fitted.output
     found, record = json.loads(fitted.stdout), json.loads(people.read_text())
     assert record["trust"]["rule"] == rule
@@ -416,7 +416,7 @@ def test_a_population_file_with_no_such_rule_is_refused(bad: object, words: str,
 def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
     rows = [row | {"suggestion": None} for row in recorded(constant(), 2, 4, 0)]
     file = write_log(tmp_path / "log.jsonl", rows)
-    for command in (("fit", "--trust", "constant"), ("compare", "rules")):
+    for command in (("fit", "--influence", "constant"), ("compare", "rules")):
         done = invoke(*command, KITTING / "tiny.pddl", file)
         assert done.exit_code == 1
         assert f"{file}: no suggestion in the log" in done.stderr
@@ -426,26 +426,29 @@ def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--trust", "constant", "--terms"), "--terms and --trust: expected one of them"),
-        (("--trust", "constant", "--family", "uniform"), "--family and --trust: expected one of them"),
-        (("--set", "theta_per_episode=true"), "--set theta_per_episode has no effect without --trust"),
+        (("--influence", "constant", "--terms"), "--terms and --influence: expected one of them"),
+        (("--influence", "constant", "--family", "uniform"), "--family and --influence: expected one of them"),
+        (("--set", "theta_per_episode=true"), "--set theta_per_episode has no effect without --influence"),
         (("--set", "confidence=one"), "--set confidence has no effect without --advice"),
         (("--rows", "a=b"), "--rows: expected --advice as well"),
-        (("--advice", "LOG", "--trust", "paper", "--rows", "a"), "--rows a: expected COLUMN=VALUE, such as"),
+        (("--advice", "LOG", "--influence", "paper", "--rows", "a"), "--rows a: expected COLUMN=VALUE, such as"),
         (
-            ("--advice", "LOG", "--trust", "paper", "--rows", "a=1", "--rows", "a=2"),
+            ("--advice", "LOG", "--influence", "paper", "--rows", "a=1", "--rows", "a=2"),
             "--rows: column a is there twice; expected one value for it",
         ),
-        (("--advice", "LOG"), "--advice: expected --trust as well"),
-        (("--advice", "LOG", "--trust", "paper"), "INSTANCE has no effect with --advice"),
+        (("--advice", "LOG"), "--advice: expected --influence as well"),
+        (("--advice", "LOG", "--influence", "paper"), "INSTANCE has no effect with --advice"),
         (("--folds", "3"), "No such option '--folds'; compare has it"),
-        (("--trust", "constant", "--set", "seed=1"), "--set seed has no effect with --trust"),
-        (("--trust", "constant", "--set", "eta=0.1"), "--set eta has no effect with --trust constant"),
-        (("--trust", "outcome", "--set", "utility_scale=2"), "--set utility_scale has no effect with --trust outcome"),
+        (("--influence", "constant", "--set", "seed=1"), "--set seed has no effect with --influence"),
+        (("--influence", "constant", "--set", "eta=0.1"), "--set eta has no effect with --influence constant"),
+        (
+            ("--influence", "outcome", "--set", "utility_scale=2"),
+            "--set utility_scale has no effect with --influence outcome",
+        ),
         (("--goals", str(KITTING / "tiny.pddl"), "--set", "seed=1"), "--set seed has no effect with --goals"),
         (("--set", "chooses=people.py:mine", "--set", "seed=1"), "--set seed has no effect with chooses"),
         (
-            ("--advice", "LOG", "--trust", "constant", "--set", "level=0.9"),
+            ("--advice", "LOG", "--influence", "constant", "--set", "level=0.9"),
             "--set level has no effect with --advice",
         ),
     ],
@@ -465,15 +468,17 @@ def test_a_family_of_too_few_people_is_refused(log_file: Path, tmp_path: Path) -
     log.write_text("".join(json.dumps(row) + "\n" for row in rows if row["person"] in few))
     done = invoke("fit", KITTING / "tiny.pddl", log, "--family", "uniform")
     assert (done.exit_code, done.stdout) == (2, "")
-    assert "--family: expected a log of 3 people or more, or --population" in done.stderr
-    done = invoke("fit", KITTING / "tiny.pddl", log, "--family", "uniform", "--population", tmp_path / "people.json")
+    assert "--family: expected a log of 3 people or more, or --write-population" in done.stderr
+    done = invoke(
+        "fit", KITTING / "tiny.pddl", log, "--family", "uniform", "--write-population", tmp_path / "people.json"
+    )
     assert (done.exit_code, done.stderr) == (0, "")
 
 
 def test_advice_takes_the_place_of_a_log(log_file: Path) -> None:
     missing = invoke("fit", KITTING / "tiny.pddl")
     assert (missing.exit_code, "expected INSTANCE and LOG, or --advice" in missing.stderr) == (2, True)
-    drop = invoke("fit", "--advice", log_file, "--trust", "paper", "--drop", "return")
+    drop = invoke("fit", "--advice", log_file, "--influence", "paper", "--drop", "return")
     assert (drop.exit_code, "--drop has no effect with --advice" in drop.stderr) == (2, True)
 
 

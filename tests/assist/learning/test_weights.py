@@ -234,7 +234,7 @@ def test_the_command_line_fits_and_compares(tmp_path: Path) -> None:
     shown = invoke("compare", "models", KITTING / "paper-fixed.pddl", log, "--figures", tmp_path)
     assert "boltzmann" in shown.stdout
     assert (tmp_path / "comparison.png").stat().st_size > 5000
-    done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--terms", "--population", people, "--json")
+    done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--terms", "--write-population", people, "--json")
     assert set(json.loads(done.stdout)[0]["weights_interval"]) == set(TERMS)
     assert set(json.loads(people.read_text())["parts"][0]["weights"]) == set(TERMS)
     done = invoke("simulate", KITTING / "tiny.pddl", "--humans", 1, "--policy", "none", "--episodes", 2,
