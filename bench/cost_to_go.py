@@ -8,15 +8,13 @@ and I items that fit each of I slots. Every tool runs on every instance in a pro
 
 - `kitassist`: this project;
 - `pymimir`: its state space, which contains the goal distance of every state;
-- `pyperplan`: its blind search, run through all states (it enumerates them without their h*);
-- `fd-astar`: one Fast Downward A* per state, on a task that is translated once;
-- `fd-oneshot`: one call of unified-planning's `OneshotPlanner` per state.
+- `fd-astar`: one Fast Downward A* per state, on a task that is translated once.
 
-The last two are measured on a sample of states and extrapolated; the results say so. All exact answers are compared:
-the number of states, h* of the initial state, and the histogram of h*.
+The last one is measured on a sample of states and extrapolated; the results say so. All exact answers are compared: the
+number of states, h* of the initial state, and the histogram of h*.
 
-The environment variable PEER_PYTHON names a Python interpreter with pymimir and pyperplan, if they are not installed
-for this one. The results are written to `results.json`, `cost_to_go.png` and `cost_to_go.svg`.
+The environment variable PEER_PYTHON names a Python interpreter with pymimir, if it is not installed for this one. The
+results are written to `results.json`.
 """
 
 from __future__ import annotations
@@ -50,22 +48,12 @@ FAMILY = ("kitting-3-4", "kitting-4-5", "kitting-4-6", "kitting-4-7")
 SMALL = ("tiny", "unsolvable", "paper-fixed", "paper", "sealed", "costs/ways")
 LARGE = "kitting-4-8"  # 7,208,645 states
 OWN = "kitassist"
-ELSEWHERE = ("pymimir", "pyperplan")  # peers that run with PEER_PYTHON
-STATE_BY_STATE = ("fd-astar", "fd-oneshot")
+ELSEWHERE = ("pymimir",)  # peers that run with PEER_PYTHON
+STATE_BY_STATE = ("fd-astar",)
 PEERS = (OWN, *ELSEWHERE, *STATE_BY_STATE)
 OUT = Path("build/bench/cost_to_go")
 NO_SAMPLE = '{"count": null, "states": [], "atoms": []}'
 QUICK = 5.0  # seconds; slower runs are not repeated
-
-# Colours of Okabe and Ito, which can be distinguished with any colour vision; markers and dashes repeat the
-# distinction.
-STYLES: dict[str, tuple[str, str, str, str]] = {
-    OWN: ("#0072B2", "o", "-", "kitassist"),
-    "pymimir": ("#D55E00", "s", "-", "pymimir"),
-    "pyperplan": ("#009E73", "^", ":", "pyperplan (enumerates only, no h*)"),
-    "fd-astar": ("#CC79A7", "D", "--", "Fast Downward per state (extrapolated)"),
-    "fd-oneshot": ("#000000", "v", "--", "unified-planning per state (extrapolated)"),
-}
 
 
 @dataclass(frozen=True)
@@ -222,7 +210,6 @@ SHOWN: Columns = {
     "instance": lambda answers: f"`{answers[OWN]['instance']}`",
     "states": lambda answers: f"{answers[OWN]['states']:,}",
     "kitassist": took(OWN), "pymimir": took("pymimir"), "one A* per state": took("fd-astar"),
-    "unified-planning per state": took("fd-oneshot"),
 }  # fmt: skip
 
 
@@ -255,47 +242,6 @@ def as_table(rows: Sequence[Row]) -> Table:
         fields = [shown(row[field]) for field in ("initial_cost", "max_cost", "dead_ends")]
         table.add_row(name, row["peer"], shown(row["states"]), time, memory, *fields, note)
     return table
-
-
-def plot(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Plot seconds and memory against the number of states, on logarithmic axes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
-    for peer, (colour, marker, dashes, label) in STYLES.items():
-        good = [row for row in rows if row["peer"] == peer and row["status"] == "ok" and row["states"]]
-        # The family forms a curve; other instances are single points that no line should join.
-        good.sort(key=lambda row: row["states"])
-        family = [row for row in good if row["instance"].startswith("kitting-")]
-        single = [row for row in good if row not in family]
-        inside = "white" if peer in STATE_BY_STATE else colour  # hollow markers: extrapolated
-        look = {"color": colour, "marker": marker, "markersize": 6, "markerfacecolor": inside}
-        for axis, value, least in zip(axes, (seconds, net_mb), (0.001, 0.1), strict=True):
-            if axis is axes[1] and peer in STATE_BY_STATE:
-                continue  # most memory is used by Fast Downward's own processes, which are not measured
-            for group, line in ((family, dashes), (single, "none")):
-                # A tiny instance may need no further page of memory, and a logarithmic axis has no 0.
-                points = [(row["states"], max(value(row), least)) for row in group]
-                if points:
-                    axis.plot(*zip(*points, strict=True), linestyle=line, **look)
-        if good:
-            axes[0].plot([], [], linestyle=dashes, label=label, **look)
-    for axis, name in zip(axes, ("seconds", "MB beyond the interpreter and its imports"), strict=True):
-        axis.set(xscale="log", yscale="log", xlabel="reachable states", ylabel=name)
-        axis.grid(visible=True, which="major", color="0.88", linewidth=0.8)
-        axis.spines[["top", "right"]].set_visible(False)
-    axes[0].set_title("Time for h* of every state", loc="left")
-    axes[1].set_title("Peak memory", loc="left")
-    if axes[0].get_legend_handles_labels()[0]:
-        figure.legend(loc="outside lower center", ncols=3, frameon=False)
-    files = [folder / "cost_to_go.png", folder / "cost_to_go.svg"]
-    for file in files:
-        figure.savefig(file, dpi=150)
-    plt.close(figure)
-    return files
 
 
 def machine() -> dict[str, Any]:
@@ -351,7 +297,7 @@ def measure_all(
 @click.command()
 @click.argument("names", metavar="[INSTANCE]...", nargs=-1)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=OUT, show_default=True,
-              help="Folder of results.json and the figure.")  # fmt: skip
+              help="Folder of results.json.")  # fmt: skip
 @click.option("--timeout", type=click.FloatRange(min=1), default=300.0, show_default=True,
               help="Seconds for one peer on one instance.")  # fmt: skip
 @click.option("--peers", default=",".join(PEERS), show_default=True, help="Peers to run, separated by commas.")
@@ -404,13 +350,7 @@ def main(
     console.print("MB: peak beyond the interpreter with all imports done; ≈: extrapolated from a sample.")
     out.mkdir(parents=True, exist_ok=True)
     results = {"machine": machine(), "agree": not wrong, "disagreements": wrong, "rows": rows}
-    written = [out / "results.json"]
-    written[0].write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    try:
-        written += plot(rows, out)
-    except ModuleNotFoundError:
-        console.print("No figure: matplotlib is not installed (the extra 'plots').")
-    console.print("Written:", ", ".join(map(str, written)), highlight=False)
+    (out / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     for line in wrong:
         console.print(f"[red]{escape(line)}[/red]")
     if wrong:

@@ -34,7 +34,6 @@ import click
 import iotcore
 import numpy as np
 from asyncua import ua
-from line import pause
 from live_load import PAPER, Service
 from tables import Columns, cell, record_option, write_record
 
@@ -73,6 +72,11 @@ node = "ns=2;s=NAME.Advice"
 person = "NAME"
 """
 NODES = "action", "begin", "Answer", "Advice"
+
+
+def pause(rng: np.random.Generator, every: float) -> float:
+    """Return the seconds until a person acts again."""
+    return every * float(rng.gamma(4.0, 0.25))
 
 
 class Person:

@@ -38,36 +38,16 @@ CASES = {
     "fit recover": ("--people 100", "--instance kitting/tiny --people 8 --episodes 2"),
     "fit information": ("--people 100", "kitting/tiny --people 10 --episodes 2"),
     "fit misconceptions": ("--people 2 --episodes 3 --episodes 10", "--people 1 --instance kitting/tiny --episodes 2"),
-    "fit_figures": ("", "--instance kitting/tiny"),
     "fit time": ("--people 8", "--people 2 --actions 6 --instance kitting/tiny"),
-    "goals": ("", "--per-domain 1 --domain satellite"),
-    "kits": ("", "--goals 2 --episodes 20 --pool 2 --humans 2"),
     "fleet": ("--cells 1/3 --cells 1/5 --instances 20 --runs 200", "--cells 1/3 --instances 2 --runs 10"),
     "foreign": ("counters stacks", "--one domains/kitting/tiny.pddl"),
-    "growth": ("--repeat 1", "--repeat 1 --steps 1"),
-    "habits": (
-        "--pools 2 --people 4 --humans 2 --instance paper-fixed",
-        "--pools 2 --people 2 --humans 1 --instance paper-fixed",
-    ),
-    "honesty": ("--quick --time-limit 3", "--quick --instances paper-fixed --time-limit 1"),
-    "carried": ("--people 50", "--people 3 --tasks 2 --instance domains/kitting/tiny.pddl"),
-    "live": ("--people 10 --people 1000 --steps 100", "--people 10 --steps 10 --instance domains/kitting/tiny.pddl"),
-    "line": ("--people 50 --seconds 20", "--instance domains/kitting/tiny.pddl --people 2 --seconds 3"),
     "live_load": ("--people 50 --seconds 30", "--instance domains/kitting/tiny.pddl --people 2 --seconds 5"),
-    "live_timing": (
-        "--humans 1 --humans 3 --episodes 20",
-        "--instance domains/kitting/tiny.pddl --humans 1 --episodes 2",
-    ),
     "methods": ("kitting/tiny kitting/paper depot/nine-items --repeat 1 --limit 10", "kitting/tiny --repeat 1"),
     "mutants": (
         "assist/team/attention.py --sample 4 --only reactive",
         "assist/team/attention.py --sample 1 --only reactive",
     ),
     "trust": ("", "--fixed"),
-    "ignored": ("", "--people 2"),
-    "unreliable returns": ("--episodes 100", "--instance kitting/tiny --episodes 10 --humans 1 --pool 1"),
-    "unreliable latency": ("--people 20", "--instance kitting/tiny --people 2 --actions 2 --policy attention"),
-    "trust_study": ("--pools 2 --people 2", "--pools 2 --people 1 --instance kitting/tiny"),
     "trust_recovery coverage": (
         "--populations 4",
         "--instance kitting/tiny --people 5 --populations 1 --suggestions 8 --setting constant",
@@ -82,41 +62,25 @@ CASES = {
     "people tower": ("--made-up 20 --quick", "--made-up 4 --quick"),
     "people recover": ("--people 40 --seeds 1", "--instance kitting/tiny --people 4 --actions 20 --seeds 1"),
     "people huge": ("--people 8", "--instance kitting/tiny --people 4 --actions 10"),
-    "confidence": ("--seeds 100", "--seeds 2 --settings 1"),
     "random_pddl": ("100 --jobs 2", "10"),
-    "robots": (
-        "--humans 6 --episodes 500 --rollout-episodes 50 --time-limit 10",
-        "--humans 2 --robots 2 --instance tiny --episodes 20 --rollout-episodes 4 --time-limit 1",
-    ),
     "signals": ("--walks 200", "kitting/tiny --walks 10"),
     "start": ("--repeat 3", "--repeat 1"),
     "study": ("--humans 2 --people 4", "--check"),
-    "userstudy_intervals": ("", "--studies 2 --people 12"),
     "team latency": ("--repeat 11", "--repeat 1 --instance tiny"),
     "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1 --people 100"),
     "team gap": (
         "--instance paper-fixed --gamma .95 --humans 2 --humans 100 --time-limit 10",
         "--instance tiny --gamma .95 --humans 2 --time-limit 1",
     ),
-    "team prices": (
-        "--humans 12 --time-limit 60",
-        "--instance tiny --humans 3 --gamma .95 --time-limit 1 --episodes 40",
-    ),
-    "team settings": ("--seeds 1 --episodes 500", "--instance tiny --seeds 1 --episodes 10"),
-    "team fluid": ("--episodes 4000 --time-limit 20", "--instance tiny --per-robot 2 --episodes 40 --time-limit 1"),
-    "team joint": (
-        "--time-limit 5 --episodes 5000 --samples 50",
-        "--time-limit 1 --episodes 100 --samples 5 --settings 1",
-    ),
     "wide": (
         "--instance kitting/ladder-3x5 --episodes 2000",
         "--instance kitting/tiny --people 2 --episodes 20 --policy priority",
     ),
 }
-NEED_DATA = {"collection", "covered", "live_pictures", "numeric_pddl", "symbolic"}
+NEED_DATA = {"collection", "live_pictures", "numeric_pddl"}
 """Scripts that need other people's files or programs, another checkout, or a browser."""
 
-WRITES = {"cost_to_go", "fit_figures", "fit time", "growth"} | {c for c in CASES if c.startswith("team")}
+WRITES = {"cost_to_go", "fit time"} | {c for c in CASES if c.startswith("team")}
 
 
 def _command(name: str, smallest: bool, out: Path) -> list[str]:

@@ -16,15 +16,12 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import logging
 import os
-import re
 import resource
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -188,49 +185,6 @@ class Pymimir(Peer):
         return {**histogram(counts, initial), "parts": parts}
 
 
-class Pyperplan(Peer):
-    """pyperplan's breadth-first search through all states. It can enumerate states, but not compute h* of all."""
-
-    package = "pyperplan"
-
-    def prepare(self) -> None:
-        """Import the parser, the grounder and the search."""
-        from pyperplan import planner, search
-
-        self.planner, self.search = planner, search
-        # The search returns no count, but logs it.
-        self.expanded = 0
-        handler = logging.Handler()
-        handler.emit = self._log  # type: ignore[method-assign]
-        logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-
-    def _log(self, record: logging.LogRecord) -> None:
-        if match := re.match(r"(\d+) Nodes expanded", record.getMessage()):
-            self.expanded = int(match[1])
-
-    def solve(self, domain: Path, problem: Path, options: Options) -> Any:
-        """Ground the task, and search for a goal that does not exist."""
-        # Operators that no plan needs lead to states as well.
-        parsed = self.planner._parse(str(domain), str(problem))
-        task = self.planner._ground(parsed, remove_irrelevant_operators=False)
-        goals, task.goals = task.goals, frozenset({"no such fact"})
-        start = time.perf_counter()
-        self.search.breadth_first_search(task)
-        seconds, task.goals = time.perf_counter() - start, goals
-        return task, self.expanded, seconds
-
-    def describe(self, result: Any, options: Options) -> dict[str, Any]:
-        """Return the count, and h* of the initial state from a search for the goal."""
-        task, states, seconds = result
-        plan = self.search.breadth_first_search(task)
-        return {
-            "states": states,
-            "initial_cost": INFINITE if plan is None else len(plan),
-            "expansions_per_second": round(states / seconds),
-            "note": f"enumerates only, no h*; blind search: {states / seconds:,.0f} expansions/s",
-        }
-
-
 class StateByState(Peer):
     """One Fast Downward call per state, measured on a sample."""
 
@@ -305,75 +259,10 @@ class Astar(StateByState):
         return float(answer[0])
 
 
-class UnifiedPlanning(StateByState):
-    """unified-planning's `OneshotPlanner` on a problem with other initial values, which is translated every time."""
-
-    package = "unified-planning"
-
-    def prepare(self) -> None:
-        """Import unified-planning and its Fast Downward."""
-        import up_fast_downward  # noqa: F401
-        from unified_planning import shortcuts
-        from unified_planning.io import PDDLReader
-
-        shortcuts.get_environment().credits_stream = None
-        self.up, self.reader = shortcuts, PDDLReader
-
-    def read(self, domain: Path, problem: Path, atoms: list[str]) -> Any:
-        """Read the problem, and find the expression of each atom that can change."""
-        # unified-planning is case-sensitive, and Fast Downward's atoms are in lower case.
-        texts = (file.read_text(encoding="utf-8").lower() for file in (domain, problem))
-        read = self.reader().parse_problem_string(*texts)
-        if not read.quality_metrics:
-            read.add_quality_metric(self.up.MinimizeSequentialPlanLength())
-        expressions = {}
-        for atom in atoms:
-            name, _, words = atom.rstrip(")").partition("(")
-            if not read.has_fluent(name):  # the translator's own atom for a disjunction or a quantifier
-                continue
-            objects = [read.object(word) for word in words.replace(" ", "").split(",") if word]
-            expressions[atom] = read.fluent(name)(*objects)
-        return read, expressions, (domain, problem)
-
-    def state(self, shared: Any, state: dict[str, Any]) -> Any:
-        """Replace the initial values, and compute an optimal plan."""
-        problem, expressions, _ = shared
-        problem, facts = problem.clone(), set(state["facts"])
-        for atom, expression in expressions.items():
-            problem.set_initial_value(expression, atom in facts)
-        # The engine is named and its checks are skipped: unified-planning reads costs in :init as real numbers, and
-        # then refuses Fast Downward although it works.
-        with self.up.OneshotPlanner(name="fast-downward-opt") as engine:
-            engine.skip_checks = True
-            return engine.solve(problem)
-
-    def cost(self, shared: Any, answer: Any) -> float:
-        """Return the sum of the costs of the plan's actions."""
-        from unified_planning.engines import PlanGenerationResultStatus as Status
-
-        if answer.status == Status.UNSOLVABLE_PROVEN:
-            return float("inf")
-        if answer.status != Status.SOLVED_OPTIMALLY:
-            raise RuntimeError(f"unified-planning: {answer.status.name}")
-        metric = shared[0].quality_metrics[0]
-        if not metric.is_minimize_action_costs():
-            return len(answer.plan.actions)
-        if not hasattr(self, "task"):  # plan_cost evaluates a plan
-            import planner
-            from planner.grounding.semantics import plan_cost
-
-            self.task = planner.load(shared[2][1], shared[2][0])
-            self.priced = partial(plan_cost, self.task)
-        names = (" ".join([a.action.name, *map(str, a.actual_parameters)]) for a in answer.plan.actions)
-        return float(self.priced([f"({name})" for name in names]))
-
-
 PEERS: dict[str, type[Peer]] = {
     "kitassist": Kitassist,
     "pymimir": Pymimir,
-    "pyperplan": Pyperplan,
     "fd-astar": Astar,
-    "fd-oneshot": UnifiedPlanning,
 }
 
 

@@ -27,7 +27,7 @@ from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.team.state import NOBODY
 
-pytestmark = pytest.mark.slow  # the solver of `bench/joint.py` takes long to compile; `test_bounds` has other optima
+pytestmark = pytest.mark.slow  # the solver of `joint` takes long to compile; `test_bounds` has other optima
 
 COSTS = [(0.05, 0.1), (0.2, 0.3)]
 """Of a suggestion, and of moving."""

@@ -66,9 +66,11 @@ def test_commands_of_records_can_be_run(name: str) -> None:
             known, name = kitassist.get_command(click.Context(kitassist), first), first
         elif program == "python" and Path(first).parent == Path("bench"):  # those of others need more than tests have
             script = Path(first).stem
-            benchmarks = commands(script)
-            name = script if script in benchmarks else f"{script} {arguments.pop(0)}"
-            known = benchmarks[name]
+            benchmarks = commands(script) if (TABLES.ROOT / first).exists() else {}
+            name = next((one for one in (script, " ".join([script, *arguments[:1]])) if one in benchmarks), "")
+            if not name and script in TABLES.SETTLED:
+                continue
+            known, arguments = benchmarks[name], arguments[name.count(" ") :]
         else:
             assert program in ("kitassist", "python", "mutmut", "make"), command
             continue
@@ -104,10 +106,6 @@ def test_instances_are_what_their_readme_says(instance: Instance) -> None:
         ("team-rate", lambda: importlib.import_module("team").RATE),
         ("team-gap", lambda: importlib.import_module("team").GAP),
         ("team-gap-100", lambda: importlib.import_module("team").GAP),
-        ("team-joint", lambda: importlib.import_module("team").JOINT),
-        ("team-settings", lambda: importlib.import_module("team").SETTINGS_SHOWN),
-        ("team-fluid", lambda: importlib.import_module("team").FLUID),
-        ("honesty", lambda: importlib.import_module("honesty").COLUMNS),
     ],
 )
 def test_benchmarks_write_what_is_shown(name: str, columns: Callable[[], dict[str, Any]]) -> None:

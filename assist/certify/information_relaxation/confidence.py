@@ -10,8 +10,8 @@ transformation", Journal of the Royal Statistical Society B 54, 1992). With W = 
 is nearly normal with standard deviation 1 / sqrt(n). It has the inverse W = 3 ((1 + g (Q - g / (6 n)))^(1/3) - 1) / g.
 A negative skewness would lower the bound; it counts as 0, which leaves Student's t. With fewer than `FEWEST` samples
 the skewness is too uncertain, so that no bound is given. For the long tails of some teams the correction is too small.
-Therefore the interval has a higher level than the stated `CONFIDENCE`. `bench/confidence.py` measures for each alpha
-how often bounds lie below the mean that they bound.
+Therefore the interval has a higher level than the stated `CONFIDENCE`. `bench/records/confidence.json` has for each
+alpha how often bounds lie below the mean that they bound.
 """
 
 from __future__ import annotations
