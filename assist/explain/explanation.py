@@ -332,8 +332,10 @@ class Explanation:
             yield say("nothing.rule", rule=why.rule)
         elif best.score > 0:
             yield say("nothing.pays")
-        elif best.threshold > 0:
+        elif best.threshold > best.cost / 1000:  # anyone would call a smaller cost none
             yield say("nothing.threshold", threshold=say.below(best.threshold))
+        elif best.threshold > 0:
+            yield say("nothing.at_no_cost")
         else:
             yield say("nothing.not_for_free")
 
