@@ -119,7 +119,7 @@ class DecisionPoint:
 
         Raises
         ------
-        InvalidError, InapplicableError
+        Refusal
             As in `suggested`.
         """
         if place is None:
@@ -146,7 +146,7 @@ class DecisionPoint:
 
         Raises
         ------
-        InvalidError
+        Refusal
             The task has no such action.
         InapplicableError
             The action is not applicable now, or there is no suggestion with which it could be compared.

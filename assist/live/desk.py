@@ -27,7 +27,7 @@ from ..person.policy import Policy
 from ..person.settings import Setting
 from ..person.travel import Travel
 from ..team.state import BASE, NOBODY, TeamPolicy
-from ..texts.refusals import AbsentError, InapplicableError, InvalidError
+from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .advice import Advice, PersonState, Question
 from .beliefs import (
     begin_task,
@@ -172,11 +172,11 @@ class Desk:
 
         Raises
         ------
-        InvalidError
+        Refusal
             There is no such task.
         """
         if name not in self.tasks:
-            raise InvalidError("other", why=f"task {name[:80]!r}: expected one of {', '.join(self.tasks)}")
+            raise Refusal("other", why=f"task {name[:80]!r}: expected one of {', '.join(self.tasks)}")
 
     def require_asked(self, person: str, seq: int | None) -> None:
         """Check that a question to a person is one that was asked by the event of this number.
@@ -194,11 +194,11 @@ class Desk:
 
         Raises
         ------
-        InvalidError, InapplicableError
+        Refusal
             They cannot join, or not with this task.
         """
         if not is_name(person):
-            raise InvalidError("no_name", person=repr(person[:80]))
+            raise Refusal("no_name", person=repr(person[:80]))
         if self.is_present(person):
             raise InapplicableError("there_already", person=person)
         if self.has_met(person):
@@ -217,11 +217,11 @@ class Desk:
 
         Raises
         ------
-        InvalidError, InapplicableError
+        Refusal
             What is said about a suggestion that was followed is impossible.
         """
         if action is None and followed is not None:
-            raise InvalidError("other", why="followed: expected an action that was seen")
+            raise Refusal("other", why="followed: expected an action that was seen")
         entry = self.known(person)
         stands = self.roster.suggestion(entry)
         if followed and (stands is None or stands.lower() != in_pddl(action or "")):
@@ -550,7 +550,7 @@ class Desk:
 
         Raises
         ------
-        InvalidError
+        Refusal
             There is no such person, or no such action in their task.
         InapplicableError
             The action is not applicable now, or nothing is suggested to the person.

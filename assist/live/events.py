@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from ..declare.declared import DeclarationError, Expected, Number, Truth, Whole
-from ..texts.refusals import InapplicableError, InvalidError
+from ..texts.refusals import InapplicableError, Refusal
 from .names import name_of
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Recorded(BaseModel):
         try:
             super().__init__(**fields)
         except ValidationError as error:
-            raise InvalidError("other", why=fault_of(type(self), error, fields)) from None
+            raise Refusal("other", why=fault_of(type(self), error, fields)) from None
 
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # data from JSON are validated as such
 
@@ -140,7 +140,7 @@ class TeamEvent(Event):
 
         Raises
         ------
-        InvalidError, AbsentError, InapplicableError
+        Refusal
             It is not possible now. Nothing has changed.
         """
         return self
@@ -474,7 +474,7 @@ class Rearranged(TeamEvent):
         try:
             desk.other_travel(self.distance)
         except (TypeError, ValueError) as error:
-            raise InvalidError("other", why=str(error)) from None
+            raise Refusal("other", why=str(error)) from None
         return self
 
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
@@ -489,7 +489,7 @@ class Kept(TeamEvent):
 
     def recorded(self, desk: Desk) -> Self | None:  # noqa: ARG002
         """Refuse it: nobody reports it."""
-        raise InvalidError("other", why=f"{self.kind}: expected an event that can be reported")
+        raise Refusal("other", why=f"{self.kind}: expected an event that can be reported")
 
 
 class Vacant(Kept):

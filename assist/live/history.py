@@ -46,7 +46,7 @@ class History(ABC, Generic[R]):
 
         Raises
         ------
-        InvalidError, AbsentError, InapplicableError
+        Refusal
             The event is not possible. Nothing has changed.
         """
 
@@ -134,7 +134,7 @@ class History(ABC, Generic[R]):
 
         Raises
         ------
-        InvalidError
+        Refusal
             There is no such task.
         """
 

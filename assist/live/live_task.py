@@ -30,7 +30,7 @@ from ..person.policy import Policy
 from ..person.qmdp import qmdp
 from ..person.settings import Setting
 from ..person.truncated_policy import SharedTask, TruncatedPolicy
-from ..texts.refusals import InapplicableError, InvalidError
+from ..texts.refusals import InapplicableError, Refusal
 
 
 class LiveTask:
@@ -102,7 +102,7 @@ class LiveTask:
 
         Raises
         ------
-        InvalidError
+        Refusal
             The task has no such action.
         InapplicableError
             It is not applicable there; the message says which actions are.
@@ -110,31 +110,31 @@ class LiveTask:
         try:
             words = words_of(action)
         except UnmatchedError as error:
-            raise InvalidError("other", why=str(error)) from None
+            raise Refusal("other", why=str(error)) from None
         try:
             return self.matcher.slot(words, self.options(row))
         except UnmatchedError as error:
             if self.matcher.unknown(words) is None:
                 raise InapplicableError("not_applicable", why=str(error)) from None
-            raise InvalidError("other", why=str(error)) from None
+            raise Refusal("other", why=str(error)) from None
 
     def ground(self, action: str) -> int:
         """Return the number of a ground action of the task, applicable now or not; `WAIT` for waiting.
 
         Raises
         ------
-        InvalidError
+        Refusal
             The task has no such action.
         """
         try:
             words = words_of(action)
         except UnmatchedError as error:
-            raise InvalidError("other", why=str(error)) from None
+            raise Refusal("other", why=str(error)) from None
         if words == (STAND_STILL[1:-1],):
             return WAIT
         if words not in self.matcher.number:
             why = self.matcher.unknown(words) or f"{action}: expected all arguments of an uncertain action"
-            raise InvalidError("other", why=why)
+            raise Refusal("other", why=why)
         return self.matcher.number[words]
 
     def named(self, action: str) -> str:

@@ -88,7 +88,7 @@ class Reports:
         ------
         ValueError
             Not one of these is given, or the numbers are no likelihoods.
-        InvalidError
+        Refusal
             There is no such person, or no such action in their task.
         InapplicableError
             It is not applicable now, or in no probable state; the message says which actions are.
@@ -116,7 +116,7 @@ class Reports:
 
         Raises
         ------
-        InvalidError, InapplicableError
+        Refusal
             As in `observe`; the person has not acted, there is no such question, or the answer is impossible. Nothing
             has changed then.
         """

@@ -10,7 +10,7 @@ from ..person.settings import Setting
 from ..person.travel import Travel
 from ..team.assignment import placed
 from ..team.state import BASE
-from ..texts.refusals import InvalidError
+from ..texts.refusals import Refusal
 
 
 class RobotPlaces:
@@ -45,11 +45,11 @@ class RobotPlaces:
 
         Raises
         ------
-        InvalidError
+        Refusal
             There is no such robot.
         """
         if isinstance(robot, bool) or not isinstance(robot, int) or not 1 <= robot <= len(self.at):
-            raise InvalidError("other", why=f"robot {robot!r}: expected a number from 1 to {len(self.at)}")
+            raise Refusal("other", why=f"robot {robot!r}: expected a number from 1 to {len(self.at)}")
         return robot - 1
 
     def grow(self, people: int) -> None:

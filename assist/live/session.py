@@ -32,7 +32,7 @@ from ..people.goals import Goals
 from ..people.ranges import Population
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
-from ..texts.refusals import AbsentError, InapplicableError, InvalidError, Refusal
+from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .advice import Advice
 from .events import Event, Joined, Vacant
 from .header import OTHER_VERSION, header_of, require_same
@@ -225,7 +225,7 @@ class Session(Reports):
         -------
         list
             For each event the view of its person after it, or that of the robot, or the exception because of which it
-            has no effect: an `InvalidError`, `AbsentError`, `InapplicableError`, another ValueError, a `LimitError`, a
+            has no effect: a `Refusal`, another ValueError, a `LimitError`, a
             `JournalError` if the disk is full, or any other exception of the program.
         """
         failed: dict[int, Exception] = {}
@@ -290,7 +290,7 @@ class Session(Reports):
         try:
             found = self._store.answer(event.who, event.id) if event.id else None
         except UnicodeEncodeError:
-            return InvalidError("other", why=f"the id {event.id!r} is no text; expected letters, digits and signs")
+            return Refusal("other", why=f"the id {event.id!r} is no text; expected letters, digits and signs")
         if found is None:
             return None
         record, answer = found
@@ -325,7 +325,7 @@ class Session(Reports):
         named = re.search(rf"(?<![\w-]){re.escape(person.casefold())}(?![\w-])", reason.casefold())
         if named or not 0 < len(reason) <= LONGEST_REASON:
             why = f"reason: expected 1 to {LONGEST_REASON} characters, without the person's name; found {len(reason)}"
-            raise InvalidError("other", why=why)
+            raise Refusal("other", why=why)
         with self.lock:
             try:
                 leaves = self.history.farewell(person)
@@ -432,7 +432,7 @@ class Session(Reports):
 
         Raises
         ------
-        InvalidError
+        Refusal
             There is no such task.
         """
         with self.lock:

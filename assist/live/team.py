@@ -25,7 +25,7 @@ from ..people.goals import Goals
 from ..people.ranges import Population
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
-from ..texts.refusals import AbsentError, InvalidError
+from ..texts.refusals import AbsentError, Refusal
 from .advice import Advice, PersonState, Reason
 from .desk import IDLE, Desk
 from .events import Elapsed, Event, Left, TeamEvent, kinds
@@ -79,9 +79,7 @@ class Team(History[TeamRecord]):
         The record is None if nothing has changed, such as after elapsed time if the robots do nothing new.
         """
         if not isinstance(event, TeamEvent):
-            raise InvalidError(
-                "other", why=f"event {event.kind!r}: expected one of {', '.join(sorted(kinds(TeamEvent)))}"
-            )
+            raise Refusal("other", why=f"event {event.kind!r}: expected one of {', '.join(sorted(kinds(TeamEvent)))}")
         found = event.recorded(self.desk)
         if found is None:
             return None

@@ -16,7 +16,7 @@ from ..person.evidence import Evidence
 from ..person.joint_belief import JointBelief
 from ..person.observation_model import ObservationModel
 from ..person.settings import Setting
-from ..texts.refusals import InapplicableError, InvalidError, Refusal
+from ..texts.refusals import InapplicableError, Refusal
 from .live_task import LiveTask
 from .roster import RosterEntry, Step
 
@@ -39,20 +39,20 @@ def seen_of(
 
     Raises
     ------
-    InvalidError
+    Refusal
         Not one of the three is given, the numbers are no likelihoods, or the setting or the task has no uncertain
         actions.
-    InvalidError
+    Refusal
         The task has no such action.
     """
     if sum(given is not None for given in (action, likelihoods, missed)) != 1:
         why = "observe: expected an action, its likelihoods, or the probability that one was missed"
-        raise InvalidError("other", why=why)
+        raise Refusal("other", why=why)
     if action is not None:
         return None
     if setting.observation is None and setting.suggestions != "all":
         why = "an uncertain action: expected a setting with an observation model, or suggestions 'all'"
-        raise InvalidError("other", why=why)
+        raise Refusal("other", why=why)
     each: dict[str, float] = {}
     try:
         problem.policy.require_enumerated("an uncertain action")
@@ -64,13 +64,13 @@ def seen_of(
     except Refusal:
         raise
     except ValueError as error:
-        raise InvalidError("other", why=str(error)) from None
+        raise Refusal("other", why=str(error)) from None
     if missed is not None:
         if not 0 <= missed <= 1:
-            raise InvalidError("other", why=f"missed {missed:g}: expected a probability")
+            raise Refusal("other", why=f"missed {missed:g}: expected a probability")
         return {"missed": missed}
     if not all(0 <= p < np.inf for p in each.values()) or not any(each.values()):
-        raise InvalidError("other", why="likelihoods: expected finite numbers of 0 or more, one of them positive")
+        raise Refusal("other", why="likelihoods: expected finite numbers of 0 or more, one of them positive")
     most = max(each.values())  # so that sums and products of large numbers stay finite, and small ones positive
     return {"likelihoods": {name: p / most for name, p in each.items()}}
 

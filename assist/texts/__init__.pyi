@@ -2,10 +2,5 @@ from .catalogue import Catalogue as Catalogue
 from .catalogue import catalogue as catalogue
 from .catalogue import languages as languages
 from .refusals import AbsentError as AbsentError
-from .refusals import BusyError as BusyError
-from .refusals import ForbiddenError as ForbiddenError
-from .refusals import FullError as FullError
 from .refusals import InapplicableError as InapplicableError
-from .refusals import InvalidError as InvalidError
 from .refusals import Refusal as Refusal
-from .refusals import ThrottledError as ThrottledError

@@ -1,8 +1,8 @@
 """Refusals: errors whose sentence each reader gets in their own language.
 
 A refusal has a key, and values for the placeholders of the texts of that key. The section `refusals` of a catalogue has
-these texts. The class of a refusal says what a caller can do about it; it also fixes the status of an answer over HTTP.
-The text of the key `other` is the English reason itself: what only programs and operators meet has no text of its own.
+these texts. The key also fixes the status of an answer over HTTP. The text of the key `other` is the English reason
+itself: what only programs and operators meet has no text of its own.
 """
 
 from __future__ import annotations
@@ -10,6 +10,22 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from .catalogue import catalogue
+
+STATUS = {
+    403: (
+        "another",
+        "own_links",
+        "operator_only",
+        "rehearsed",
+        "signature",
+        "unsigned",
+        "visitors",
+        "visitors_withdraw",
+    ),
+    429: ("crowded", "guesses", "joins", "many"),
+    503: ("busy",),
+}  # fmt: skip
+"""Keys of refusals by their status over HTTP: not for whoever asks, too much at once, and too busy at present."""
 
 
 class Refusal(ValueError):  # noqa: N818 the family; its members are errors
@@ -20,59 +36,33 @@ class Refusal(ValueError):  # noqa: N818 the family; its members are errors
     key : str
         Key of the text in the section `refusals`.
     values : dict
-        Values of the text's placeholders; days are dates.
+        Values of the text's placeholders; days are dates. `n` of a refusal of status 429 is the seconds until it is
+        possible.
     status : int
-        Status of an answer over HTTP.
+        Status of an answer over HTTP; 422, for an unknown or malformed argument, unless key or class have another one.
     """
 
-    status: ClassVar[int]
+    usual: ClassVar[int] = 422
 
     def __init__(self, key: str, **values: Any) -> None:
         super().__init__(catalogue().refusal(key, **values))
         self.key, self.values = key, values
+        self.status = next((status for status, keys in STATUS.items() if key in keys), self.usual)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (type(self), self.key, self.values)
 
 
-class ForbiddenError(Refusal):
-    """Whoever asks may not have this."""
-
-    status = 403
-
-
 class AbsentError(Refusal):
     """There is no such person, robot or page."""
 
-    status = 404
+    usual = 404
 
 
 class InapplicableError(Refusal):
-    """An action or event is not possible now; the message says which actions are."""
+    """An action or event is not possible now; the message says which actions are, or that there is no place."""
 
-    status = 409
-
-
-class FullError(InapplicableError):
-    """There is no place for a further person."""
-
-
-class InvalidError(Refusal):
-    """An argument is unknown or malformed."""
-
-    status = 422
-
-
-class ThrottledError(Refusal):
-    """Too much was asked for in a short time; the value `n`, if there is one, is the seconds until it is possible."""
-
-    status = 429
-
-
-class BusyError(Refusal):
-    """Too much is being done at present."""
-
-    status = 503
+    usual = 409
 
 
 def _again(kind: type[Refusal], key: str, values: dict[str, Any]) -> Refusal:

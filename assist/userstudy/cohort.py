@@ -24,7 +24,7 @@ from ..live.events import Event
 from ..live.history import Change, History
 from ..live.simulated_person import SimulatedPerson
 from ..live.team import Team
-from ..texts.refusals import AbsentError, InapplicableError, InvalidError
+from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .assignment import assign
 from .codes import drawn
 from .events import Acted, Erased, Expired, Facts, Onward, Returned, StudyEvent, Vacant, Visited, Withdrew
@@ -60,7 +60,7 @@ class Cohort(Roll, History[StudyRecord]):
 
         Raises
         ------
-        AbsentError, FullError, InapplicableError, InvalidError
+        Refusal
             The event is impossible. Nothing has changed.
         """
         if not isinstance(event, StudyEvent):
@@ -388,7 +388,7 @@ class Cohort(Roll, History[StudyRecord]):
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Return all actions in tasks, in the format of `fit`; with `task`, only those in this task."""
         if task is not None and task not in dict(self.study.tasks):
-            raise InvalidError("other", why=f"task {task[:80]!r}: expected one of {', '.join(dict(self.study.tasks))}")
+            raise Refusal("other", why=f"task {task[:80]!r}: expected one of {', '.join(dict(self.study.tasks))}")
         rows = []
         for who in self.participants.values():
             before = 0

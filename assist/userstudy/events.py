@@ -14,7 +14,7 @@ from pydantic import Field, WithJsonSchema
 from ..declare.declared import Expected
 from ..live.events import INTERNAL, Action, Event, Name, Seq
 from ..live.names import LONGEST_REASON
-from ..texts.refusals import FullError, InapplicableError, InvalidError
+from ..texts.refusals import InapplicableError, Refusal
 from .participant_team import ParticipantTeam, Subs, own_action
 from .participants import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
 from .places import Places
@@ -93,7 +93,7 @@ class StudyEvent(Event):
 
         Raises
         ------
-        AbsentError, FullError, InapplicableError, InvalidError
+        Refusal
             It is impossible. Nothing has changed.
         """
         who = cohort.known(self.person)
@@ -117,13 +117,13 @@ def back(cohort: Cohort, who: Participant) -> Facts:
 
     Raises
     ------
-    FullError
+    InapplicableError
         Others have their place.
     """
     if who.status != GONE:
         return {}
     if not cohort.places.is_free_for(who):
-        raise FullError("full")
+        raise InapplicableError("full")
     return {"returned": True}
 
 
@@ -150,7 +150,7 @@ class Visited(StudyEvent):
         if self.person in cohort.participants:
             raise InapplicableError("other", why="this code is taken; try again")
         if not cohort.places.is_free_for():
-            raise FullError("full")
+            raise InapplicableError("full")
         return {"at": now()}
 
 
@@ -186,10 +186,10 @@ class Onward(StudyEvent):
             try:
                 answers = cohort.study.questionnaire(stage.what).check(self.answers or {}, cohort.items(who))
             except ValueError as error:
-                raise InvalidError("answer", why=str(error)) from None
+                raise Refusal("answer", why=str(error)) from None
             facts["event"] = self.model_copy(update={"answers": answers})
         elif self.answers:
-            raise InvalidError("no_answers", here=stage.name)
+            raise Refusal("no_answers", here=stage.name)
         if stage.kind == "consent":
             facts["at"] = now()
         return facts | cohort.enters_next(who, n, time)

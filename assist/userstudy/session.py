@@ -32,7 +32,7 @@ from ..person.policy import Policy
 from ..person.settings import Setting
 from ..team.policies import UserPolicy
 from ..team.state import TeamPolicy
-from ..texts.refusals import BusyError
+from ..texts.refusals import Refusal
 from .cohort import Cohort
 from .events import Withdrew
 from .plan import UserStudy
@@ -126,7 +126,7 @@ class StudySession(Session):
     def report_all(self, events: Sequence[Event]) -> list[Outcome]:
         """Apply events as `Session.report_all` does; a withdrawal succeeds when the participant's records are removed.
 
-        A withdrawal whose records cannot be removed now is recorded, but its outcome is the error; it is `BusyError` if
+        A withdrawal whose records cannot be removed now is recorded, but its outcome is the error; it is `Refusal` if
         removals for others have taken long, so that these do not stop the study.
         """
         with self.lock:
@@ -136,7 +136,7 @@ class StudySession(Session):
                 return outcomes
             try:
                 left = self._remove_withdrawn()
-                late = BusyError("busy", n=len(left))
+                late = Refusal("busy", n=len(left))
                 errors: list[Exception | None] = [late if event.who in left else None for event in events]
             except Exception as fault:
                 logging.getLogger(__name__).exception("what was withdrawn could not be removed; it will be tried again")

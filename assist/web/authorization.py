@@ -12,7 +12,7 @@ from fastapi import Depends, Request
 from fastapi.security import HTTPBearer
 
 from ..live.names import name_of
-from ..texts.refusals import AbsentError, ForbiddenError
+from ..texts.refusals import AbsentError, Refusal
 from .schemas import Problem
 from .service import Service
 from .tokens import Caller
@@ -38,7 +38,7 @@ bearer = HTTPBearer(auto_error=False, description="The part of a join link or of
 async def operator(request: Request, _: Annotated[Any, Depends(bearer)] = None) -> None:
     """Refuse every caller except the operator."""
     if request.state.caller.person is not None:
-        raise ForbiddenError("operator_only")
+        raise Refusal("operator_only")
     request.app.state.service.heard(None)
 
 
@@ -47,7 +47,7 @@ async def own(request: Request, person: str, _: Annotated[Any, Depends(bearer)] 
     caller: Caller = request.state.caller
     person = name_of(person)
     if caller.person not in (None, person):
-        raise ForbiddenError("another")
+        raise Refusal("another")
     if person not in request.app.state.service.views:
         raise AbsentError("unknown", person=repr(person[:80]))
     request.app.state.service.heard(caller.person)

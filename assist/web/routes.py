@@ -11,7 +11,7 @@ from fastapi.responses import JSONResponse
 
 from ..live.names import LONGEST_REASON
 from ..texts.catalogue import languages
-from ..texts.refusals import AbsentError, InvalidError
+from ..texts.refusals import AbsentError, Refusal
 from . import cookies
 from .authorization import READ, Desk, Operator, Own, bearer, refusals
 from .schemas import Drawn, Erased, Explained, Health, Me, Person, Reloaded, Robot, Team
@@ -89,7 +89,7 @@ async def explanation(
     """
     own = language in (None, service.texts.tag)
     if not own and language not in languages():
-        raise InvalidError("other", why=f"language: expected one of {', '.join(languages())}")
+        raise Refusal("other", why=f"language: expected one of {', '.join(languages())}")
     spoken = str(service.texts.file) if own or language is None else language
     pictures: Pictures = request.app.state.pictures
     named = request.state.caller.person is None

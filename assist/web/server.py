@@ -33,7 +33,7 @@ from ..person.observation_model import ObservationModel
 from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.catalogue import Catalogue
-from ..texts.refusals import AbsentError, BusyError, InapplicableError
+from ..texts.refusals import InapplicableError, Refusal
 from . import connections
 from .app import END_STREAMS, make_app
 from .request_limits import Networks
@@ -109,7 +109,7 @@ class SimulatedSeats:
     async def _work(self, service: Service, name: str, person: SimulatedPerson) -> None:
         while True:
             await asyncio.sleep(self.pace * float(person.rng.gamma(4.0, 0.25)))
-            with suppress(AbsentError, InapplicableError, BusyError, JournalError):  # try again
+            with suppress(Refusal, JournalError):  # try again
                 event = await asyncio.to_thread(self._chosen, service.session, name, person)
                 if event is None:
                     return

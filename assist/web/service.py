@@ -32,7 +32,7 @@ from ..live.history import Outlook
 from ..live.session import Outcome, Session
 from ..live.store import JournalError
 from ..texts.catalogue import Catalogue, catalogue
-from ..texts.refusals import AbsentError, BusyError, InapplicableError
+from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .measures import Measures
 from .schemas import Person, Place, Robot
 from .tokens import AccessTokens
@@ -296,7 +296,7 @@ class Service:
 
         Raises
         ------
-        BusyError
+        Refusal
             Too many reports are queued.
         Exception
             Any error of `Session.report` or `Session.erase`.
@@ -310,7 +310,7 @@ class Service:
             answer: dict[str, Any] = await future
             outcome = "recorded"
         except queue.Full:
-            raise BusyError("busy", n=self._reports.maxsize) from None
+            raise Refusal("busy", n=self._reports.maxsize) from None
         except ValueError:
             outcome = "refused"
             raise
@@ -358,7 +358,7 @@ class Service:
         """Record an event that the clock causes. It is dropped if it is not possible now, or cannot be saved now."""
         try:
             await self.report(event)
-        except (InapplicableError, BusyError, JournalError):
+        except (Refusal, JournalError):
             pass  # the state changed, or the queue or the disk is full, which clients that act are told
         except Exception:
             logging.getLogger(__name__).exception("%s: the event of the clock failed", event.kind)
@@ -489,7 +489,7 @@ class Service:
 
         Raises
         ------
-        InvalidError, InapplicableError
+        Refusal
             As in `Assistant.explain`.
         """
         with self.session.lock:

@@ -16,7 +16,7 @@ from fastapi import APIRouter
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from ..texts.refusals import ThrottledError
+from ..texts.refusals import Refusal
 from .authorization import READ, Desk, Operator, Own, refusals
 from .service import Service, Watcher, event
 
@@ -123,7 +123,7 @@ def view_stream(service: Service, kind: str, view: Callable[[], Any]) -> EventSt
 async def person_events(person: Own, service: Desk) -> Response:
     """Stream a person's view (`view`), and what keeps their actions from being saved (`faults`)."""
     if service.is_crowded(person):
-        raise ThrottledError("crowded")
+        raise Refusal("crowded")
     watcher = service.watch(person)
     return EventStream(_all(watcher), service.ping, lambda: service.leave(person, watcher))
 

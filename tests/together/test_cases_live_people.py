@@ -24,7 +24,7 @@ from assist.live.names import is_name, name_of
 from assist.live.store import JournalError
 from assist.people.action_names import in_pddl
 from assist.person.settings import Setting
-from assist.texts import InvalidError
+from assist.texts import Refusal
 from assist.web.server import ServedTeam
 from planner import Table
 from planner.system.errors import InputFileError, ResultsExistError
@@ -56,7 +56,7 @@ def test_names_of_any_script_are_names_composed_or_not(tiny: Table, tmp_path: Pa
     assert list(session.people) == expected
     for name in NO_NAMES:
         if name.strip() != "ann":
-            with pytest.raises(InvalidError, match="expected a name of up to 64 letters"):
+            with pytest.raises(Refusal, match="expected a name of up to 64 letters"):
                 session.join(name)
     session.erase(unicodedata.normalize("NFD", "Zo\u00eb"), "as asked")
     assert "Zo\u00eb" not in session.people

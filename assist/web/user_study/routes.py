@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Request, Response
 
 from ...texts.catalogue import catalogue
-from ...texts.refusals import ForbiddenError, ThrottledError
+from ...texts.refusals import Refusal
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
 from ...userstudy.questionnaires import Item
@@ -71,9 +71,9 @@ def _shown(item: Item) -> dict[str, Any]:
 async def visit(request: Request, coming: Visit, study: Study) -> Any:
     """Join the study by the join link's token; 409 if it is full. A repeated id returns the same participant."""
     if request.state.caller.person not in (None, VISITOR):
-        raise ForbiddenError("visitors")
+        raise Refusal("visitors")
     if coming.simulated and not study.rehearsal:
-        raise ForbiddenError("other", why="simulated participants are admitted in a rehearsal only")
+        raise Refusal("rehearsed")
     if not coming.simulated and study.code_of(coming.id) not in study.views:
         _throttled(study.arrivals.wait(request.state.address), "joins")
     kept = cookies.cookie_of(study.access.base, SEAT)
@@ -92,7 +92,7 @@ async def visit(request: Request, coming: Visit, study: Study) -> Any:
 def _throttled(wait: float, what: str) -> None:
     """Refuse a request that is allowed only after some seconds."""
     if wait:
-        raise ThrottledError(what, n=math.ceil(wait))
+        raise Refusal(what, n=math.ceil(wait))
 
 
 @router.post("/api/study/links", tags=["study"], response_model=Links, responses=refusals(403, 422))
@@ -123,7 +123,7 @@ async def withdrawal(person: Own, study: Study) -> Any:
 async def withdraw_by_code(request: Request, given: Withdrawn, study: Study) -> Any:
     """Withdraw a participant's data by the withdrawal code, with the join link's token, also after the end."""
     if request.state.caller.person not in (None, VISITOR):
-        raise ForbiddenError("visitors_withdraw")
+        raise Refusal("visitors_withdraw")
     _throttled(study.guesses.wait(request.state.address), "guesses")
     await study.withdraw(given.code)
     return plain({"done": True})

@@ -15,7 +15,7 @@ from urllib.parse import urlencode
 from pydantic import BaseModel
 
 from ...live.events import Event
-from ...texts.refusals import AbsentError, ForbiddenError, FullError, InapplicableError, InvalidError, ThrottledError
+from ...texts.refusals import AbsentError, InapplicableError, Refusal
 from ...userstudy.codes import identifier, spelled
 from ...userstudy.cohort import Cohort
 from ...userstudy.events import Elapsed, Expired, Left, Returned, StudyEvent, Visited, Withdrew
@@ -200,10 +200,10 @@ class StudyService(Service):
 
         Raises
         ------
-        ForbiddenError
+        Refusal
             The signature is wrong, or there is neither a signature nor a key, or the study has signed links and this
             is none.
-        InvalidError
+        Refusal
             There is nothing behind `PARTICIPANT`.
         InapplicableError
             The participant has joined on another device, or another one in this browser has not finished, or too many
@@ -213,7 +213,7 @@ class StudyService(Service):
         code, once = self.code(visit), visit
         if signature is not None:
             if not self.access.is_signed(visit, signature):
-                raise ForbiddenError("signature")
+                raise Refusal("signature")
             if code in self.views:
                 found: dict[str, Any] = json.loads(self.views[code])
                 return found
@@ -222,18 +222,18 @@ class StudyService(Service):
                 raise InapplicableError("begun_here")
             return dict(json.loads(self.views[before or ""]))
         elif code not in self.views and not simulated and (self.folder / SIGNED).exists():
-            raise ForbiddenError("own_links")
+            raise Refusal("own_links")
         elif visit.startswith(PARTICIPANT):
             if key is None:
-                raise ForbiddenError("unsigned")
+                raise Refusal("unsigned")
             once = f"{visit} {key}"
         self._came_from[code] = "" if simulated or signature is not None else address
         event = Visited(person=code, id=_digest(self._codes_key, once)[8:].hex(), simulated=simulated)
         try:
             return await self.report(event)
-        except FullError:
-            raise
-        except InapplicableError:
+        except InapplicableError as error:
+            if error.key in ("full", "network"):
+                raise
             raise InapplicableError("elsewhere") from None
 
     async def report(self, event: Event | Erasure) -> dict[str, Any]:
@@ -241,9 +241,9 @@ class StudyService(Service):
 
         Raises
         ------
-        FullError
+        InapplicableError
             Too many participants of the address have not begun a task.
-        ThrottledError
+        Refusal
             The participant has done more for a long time than anybody does by hand. Whoever wants to withdraw can.
         """
         if not isinstance(event, StudyEvent):
@@ -251,7 +251,7 @@ class StudyService(Service):
         if isinstance(event, Returned):
             self.heard(event.person)  # also if somebody else asks for it
         if event.by_hand and not self.rehearsal and self.often.wait(event.person):
-            raise ThrottledError("many")
+            raise Refusal("many")
         if self.study.per_address is None or not event.takes_place:
             return await super().report(event)
         async with self._arriving:  # one after the other, so that no two take the last place
@@ -268,7 +268,7 @@ class StudyService(Service):
             for other, one in cohort.participants.items()
         )  # fmt: skip
         if sum(idle) >= (self.study.per_address or 0):
-            raise FullError("network")
+            raise InapplicableError("network")
 
     def heard(self, person: str | None) -> None:
         """Note a request or a connection. A participant counts as present, also where no connection can be kept."""
@@ -373,7 +373,7 @@ def _in_one_form(visit: str) -> str:
         return visit
     named = identifier(visit.removeprefix(PARTICIPANT))
     if not named:
-        raise InvalidError("no_id")
+        raise Refusal("no_id")
     return PARTICIPANT + named
 
 

@@ -34,7 +34,7 @@ from assist.person.qmdp import QMDP, look_ahead
 from assist.person.settings import Setting
 from assist.simulation import Pool, simulate
 from assist.simulation.trace import Trace
-from assist.texts import AbsentError, Catalogue, InapplicableError, InvalidError, catalogue, languages
+from assist.texts import AbsentError, Catalogue, InapplicableError, Refusal, catalogue, languages
 from planner import CostToGo, Instance, OnDemand, Table, optimal_choices
 
 DOMAINS_SEEN = (
@@ -432,7 +432,7 @@ def test_asking_about_another_action() -> None:
     )
     with pytest.raises(InapplicableError, match="not applicable here"):
         assistant.explain("ann", against="(fetch box-a)")
-    with pytest.raises(InvalidError, match="no action of the task"):
+    with pytest.raises(Refusal, match="no action of the task"):
         assistant.explain("ann", against="(fly box-a)")
     with pytest.raises(AbsentError, match="not in the team"):
         assistant.explain("carl")

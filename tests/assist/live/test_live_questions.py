@@ -22,7 +22,7 @@ from assist.people import Goals
 from assist.person import ObservationModel, Setting
 from assist.team.questions import GoalQuestion
 from assist.team.state import NOBODY, TeamAction, TeamState
-from assist.texts import InapplicableError, InvalidError
+from assist.texts import InapplicableError, Refusal
 
 TINY = TASKS["tiny"]
 ASKS = Setting(c_suggest=0.0, c_move=0.0, c_ask=0.01)
@@ -109,7 +109,7 @@ def test_who_has_said_what_their_goal_is_finishes_for_certain() -> None:
 def test_a_question_is_open_until_it_is_answered_declined_or_overtaken() -> None:
     team = desk()
     question = asked(team)
-    with pytest.raises(InvalidError, match="answer 3: expected an action, True, False or None"):
+    with pytest.raises(Refusal, match="answer 3: expected an action, True, False or None"):
         team.answer("ann", 3)  # type: ignore[arg-type]
     team.elapse()
     assert (team.recommend().question, team.recommend().suggestion, team.questions) == (None, None, (question,))
@@ -270,17 +270,17 @@ def test_malformed_reports_are_refused_in_one_sentence_and_change_nothing(tmp_pa
     first, believed = session.person("ann")["applicable"][0], session.beliefs()
     nan = float("nan")
     for wrong, kind, message in (
-        ({}, InvalidError, "expected an action, its likelihoods, or the probability"),
-        ({"action": first, "likelihoods": {first: 1.0}}, InvalidError, "expected an action, its likelihoods"),
-        ({"missed": nan}, InvalidError, "missed nan: expected a number"),
-        ({"missed": -0.1}, InvalidError, "missed -0.1: expected a probability"),
-        ({"likelihoods": {}}, InvalidError, "likelihoods: expected finite numbers of 0 or more, one of them positive"),
-        ({"likelihoods": {first: 0.0}}, InvalidError, "one of them positive"),
-        ({"likelihoods": {first: 1.0, "(fetch box-b)": nan}}, InvalidError, "nan: expected a number"),
-        ({"likelihoods": {first: -1.0}}, InvalidError, "expected finite numbers"),
-        ({"likelihoods": {first: "much"}}, InvalidError, "likelihoods.* 'much': expected a number"),
+        ({}, Refusal, "expected an action, its likelihoods, or the probability"),
+        ({"action": first, "likelihoods": {first: 1.0}}, Refusal, "expected an action, its likelihoods"),
+        ({"missed": nan}, Refusal, "missed nan: expected a number"),
+        ({"missed": -0.1}, Refusal, "missed -0.1: expected a probability"),
+        ({"likelihoods": {}}, Refusal, "likelihoods: expected finite numbers of 0 or more, one of them positive"),
+        ({"likelihoods": {first: 0.0}}, Refusal, "one of them positive"),
+        ({"likelihoods": {first: 1.0, "(fetch box-b)": nan}}, Refusal, "nan: expected a number"),
+        ({"likelihoods": {first: -1.0}}, Refusal, "expected finite numbers"),
+        ({"likelihoods": {first: "much"}}, Refusal, "likelihoods.* 'much': expected a number"),
         ({"likelihoods": {"(fly)": 1.0}}, ValueError, "fly"),
-        ({"likelihoods": {first: 1.0}, "followed": True}, InvalidError, "followed: expected an action that was seen"),
+        ({"likelihoods": {first: 1.0}, "followed": True}, Refusal, "followed: expected an action that was seen"),
     ):
         with pytest.raises(kind, match=message):
             session.observe("ann", **wrong)  # type: ignore[arg-type]
@@ -293,7 +293,7 @@ def test_malformed_reports_are_refused_in_one_sentence_and_change_nothing(tmp_pa
     session.close()
     certain = Session(kit("tiny"), tmp_path / "other.sqlite", setting=Setting(c_suggest=0.05))
     certain.join("ann")
-    with pytest.raises(InvalidError, match="an uncertain action: expected a setting with an observation model"):
+    with pytest.raises(Refusal, match="an uncertain action: expected a setting with an observation model"):
         certain.observe("ann", missed=0.1)
     certain.close()
 

@@ -23,7 +23,7 @@ from assist.person.settings import Setting
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
-from assist.texts import InvalidError
+from assist.texts import Refusal
 from assist.web.app import make_app
 from assist.web.service import Service
 from assist.web.tokens import AccessTokens
@@ -142,7 +142,7 @@ def test_each_robot_has_its_own_way(tiny: Table) -> None:
         team.arrived("ann", robot=2)  # somebody else has moved it: both are with ann
         team.arrived("ann")
         assert [one.person for one in team.recommend_all()].count("ann") <= 1
-    with pytest.raises(InvalidError, match="robot 3: expected a number from 1 to 2"):
+    with pytest.raises(Refusal, match="robot 3: expected a number from 1 to 2"):
         desk.arrived("ann", robot=3)
 
 
@@ -155,7 +155,7 @@ def test_more_robots_than_people_leave_the_others_where_they_are(tiny: Table) ->
     assert desk.robots == ("ann", "bob", None, None, None)
     for number in (0, -1, 6, 1.5, "1", True):
         for ask in (desk.recommend, lambda robot: desk.arrived("ann", robot=robot)):
-            with pytest.raises(InvalidError, match=r"robot .*expected (a number from 1 to 5|a whole)"):
+            with pytest.raises(Refusal, match=r"robot .*expected (a number from 1 to 5|a whole)"):
                 ask(number)  # type: ignore[arg-type]
 
 

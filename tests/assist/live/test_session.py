@@ -25,7 +25,7 @@ from assist.live.session import Session
 from assist.live.store import JournalError, stored
 from assist.live.team import Team
 from assist.person.settings import Setting
-from assist.texts import AbsentError, InapplicableError, InvalidError
+from assist.texts import AbsentError, InapplicableError, Refusal
 from planner import Table
 from planner.system.errors import DamagedFileError, ResultsExistError
 
@@ -315,7 +315,7 @@ def test_people_come_go_and_have_tasks_of_their_own(opened: Callable[..., Sessio
             session.join(*wrong)
     with pytest.raises(InapplicableError, match="bob is there already"):
         session.join("bob")
-    with pytest.raises(InvalidError, match="no action of the task"):
+    with pytest.raises(Refusal, match="no action of the task"):
         session.observe("bob", "(fly)")
 
 

@@ -16,7 +16,7 @@ from conftest import ROOT
 from test_userstudy_pages import Web
 from userstudies import PLAN, written
 
-from assist.texts import FullError, InapplicableError, InvalidError, Refusal, catalogue, languages
+from assist.texts import InapplicableError, Refusal, catalogue, languages
 from assist.userstudy.plan_file import read
 from assist.web.tokens import VISITOR
 from planner import Table
@@ -115,7 +115,7 @@ def test_participants_are_refused_in_the_studys_language(tiny: Table, tmp_path: 
 
 
 ASSIST = ROOT / "assist"
-KINDS = {kind.__name__ for kind in (Refusal, *Refusal.__subclasses__(), FullError)}
+KINDS = {kind.__name__ for kind in (Refusal, *Refusal.__subclasses__())}
 TEXTS = {key.removeprefix("refusals."): text for key, text in catalogue().texts.items() if key.startswith("refusals.")}
 
 
@@ -157,7 +157,7 @@ def test_a_refusal_is_one_sentence_in_the_language_of_the_reader_and_can_be_pick
     assert str(error) == "data could be withdrawn until 2027-03-31"
     german = catalogue("de")
     assert german.refusal(error.key, **error.values) == "Daten konnten bis zum 31.03.2027 zurückgezogen werden."
-    other = InvalidError("other", why="task 'x': expected one of a, b")
+    other = Refusal("other", why="task 'x': expected one of a, b")
     assert str(other) == "task 'x': expected one of a, b"
     assert german.refusal(other.key, **other.values) == "Das ist im Moment nicht möglich."
 

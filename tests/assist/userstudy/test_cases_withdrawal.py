@@ -20,7 +20,7 @@ from assist.reports.html_page import html_page
 from assist.reports.userstudy_report import write_report
 from assist.reports.userstudy_summary import summarise
 from assist.texts import AbsentError, InapplicableError
-from assist.texts.refusals import BusyError
+from assist.texts.refusals import Refusal
 from assist.userstudy.cohort import Cohort
 from assist.userstudy.events import Withdrew
 from assist.userstudy.plan_file import read
@@ -332,10 +332,10 @@ def test_a_flood_of_withdrawals_leaves_others_their_turn_and_all_are_removed(
 
     monkeypatch.setattr(session, "_clock", ticks)
     outcomes = session.report_all([Withdrew(person=part.name, id="asked") for part in parts[:3]])
-    assert [isinstance(one, BusyError) for one in outcomes] == [False, True, True]
+    assert [isinstance(one, Refusal) for one in outcomes] == [False, True, True]
     assert b"words of P-EVE234" not in content(session.folder)
     assert session.fault() is not None
-    with pytest.raises(BusyError):  # others have their turn
+    with pytest.raises(Refusal):  # others have their turn
         parts[1].report("withdrew", id="asked")
     assert parts[3].kind == "thanks"
     for part in parts[1:3]:
