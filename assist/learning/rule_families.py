@@ -12,7 +12,7 @@ from ..people.trust_rules import EquationSeven, Reliability, TrustRule, constant
 from .intervals import Interval
 from .likelihood import Method
 
-STEP_SIZES = (0.1, 0.2, 0.4, 0.8)
+STEP_SIZES = (0.1, 0.4)
 """Steps of logit(theta) that are tried for gain and for loss, in log-odds."""
 
 LARGEST_STEP = 3.0

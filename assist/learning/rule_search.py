@@ -15,6 +15,9 @@ from .likelihood_table import LikelihoodTable
 from .posterior_sample import PosteriorSample, posterior_covariance
 from .rule_families import RuleFamily
 
+DIFFERENCE = 1e-5
+"""Step of a parameter by which derivatives are found; all parameters have ranges of about 1."""
+
 
 class RuleSearch:
     """The search for the parameters of a rule; the population that fits best is found for each."""
@@ -35,27 +38,35 @@ class RuleSearch:
         """Return the log likelihood; outside of the ranges, that of the nearest parameters."""
         return self.at(np.clip(values, *np.array(self.ends).T).tolist())[0]
 
-    def best(self, start: tuple[float, ...] | None = None, tolerance: float = 3e-3) -> tuple[float, ...]:
-        """Return the parameters of largest likelihood, by the simplex method.
-
-        It begins with the best of those tried, unless a start is given. The tolerance of each parameter is a fraction
-        of the standard error that 100 people and 60 suggestions leave.
-        """
+    def best(self, start: Sequence[float] | None = None) -> tuple[float, ...]:
+        """Return the parameters of largest likelihood, from a start or the best of those tried."""
         if not self.family.ranges:
             return ()
-        size = 0.3 if start is None else 0.1
         start = start or max(self.family.tried, key=lambda values: self.at(values)[0])
-        corners = np.tile(start, (len(start) + 1, 1))
-        corners[np.arange(len(start)) + 1, np.arange(len(start))] += size * (np.abs(start) + 0.1)
+        return tuple(self._climbed(np.array(start), self.ends)[0].tolist())
 
-        def loss(values: Floats) -> float:
-            return -self.value(values)
+    def _climbed(self, start: Floats, ends: Sequence[Interval], flat: float = 1e-3) -> tuple[Floats, float]:
+        """Return the point of largest log likelihood within ranges, and that likelihood (L-BFGS-B).
+
+        The population is the best one at each point. So the derivative by a parameter is that with this population
+        (envelope theorem), and it is found from one more table. The search ends where no derivative exceeds `flat`.
+        """
+
+        def loss(point: Floats) -> tuple[float, Floats]:
+            value, population, _ = self.at(point.tolist())
+            slopes = np.zeros(len(point))
+            for j, (low, high) in enumerate(ends):
+                step = DIFFERENCE if point[j] + DIFFERENCE <= self.ends[j][1] else -DIFFERENCE
+                if low < high:
+                    moved = np.where(np.arange(len(point)) == j, point + step, point).tolist()
+                    logs = self.log.log_likelihood(self.family.rule(moved), carry=self.carry)
+                    slopes[j] = (float(population.marginal(self.log, logs).sum()) - value) / step
+            return -value, -slopes
 
         found = minimize(
-            loss, list(start), method="Nelder-Mead", bounds=list(self.family.ranges.values()),
-            options={"initial_simplex": corners, "xatol": tolerance, "fatol": 0.01},
-        )  # fmt: skip
-        return tuple(found.x.tolist())
+            loss, start, jac=True, method="L-BFGS-B", bounds=list(ends), options={"ftol": 1e-6 * flat, "gtol": flat}
+        )
+        return found.x, -float(found.fun)
 
     def sample(self, best: tuple[float, ...], covariance: Floats) -> PosteriorSample:
         """Return a sample of what the parameters may be, given their covariance at the best ones."""
@@ -68,32 +79,13 @@ class RuleSearch:
         for j, ends in enumerate(self.ends):
 
             def margin(value: float, j: int = j) -> float:
-                return self._largest(at, j, value, covariance) - least
+                # The others move along the ridge that the covariance describes, and from there to the top.
+                low, high = np.array([(value, value) if i == j else other for i, other in enumerate(self.ends)]).T
+                near = at + covariance[j] / covariance[j, j] * (value - best[j])
+                return self._climbed(np.clip(near, low, high), list(zip(low, high, strict=True)), 0.05)[1] - least
 
             low, high = (end_of(margin, best[j], _outwards(best[j], end), 1e-3, 1e-3)[0] for end in ends)
             found.append((low, high))
-        return found
-
-    def _largest(self, best: Floats, j: int, value: float, covariance: Floats) -> float:
-        """Return the largest log likelihood with one value given.
-
-        The others move along the ridge that the covariance describes, which may be curved: from there, each moves to
-        the top of the parabola through three points that are its conditional deviation apart.
-        """
-        ridge = covariance[j] / covariance[j, j]
-        point = best + ridge * (value - best[j])
-        low, high = np.array(self.ends).T
-        found = self.value(point)
-        for i in range(len(best)):
-            if i == j:
-                continue
-            apart = math.sqrt(max(covariance[i, i] - ridge[i] * covariance[i, j], 1e-8))
-            move = apart * np.eye(len(best))[i]
-            plus, minus = self.value(point + move), self.value(point - move)
-            if plus + minus < 2 * found:
-                moved = np.clip(point + move * (plus - minus) / (4 * found - 2 * plus - 2 * minus), low, high)
-                if (there := self.value(moved)) > found:
-                    point, found = moved, there
         return found
 
     def covariance(self, best: tuple[float, ...]) -> Floats:
