@@ -55,8 +55,8 @@ ROOMS = {
     "assist.drawing": "subject states profile scene layout svg raster picture frames files notebook",
     "assist.explain": "continuations contrast explanation",
     "assist.live": """names live_task advice roster uncertain_actions beliefs live_questions decision_point
-        robot_places decisions desk events reports record assistant store people_store header history team session
-        simulated_person trace_reasons""",
+        robot_places decisions knowledge desk events reports record assistant store people_store header history team
+        session simulated_person trace_reasons""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options action_prices prices certificate visited_beliefs computation
         truncated_prices sample_paths team_bound relaxed_value comparison""",

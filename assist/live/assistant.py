@@ -38,7 +38,7 @@ from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice
 from .desk import Desk, Task
-from .events import Acted, Began, Decided, Joined, TeamEvent
+from .events import Began, Decided, Joined, TeamEvent
 from .live_task import digest, population_of
 from .record import TeamRecord
 from .reports import Reports
@@ -158,7 +158,7 @@ class Assistant(Reports, Desk):
         belief: ArrayLike | None = None,
         id: str | None = None,
     ) -> Any:
-        """Add a person, at the beginning of a task, or let one return to the task that they left.
+        """Add a person, as `Reports.join` does.
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ class Assistant(Reports, Desk):
             Belief in a new person from which to begin, for instance that of an earlier team (`PersonState.belief`); by
             default the prior.
         id : str, optional
-            Chosen by the reporter; an assistant in memory does not look at it.
+            Not used by an assistant in memory.
         """
         if task is None and not self.has_met(person):
             if self._default is None:
@@ -189,7 +189,7 @@ class Assistant(Reports, Desk):
         population: Population | None = None,
         id: str | None = None,
     ) -> Any:
-        """Let a person begin the next task, finished or not; the belief in them remains.
+        """Let a person begin the next task, as `Reports.begin` does.
 
         Parameters
         ----------
@@ -199,32 +199,10 @@ class Assistant(Reports, Desk):
         population : Population, optional
             Prior for the policy of this task; by default as before.
         id : str, optional
-            Chosen by the reporter; an assistant in memory does not look at it.
+            Not used by an assistant in memory.
         """
         prior = None if population is None else self._prior_of(population)
         return self.report(Began(person=person, task=self._name_of(task), population=prior, id=id))
-
-    def observe(
-        self,
-        person: str,
-        action: str | None = None,
-        *,
-        heard: bool = True,
-        likelihoods: Mapping[str, float] | None = None,
-        missed: float | None = None,
-        followed: bool | None = None,
-        seq: int | None = None,
-        id: str | None = None,
-    ) -> Any:
-        """Record a person's action, as in `Reports.observe`.
-
-        `heard` is whether they had seen the open suggestion, if there is one. What only a session can know of a view
-        (`followed`, `seq`, `id`) has no effect here.
-        """
-        known = None if likelihoods is None else dict(likelihoods)
-        uncertain: dict[str, Any] = {"likelihoods": known, "missed": missed}
-        rest: dict[str, Any] = {"followed": followed, "seq": seq, "id": id}
-        return self.report(Acted(person=person, action=action, heard=heard, **uncertain, **rest))
 
     def _name_of(self, task: Any) -> str | None:
         """Return the name of a task, which is a new one if the task is; None for None."""

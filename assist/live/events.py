@@ -90,6 +90,8 @@ class Event(Recorded):
     """Whether operators see it in the list of events."""
     ends_task: ClassVar[bool] = False
     """Whether a person's work on a task ends, so that what was learned of them is kept."""
+    is_action: ClassVar[bool] = False
+    """Whether it is what a person did in their task."""
 
     @model_serializer(mode="wrap")
     def _given(self, given: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -105,6 +107,16 @@ class Event(Recorded):
     def target(self) -> tuple[Any, ...]:
         """What two reports with the same id have in common, if one repeats the other."""
         return (self.kind,)
+
+    @property
+    def begins(self) -> str | None:
+        """The name of the task that the person begins by it, if they do."""
+        return None
+
+    @property
+    def instead(self) -> Self | None:
+        """What its reporter can report in its place if it contradicts what the robots believe."""
+        return None
 
     @classmethod
     def kind_name(cls) -> str:
@@ -235,6 +247,11 @@ class Joined(OfPerson):
         task = desk.task_of_newcomer(self.person, self.task)
         return self.model_copy(update={"task": task, "belief": self.belief if task else None})
 
+    @property
+    def begins(self) -> str | None:
+        """The task of a person who comes for the first time."""
+        return self.task
+
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
         """Add the person."""
         desk.joined(self.person, self.task, population=self.population, belief=self.belief)
@@ -279,6 +296,11 @@ class Began(OfPerson):
             desk.require_task(self.task)
         return super().recorded(desk)
 
+    @property
+    def begins(self) -> str | None:
+        """The task, if it is another one."""
+        return self.task
+
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
         """Put the person at the beginning of the task."""
         desk.began(self.person, self.task, population=self.population)
@@ -304,6 +326,7 @@ class Acted(OfPerson):
     path: ClassVar[str | None] = "/api/people/{person}/actions"
     nothing: ClassVar[str | None] = "nothing_done"
     reversible: ClassVar[bool] = True
+    is_action: ClassVar[bool] = True
 
     def recorded(self, desk: Desk) -> Self | None:
         """Return the action in PDDL notation, with whether the suggestion was heard."""
@@ -377,6 +400,11 @@ class Answered(OfPerson):
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
         """Update the belief in the person, or correct the last action."""
         desk.answered(self.person, self.answer)
+
+    @property
+    def instead(self) -> Self:
+        """No answer."""
+        return type(self)(person=self.person)
 
     @property
     def can_be_taken_back(self) -> bool:

@@ -60,6 +60,7 @@ class Reports:
         *,
         likelihoods: Mapping[str, float] | None = None,
         missed: float | None = None,
+        heard: bool = True,
         followed: bool | None = None,
         seq: int | None = None,
         id: str | None = None,
@@ -77,6 +78,8 @@ class Reports:
         missed : float, optional
             In place of `action`, the probability that the person has acted in this time step, and nothing was seen. The
             suggestion stays open if it is below 1/2.
+        heard : bool
+            Whether the person had seen the open suggestion, if there is one. A session knows it by `seq`.
         followed : bool, optional
             Whether the suggestion was followed, if that is known.
         seq : int, optional
@@ -96,9 +99,8 @@ class Reports:
             The successor could not be evaluated. Nothing has changed after any of these errors.
         """
         known = None if likelihoods is None else dict(likelihoods)
-        return self.report(
-            Acted(person=person, action=action, likelihoods=known, missed=missed, followed=followed, seq=seq, id=id)
-        )
+        what: dict[str, Any] = {"action": action, "likelihoods": known, "missed": missed, "heard": heard}
+        return self.report(Acted(person=person, followed=followed, seq=seq, id=id, **what))
 
     def answer(self, person: str, answer: str | bool | None, *, seq: int | None = None, id: str | None = None) -> Any:
         """Record a person's answer, after which the open question is closed.

@@ -27,8 +27,8 @@ from ..live.team import Team
 from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .assignment import assign
 from .codes import drawn
-from .events import Acted, Erased, Expired, Facts, Onward, Returned, StudyEvent, Vacant, Visited, Withdrew
-from .participant_team import ParticipantTeam, Subs, own_action
+from .events import Erased, Expired, Facts, Onward, Returned, StudyEvent, Vacant, Visited, Withdrew
+from .participant_team import ParticipantTeam, Subs
 from .participants import DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
 from .plan import WAITING, Stage, UserStudy
 from .questionnaires import Item
@@ -90,7 +90,7 @@ class Cohort(Roll, History[StudyRecord]):
             here = self.stages[person.at].name
             if at >= len(self.stages) or getattr(event, "stage", here) != here:
                 raise ValueError(f"{person.code} is at {here}")
-            if isinstance(event, Acted) and own_action(record.team, person.code).action != event.action:
+            if not event.is_told_by(record.team):
                 raise ValueError(f"{person.code} did something else")
             if record.team and record.group is None:
                 self._group(person, self.stages[at], record.condition).again(record.team)

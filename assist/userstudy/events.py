@@ -107,6 +107,10 @@ class StudyEvent(Event):
         """Return what follows for a participant who takes part."""
         raise NotImplementedError
 
+    def is_told_by(self, team: Subs) -> bool:  # noqa: ARG002
+        """Whether a record of the participant's team agrees with it."""
+        return True
+
     def refused(self, cohort: Cohort, who: Participant) -> InapplicableError:
         """Return the refusal of an event that is impossible at the participant's stage."""
         return InapplicableError("not_here", what=self.kind, here=cohort.stages[who.at].name)
@@ -212,6 +216,11 @@ class Acted(StudyEvent):
     by_operator: ClassVar[bool] = False
     by_hand: ClassVar[bool] = True
     comes_back: ClassVar[bool] = True
+    is_action: ClassVar[bool] = True
+
+    def is_told_by(self, team: Subs) -> bool:
+        """Whether the team's record has this action."""
+        return own_action(team, self.person).action == self.action
 
     def happens(self, cohort: Cohort, who: Participant, n: int, time: float) -> Facts:
         """Let the participant act, and then the simulated people of the team."""

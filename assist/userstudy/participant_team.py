@@ -151,8 +151,8 @@ class ParticipantTeam:
         """Replay recorded events."""
         for sub in subs:
             event = sub.event
-            if isinstance(event, Acted) and event.person in self._mates:
-                self._chosen(event.person, self._mates[event.person])  # advances the person's random numbers
+            if event.is_action and event.who in self._mates:
+                self._chosen(event.who, self._mates[event.who])  # advances the person's random numbers
             self.team.count = sub.n - 1
             self.team.again(sub)
         self._keep(subs)
@@ -160,8 +160,8 @@ class ParticipantTeam:
     def _keep(self, subs: Sequence[TeamRecord]) -> None:
         self._past += subs
         for sub in subs:
-            if isinstance(sub.event, Joined | Began) and sub.event.task:
-                self._task[sub.event.person] = sub.event.task
+            if sub.event.who is not None and sub.event.begins is not None:
+                self._task[sub.event.who] = sub.event.begins
 
     # Views.
 
@@ -176,5 +176,6 @@ class ParticipantTeam:
 
 def own_action(team: Sequence[TeamRecord], person: str) -> Acted:
     """Return a participant's action among the events of the team."""
-    every = (record.event for record in team)
-    return next(event for event in every if isinstance(event, Acted) and event.person == person)
+    found: Any = next(record.event for record in team if record.event.is_action and record.event.who == person)
+    own: Acted = found
+    return own

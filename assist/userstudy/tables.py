@@ -20,7 +20,7 @@ from planner.system.errors import DamagedFileError
 
 from ..live.header import require_version
 from ..live.store import stored
-from .events import Acted, Onward
+from .events import Onward
 from .participant_team import own_action
 from .participants import WITHDREW, Participant
 from .plan import Stage, UserStudy
@@ -239,7 +239,7 @@ class _Rows:
             rows = list(_answers(self._study, stage, event.answers or {}))
             self._tables.answers += [where | row for row in rows]
             self._failed[code] += sum(row["passed"] is False for row in rows)
-        elif isinstance(event, Acted):
+        elif event.is_action:
             row = where | _action(stage, record, self._steps[code]) | {"utc": utc}
             self._steps[code] += 1
             self._tables.actions.append(row)

@@ -117,8 +117,8 @@ class SimulatedSeats:
                     if not isinstance(event, Elapsed):
                         await service.report(event)
                 except InapplicableError:
-                    if isinstance(event, Answered):  # it contradicts what the robot believes
-                        await service.report(Answered(person=name))
+                    if event.instead is not None:
+                        await service.report(event.instead)
 
     def _chosen(self, session: Session, name: str, person: SimulatedPerson) -> TeamEvent | None:
         """Let a simulated person answer or act; return the event, or None if they have reached their own goal.

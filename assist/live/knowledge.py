@@ -1,0 +1,336 @@
+"""What the robots know of a live team, and what each event changes of it.
+
+That is the state of each person's task and the belief in them, where the robots are, open suggestions and questions.
+The classes of `events` call the methods that change it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner import CostToGo
+
+from ..people.decision import NOTHING
+from ..people.goals import Goals
+from ..people.ranges import Population
+from ..people.real_people import advice_takers
+from ..person.joint_belief import same_suggestions
+from ..person.policy import Policy
+from ..person.settings import Setting
+from ..team.state import BASE, NOBODY, TeamPolicy
+from ..texts.refusals import InapplicableError
+from .advice import Advice
+from .beliefs import (
+    begin_task,
+    believe,
+    believe_again,
+    correct,
+    hear,
+    is_uncertain,
+    likeliest_cost_to_go,
+)  # fmt: skip
+from .decisions import Decisions
+from .live_task import LiveTask
+from .robot_places import RobotPlaces
+from .roster import Roster, RosterEntry, Step, Told
+from .uncertain_actions import seen_of
+
+Task = CostToGo | Goals | Policy
+
+
+class Change(Protocol):
+    """What changes what the robots know: an event of a team, as in `events`."""
+
+    @property
+    def concerned(self) -> str | None:
+        """The person whose state it may change."""
+
+    @property
+    def can_be_taken_back(self) -> bool:
+        """Whether it can be undone."""
+
+    def change(self, desk: Any, time: float) -> Any:
+        """Change what the robots know; return what was taken back, if anything."""
+
+    def take_back(self, desk: Any) -> Any:
+        """Undo it."""
+
+
+class Knowledge:
+    """What the robots know of a live team.
+
+    Parameters
+    ----------
+    tasks : mapping of str to CostToGo, Goals or Policy
+        Tasks by name; the first is the default. It is not copied.
+    policy, setting, population, distance
+        As in `Assistant`.
+    people : int
+        Number of people for whom there are places at first.
+
+    Attributes
+    ----------
+    paused : bool
+        Whether the robots make no suggestions.
+    populations : dict of str to Population
+        Priors of people who have others than the team's, by name.
+    """
+
+    def __init__(
+        self,
+        tasks: Mapping[str, Task],
+        *,
+        policy: str | TeamPolicy = "attention",
+        setting: Setting | None = None,
+        population: Population | None = None,
+        distance: ArrayLike | None = None,
+        people: int = 0,
+    ) -> None:
+        self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
+        if self.setting.fleet.executes:
+            raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
+        self.policy = policy
+        if policy == "rollout":
+            self.setting.require_all_seen("policy 'rollout'")
+        self.tasks, self.populations, self.paused = tasks, dict[str, Population](), False
+        self._advice: tuple[Advice, ...] | None = None
+        self._step = 0
+        self._places = RobotPlaces(self.setting, people, distance)
+        self.roster = Roster(len(self._places.travel))
+        self._decisions = Decisions(self.setting, policy, self.roster, self._places)
+
+    def take(self, event: Change, time: float = 0.0) -> Any:
+        """Apply an event; return what was taken back, if anything.
+
+        Raises
+        ------
+        ValueError
+            It is not possible. Nothing has changed.
+        """
+        found = event.change(self, time)
+        self._advice = None
+        if event.concerned is not None:
+            entry = self.entry(event.concerned)
+            entry.history.append((time, likeliest_cost_to_go(self.roster, entry)))
+            if event.can_be_taken_back:
+                entry.done.append(event)
+        return found
+
+    def known(self, person: str) -> RosterEntry:
+        """Return what is known of a person who is present.
+
+        Raises
+        ------
+        AbsentError
+            The person is not present.
+        """
+        return self.roster.known(person)
+
+    def entry(self, person: str) -> RosterEntry:
+        """Return what is known of a person who has been in the team, present or not.
+
+        Raises
+        ------
+        AbsentError
+            The person has never been there.
+        """
+        return self.roster.by_name.get(person) or self.known(person)
+
+    def has_met(self, person: str) -> bool:
+        """Whether a person has been in the team, present or not."""
+        return person in self.roster.by_name
+
+    def is_present(self, person: str) -> bool:
+        """Whether a person is in the team."""
+        record = self.roster.by_name.get(person)
+        return record is not None and bool(self.roster.present[record.place])
+
+    @property
+    def size(self) -> int:
+        """The number of people who have been in the team."""
+        return len(self.roster.records)
+
+    @property
+    def people(self) -> tuple[str, ...]:
+        """The names of the people who are present, in the order of their first arrival."""
+        return self.roster.names
+
+    def joined(
+        self, person: str, task: str | None = None, *, population: str | None = None, belief: ArrayLike | None = None
+    ) -> None:
+        """Add a person; `population` is the name of their prior, and the rest is as in `Assistant.join`."""
+        if not person.strip():
+            raise ValueError(f"person {person!r}: expected a name")
+        team = self.roster
+        if person in team.by_name:
+            place = team.by_name[person].place
+            if team.present[place]:
+                raise ValueError(f"{person} is there already")
+            if task is not None or population is not None or belief is not None:
+                raise ValueError(f"{person} returns to the task that they left; `begin` gives them another")
+            team.present[place] = True
+        else:
+            place = len(team.records)
+            if place == len(team) and self._places.distance is not None:
+                raise ValueError(
+                    f"{person}: there is a place for {place} people; expected a larger matrix of distances"
+                )
+            name = next(iter(self.tasks)) if task is None else task
+            problem = self._problem(name, population)
+            if place == len(team):
+                self._places.grow(2 * place)
+                team.resize(2 * place)
+            team.add(person, problem, name, belief)
+
+    def left(self, person: str) -> None:
+        """Remove a person from the team, finished or not."""
+        record = self.known(person)
+        self.roster.present[record.place], record.question = False, None
+
+    def began(self, person: str, task: str | None = None, *, population: str | None = None) -> None:
+        """Put a person at the beginning of a task; `population` is the name of a prior, the rest as in `begin`."""
+        record = self.known(person)
+        problem, name = record.problem, record.tasks[-1] if task is None else task
+        if task is not None or population is not None:
+            prior = record.problem.prior if population is None else self.populations[population]
+            problem = self._decisions.problem(self.tasks[name], prior)
+        row, (before, after) = problem.row(problem.initial), (one.policy.pomdp for one in (record.problem, problem))
+        here, there, goals, next_goals = before.grid, after.grid, len(before.hidden.goals), len(after.hidden.goals)
+        if not (np.array_equal(here.beta, there.beta) and np.array_equal(here.theta, there.theta)):
+            raise ValueError(f"{person}: the next task distinguishes other values of beta and theta; expected the same")
+        if goals != next_goals:
+            raise ValueError(f"{person}: the next task has {next_goals} goals; expected {goals}")
+        record.begin(problem, name)
+        begin_task(self.roster, record)
+        record.close_questions()
+        self.roster.put(record, row)
+
+    def _problem(self, task: str, population: str | None) -> LiveTask:
+        prior = self.population if population is None else self.populations[population]
+        return self._decisions.problem(self.tasks[task], prior)
+
+    def acted(
+        self,
+        person: str,
+        action: str | None = None,
+        *,
+        heard: bool = True,
+        likelihoods: Mapping[str, float] | None = None,
+        missed: float | None = None,
+        time: float = 0.0,
+    ) -> None:
+        """Record a person's action: as it was seen, or what is known of it; arguments and errors as in `Reports`.
+
+        With an observation model in the setting, `action` is what was seen, right or wrong, and earlier actions may
+        have been missed. After uncertain actions, the belief is over task states, too (`assist.person.JointBelief`).
+        """
+        record = self.roster.known(person)
+        k, problem, row = record.place, record.problem, self.roster.row(record)
+        if self.roster.stopped(record):
+            raise InapplicableError("reached", person=person)
+        robot = int(self.roster.robot[k]) if heard else 0
+        suggestion, still = problem.policy.pomdp.suggestion(row, robot), 0
+        seen = seen_of(problem, self.setting, action, likelihoods, missed)
+        if seen is None and not is_uncertain(record, self.setting.observation):
+            slot = problem.slot(row, action or "")
+            to = problem.after(row, slot)
+            step = Step(problem.place(row), robot, slot, problem.choices.name(row, slot), suggestion)
+            erred = believe(self.roster, record, step, self.setting)
+        else:
+            if seen is not None and likelihoods is not None:
+                action = max(seen["likelihoods"], key=seen["likelihoods"].get)
+            elif action is not None:
+                action = problem.named(action)
+            step = Step(problem.place(row), robot, NOTHING, action, suggestion, seen)
+            erred = believe(self.roster, record, step, self.setting)
+            to = self.roster.row(record)
+            if missed is not None and missed < 1 / 2:
+                still = int(same_suggestions(problem.policy.pomdp, np.array([row]), np.array([to]))[0, robot])
+        record.did(step, time)
+        record.close_questions()
+        self.roster.put(record, to, erred=erred, robot=still)
+
+    def answered(self, person: str, answer: str | bool | None) -> None:
+        """Record a person's answer, after which the open question is closed; errors as in `Reports.answer`."""
+        record = self.known(person)
+        if isinstance(answer, str):
+            if not record.steps:
+                raise InapplicableError("nothing_to_ask", person=person)
+            record.problem.policy.require_enumerated("an uncertain action")
+            correct(self.roster, record, record.problem.named(answer), self.setting)
+        else:
+            question = record.question
+            if question is None or (answer is not None and question.goal is None):
+                raise InapplicableError("no_question_about_goal" if question else "no_question", person=person)
+            if answer is not None:
+                hear(self.roster, record, [Told(len(record.steps), str(question.goal), answer)], self.setting)
+        record.question = None
+
+    def take_back_answer(self, person: str) -> bool:
+        """Take back a person's last answer about the goal of their task, as if it had not been given, and return it.
+
+        Actions since then stay. An open suggestion, which may rest on the answer, is withdrawn, and the question may be
+        asked again.
+        """
+        record = self.known(person)
+        taken = record.told.pop()
+        erred = believe_again(self.roster, record, self.setting)
+        record.close_questions()
+        record.reason = None
+        self.roster.put(record, self.roster.beliefs.joint(record.place).likeliest, erred=erred)
+        return taken.yes
+
+    def take_back_action(self, person: str) -> str | None:
+        """Take back a person's last action, as if it had not been observed, and return it.
+
+        The suggestion before it, if they had seen it, is open again. The robot stays where it is.
+
+        Returns
+        -------
+        str or None
+            The action; None if it was one that perhaps was missed.
+        """
+        record = self.known(person)
+        last = record.undo()
+        record.told[:] = [told._replace(steps=min(told.steps, len(record.steps))) for told in record.told]
+        erred = believe_again(self.roster, record, self.setting)
+        record.close_questions()
+        self.roster.put(record, record.problem.row(last.place), erred=erred, robot=last.robot)
+        return last.action
+
+    def follow(self, advice: Sequence[Advice], step: int) -> tuple[Advice, ...]:
+        """Apply the advice of each robot, as decided or from a record, and return it.
+
+        `step` is the team's step after it.
+        """
+        self._advice, self._step = tuple(advice), step
+        places = self.roster.by_name
+        self._places.stop_for_absent(self.roster.present)
+        self._places.make_room([NOBODY if one.person is None else places[one.person].place for one in advice])
+        for number, one in enumerate(advice):
+            self.roster.ask(one.question)
+            if one.person is not None:
+                record = self.roster.by_name[one.person]  # who may have left while the robot was under way
+                self._places.put(number, record.place, under_way=not one.arrived)
+                if one.arrived:
+                    self.roster.suggest(record, one.suggestion)
+                if one.suggestion is not None:
+                    record.reason = one.reason
+        return self._advice
+
+    def rearranged(self, distance: ArrayLike) -> None:
+        """Use other distances from now on; arguments and errors as in `Reports.rearrange`."""
+        self._places.rearrange(distance, len(self.roster.records))
+        self.roster.resize(len(self._places.travel))
+        self._decisions.renew()
+
+    def has_arrived(self, person: str | None = None, *, robot: int = 1) -> None:
+        """Put a robot at a person's place, also of one who has left, or at its base (None)."""
+        number, place = self._places.number(robot), BASE
+        if person is not None:
+            place = self.entry(person).place
+        self._places.put(number, place)
