@@ -126,7 +126,9 @@ class _Process:
         """Return an idle process, or start one. A process with a memory limit is a new one, and reads one instance."""
         while _idle and limits.memory_mb is None:
             process = _idle.pop()
-            if process.owner == os.getpid() and process.popen.poll() is None:
+            if process.owner != os.getpid():
+                process.popen.returncode = 0  # it is no child of this fork, of which Popen would warn
+            elif process.popen.poll() is None:
                 return process
         from multiprocessing import Pipe  # slow to import
 
