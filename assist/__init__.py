@@ -1,25 +1,30 @@
 """From the exact cost-to-go to a robot that assists a team.
 
-The folders, in an order in which each builds on earlier ones; the default path is people, person, team, simulation:
+The folders, in an order in which each builds on earlier ones:
 
-declare      fields of settings and plans, declared once: checks, messages, tables of files, options
-people       models of people: choices, influence and trust, populations, and beliefs about a person
-person       the problem of assisting one person as a POMDP, in a task of any size, and its solutions and bounds
-learning     estimates of people's parameters and goals from recorded actions
-team         several people and a robot: the state that a policy receives, and team policies
-simulation   pools of people from whom teams are drawn, and episodes of teams
-live         the live assistant: decisions for a team of real people, action by action
-certify      upper bounds on the value of every team policy
-drawing      pictures of states, plans and episodes
-interop      exports to the formats of other programs, and environments for learners
-plots        figures of results (extra `plots`)
-study        experiments with simulated people (extra `study`)
-userstudy    experiments with real people at the live assistant
-reports      results of studies: statistics, tables, figures and reports
-web          live sessions and user studies over HTTP (extra `web`)
-cli          the command `kitassist`, a file for each of its commands
+declare     Declared data: each field of a setting, robot or plan is declared once, with its range and one sentence.
+texts       Texts that people read, in each language, and refusals by their keys.
+people      Models of people: choices, influence and trust, populations, and the belief in a person.
+person      One person's assistance problem as a POMDP, in a task of any size, and its solutions with certified bounds.
+learning    Estimates of people's parameters, trust rules and goals from recorded actions.
+team        Several people and robots: the state that a policy receives, the policies, and one step of a team.
+simulation  Simulated episodes of teams, and the pools of people from whom teams are drawn.
+drawing     Pictures of tasks, plans and episodes, for any domain.
+explain     Contrastive explanations: why this step, why this person, and why nothing, from h* and beliefs.
+live        The live assistant: one team of real people, action by action.
+certify     Certified upper bounds on the value of all team policies.
+coupled     Weakly coupled problems as arrays: many Markov decision processes that share a resource.
+interop     Exports to other programs: POMDP file formats, pomdp-py objects, Gymnasium and PettingZoo environments.
+plots       Figures of results (extra `plots`).
+study       Studies with simulated people: their description, execution and results (extra `study`).
+userstudy   Studies with real people: conditions, assignment, procedure, questionnaires and tables.
+reports     Reports of studies: statistics, wording, tables and figures.
+web         Live sessions and user studies over HTTP (extra `web`).
+bridges     Bridges between a live session and the protocols of a line (extras `mqtt`, `opcua`, `ros2`).
+cli         The command-line program `kitassist`: it parses options, calls the library and prints records and tables.
 
-This package exports what most users need; each folder exports the rest.
+The default path is people, person, team, simulation. This package exports what most users need; each folder exports the
+rest.
 """
 
 from lazy_loader import attach_stub

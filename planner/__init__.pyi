@@ -4,7 +4,7 @@ from .costtogo.cost_to_go import Plan as Plan
 from .costtogo.cost_to_go import State as State
 from .costtogo.cost_to_go import TransitionSystem as TransitionSystem
 from .costtogo.cost_to_go import optimal_choices as optimal_choices
-from .costtogo.goals import sweep_goals as sweep_goals
+from .costtogo.goal_tables import sweep_goals as sweep_goals
 from .costtogo.load import AnyTask as AnyTask
 from .costtogo.load import load as load
 from .costtogo.load import task_of as task_of

@@ -1,4 +1,4 @@
-"""The figure of the architecture, drawn from the actual imports: `python tests/drawn_rooms.py` writes it."""
+"""The map of the rooms and its figure, made from their docstrings and imports: `python tests/drawn_rooms.py`."""
 
 from __future__ import annotations
 
@@ -68,10 +68,33 @@ def rows(edges: Mapping[str, set[str]]) -> dict[str, int]:
     return found
 
 
-def about(room: str) -> list[str]:
-    """Return the description of a package, from the first sentence of its docstring."""
+def sentence(room: str) -> str:
+    """Return the first sentence of a package's docstring."""
     doc = ast.get_docstring(ast.parse((ROOT / room.replace(".", "/") / "__init__.py").read_text())) or ""
-    said = re.sub(r"`| \(extra .*\)", "", doc.partition("\n")[0].partition(": ")[0]).rstrip(".")
+    return doc.partition("\n")[0]
+
+
+def maps() -> dict[Path, str]:
+    """Return the texts of all files with a map, renewed."""
+    page = ROOT / "docs" / "contributing.md"
+    found = {page: page.read_text(encoding="utf-8")}
+    for folder in ("planner", "assist"):
+        rooms = {room.partition(".")[2]: sentence(room) for room in ROOMS if re.fullmatch(rf"{folder}\.\w+", room)}
+        listed = "".join(f"- `{name}`: {said}\n".replace("*", "\\*") for name, said in rooms.items())
+        begin, end = f"<!-- rooms {folder} -->\n", "<!-- end -->"
+        before, _, after = found[page].partition(begin)
+        found[page] = before + begin + listed + end + after.partition(end)[2]
+        file = ROOT / folder / "__init__.py"
+        before, head, after = file.read_text(encoding="utf-8").partition("builds on earlier ones:\n\n")
+        wide = max(map(len, rooms))
+        listed = "\n".join(f"{name:{wide}}  {said}" for name, said in rooms.items())
+        found[file] = before + head + listed + "\n\n" + after.partition("\n\n")[2]
+    return found
+
+
+def about(room: str) -> list[str]:
+    """Return the description of a package for the figure."""
+    said = re.sub(r"`| \(extra .*\)", "", sentence(room).partition(": ")[0]).rstrip(".")
     return textwrap.wrap(said, 31, break_on_hyphens=False)
 
 
@@ -110,9 +133,10 @@ def drawn() -> str:
 
 
 def main() -> None:
-    """Write the picture."""
-    Path(FILE).write_text(drawn(), encoding="utf-8")
-    print(FILE.relative_to(ROOT))
+    """Write the maps and the picture."""
+    for file, text in {**maps(), FILE: drawn()}.items():
+        file.write_text(text, encoding="utf-8")
+        print(file.relative_to(ROOT))
 
 
 if __name__ == "__main__":

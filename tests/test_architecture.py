@@ -19,16 +19,16 @@ ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
     "planner.system": "errors arrays results files limits processes threads signs progress compiling jit workers",
-    "planner.pddl": """instances instance_finder declarations numeric_expressions formulas reader conditions schemas
-        durative static_facts metric numeric_schemas value_sets saturation value_ranges value_encoder value_scope
-        numeric_encoding numeric_compiler compilation writer validation plan_execution built_problems""",
+    "planner.pddl": """instances instance_finder declarations numeric_expressions formulas reader conditions
+        timed_schemas durative static_facts metric numeric_schemas value_sets saturation value_ranges value_encoder
+        value_scope numeric_encoding numeric_compiler compilation writer validation plan_execution built_problems""",
     "planner.grounding": "fast_downward task leaving translation semantics",
     "planner.search.kernels": "packed_successors state_sets ranked_successors block_steps",
     "planner.search": """packing state_space search_space sorted_space transition_normal_form invariants
         variable_clusters numbering state_ranking automorphisms canonical_states successor_generator state_registry
         ranked_index compiled_search""",
-    "planner.costtogo": """trial_states number_values load cost_to_go table astar verification goals orbit_table
-        table_file on_demand portfolio""",
+    "planner.costtogo": """trial_states number_values load cost_to_go table astar verification goal_tables
+        orbit_table table_file on_demand portfolio""",
     "planner.batch": "results_folder solve_instance solve_batch",
     "planner": "engine",
     "assist.declare": "declared tables options",
@@ -161,6 +161,15 @@ def test_the_picture_shows_the_imports_that_there_are() -> None:
     import drawn_rooms  # which imports this file
 
     assert drawn_rooms.FILE.read_text() == drawn_rooms.drawn(), "python tests/drawn_rooms.py draws it anew"
+
+
+def test_the_map_has_a_sentence_for_each_room() -> None:
+    """`planner/__init__.py`, `assist/__init__.py` and docs/contributing.md tell the same of each."""
+    import drawn_rooms
+
+    for file, text in drawn_rooms.maps().items():
+        assert file.read_text(encoding="utf-8") == text, "python tests/drawn_rooms.py writes it anew"
+        assert max(map(len, text.splitlines())) <= 120 or file.suffix == ".md"
 
 
 def test_nothing_is_beside_the_rooms() -> None:

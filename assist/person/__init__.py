@@ -1,4 +1,4 @@
-"""One person's assistance problem as a POMDP, and its solutions with certified bounds."""
+"""One person's assistance problem as a POMDP, in a task of any size, and its solutions with certified bounds."""
 
 from lazy_loader import attach_stub
 

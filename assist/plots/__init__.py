@@ -1,4 +1,4 @@
-"""Figures (extra `plots`)."""
+"""Figures of results (extra `plots`)."""
 
 from lazy_loader import attach_stub
 

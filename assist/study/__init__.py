@@ -1,4 +1,4 @@
-"""Simulation studies: their description, execution and results (extra `study`)."""
+"""Studies with simulated people: their description, execution and results (extra `study`)."""
 
 from lazy_loader import attach_stub
 

@@ -1,4 +1,4 @@
-"""A team of several people and one robot: the state that a policy receives, and the policies."""
+"""Several people and robots: the state that a policy receives, the policies, and one step of a team."""
 
 from lazy_loader import attach_stub
 

@@ -1,4 +1,4 @@
-"""TOML files: typed tables, and the texts that people read in each language."""
+"""Texts that people read, in each language, and refusals by their keys."""
 
 from lazy_loader import attach_stub
 

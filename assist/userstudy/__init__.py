@@ -1,4 +1,4 @@
-"""User studies: conditions, assignment, procedure, questionnaires and tables."""
+"""Studies with real people: conditions, assignment, procedure, questionnaires and tables."""
 
 from lazy_loader import attach_stub
 

@@ -1,1 +1,1 @@
-"""PDDL files: finding, reading, checking against the supported fragment, and validation."""
+"""PDDL files: finding, reading, compiling numbers and time away, and validation."""

@@ -30,7 +30,7 @@ from .declarations import Typed, refuse
 from .formulas import listed, word
 from .instances import Expression, Place
 from .numeric_expressions import DURATION, OPERATIONS
-from .schemas import END, START, Change, Literal, TimedSchema, reads_duration
+from .timed_schemas import END, START, Change, Literal, TimedSchema, reads_duration
 
 ZERO = word("0")
 

@@ -1,7 +1,7 @@
 """The compiler of numbers and durations: from the reading of an instance to a classical one.
 
-Each step is a module: actions in parts (`schemas`), without times (`durative`), with what is kept of their numbers
-(`numeric_schemas`, `metric`), the values of each number (`value_sets`, `saturation`, `value_ranges`), and their
+Each step is a module: actions in parts (`timed_schemas`), without times (`durative`), with what is kept of their
+numbers (`numeric_schemas`, `metric`), the values of each number (`value_sets`, `saturation`, `value_ranges`), and their
 encoding as facts (`numeric_encoding`).
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from . import metric, numeric_encoding, numeric_schemas, schemas, value_encoder
+from . import metric, numeric_encoding, numeric_schemas, timed_schemas, value_encoder
 from .conditions import FALSE, is_numeric, normal_form
 from .declarations import OBJECT, REQUIREMENTS, Symbol, Typed, Types, refuse
 from .formulas import LARGEST_COST, Cost, listed, word
@@ -47,7 +47,7 @@ class Compiler:
         self.reading = reading
         self.file = reading.instance.domain
         self.objects = {**reading.domain.constants, **reading.problem.objects}
-        timed = schemas.of_reading(reading)
+        timed = timed_schemas.of_reading(reading)
         goal = normal_form(reading.problem.goal, self.objects)
         rules = [(rule, normal_form(rule.condition, self.objects)) for rule in reading.domain.rules]
         changing = numeric_schemas.changing(timed)

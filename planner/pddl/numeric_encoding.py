@@ -31,8 +31,8 @@ from .formulas import listed, word
 from .instances import Expression, Place
 from .numeric_expressions import OPERATIONS, Number, as_shown, terms_of
 from .numeric_schemas import Costed
-from .schemas import Change, Literal
 from .static_facts import literal_number
+from .timed_schemas import Change, Literal
 from .value_encoder import Encoder
 from .value_scope import Scope
 from .value_sets import Beyond, Fluent

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from . import schemas
+from . import timed_schemas
 from .conditions import (
     FALSE,
     TRUE,
@@ -28,8 +28,8 @@ from .instances import Expression
 from .metric import Metric
 from .numeric_expressions import Number, terms_of, word_of
 from .reader import Reading
-from .schemas import END, START, Change, TimedSchema
 from .static_facts import Statics, TooManyError, literal_number
+from .timed_schemas import END, START, Change, TimedSchema
 
 MOST_VARIANTS = 128
 """Largest number of schemas into which one action is divided."""
@@ -160,7 +160,7 @@ class Preparation:
                 raise TooManyError
             for row in rows:
                 bound = dict(zip(change.variables, row, strict=True))
-                each = schemas.renamed(change, bound)
+                each = timed_schemas.renamed(change, bound)
                 condition = self.statics.simplified(each.condition, {})
                 changes.append((time, self.statics.simplified(before, bound), replace(each, condition=condition)))
         return replace(timed, changes=tuple(changes))

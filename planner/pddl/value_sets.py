@@ -29,8 +29,8 @@ from .conditions import (
 from .durative import Schema, key
 from .instances import Expression
 from .numeric_expressions import OPERATIONS, NoValueError, Number, number, terms_of, whole
-from .schemas import Change
 from .static_facts import Statics
+from .timed_schemas import Change
 
 Fluent = tuple[str, ...]
 """A function that changes, with its objects."""

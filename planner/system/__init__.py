@@ -1,4 +1,4 @@
-"""Services of the operating system and Python: files, processes, threads, limits, progress and compiled code.
+"""Services of the operating system and Python: files, processes, threads, limits, progress, compiled code.
 
 Nothing in this folder is about planning.
 """

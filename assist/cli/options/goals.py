@@ -35,7 +35,7 @@ def goals_of(
 
     If there are too many states for tables, states are solved on demand, or, with `tables`, a `LimitError` is raised.
     """
-    from planner.costtogo.goals import require_same_states
+    from planner.costtogo.goal_tables import require_same_states
 
     found = find_instances(problems, domain)
     _same_domain(found)
