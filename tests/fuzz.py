@@ -37,6 +37,7 @@ from click.testing import CliRunner
 
 from assist.cli import main
 from planner.pddl import validation, writer
+from planner.system.errors import InputFileError
 
 CPU_SECONDS, SECONDS = 30, 400.0  # per input; the second allows for other load on the machine
 MEMORY = 3 << 30  # bytes beyond what the process has mapped already
@@ -108,7 +109,6 @@ def without_processes() -> None:
 
 def load(file: str) -> None:
     """Open a saved policy or table as a program does; their own errors are reported in one line."""
-    from assist.person.archive import ArchiveError
     from assist.person.solver import Solution
     from planner import open_table
     from planner.system.errors import DamagedFileError
@@ -122,7 +122,7 @@ def load(file: str) -> None:
             values = table.values(range(len(table)))
             fact = values[table.initial].clip(max=table.facts.shape[1] - 1)
             table.facts[np.arange(values.shape[1]), fact].tolist()
-    except (ArchiveError, DamagedFileError, OSError) as error:
+    except (InputFileError, DamagedFileError, OSError) as error:
         click.echo(str(error), err=True)
         sys.exit(1)
 

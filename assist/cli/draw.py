@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 import planner
+from planner.system.errors import InputFileError
 from planner.system.files import each_record
 
 from ..declare.options import Given, setting_options
@@ -44,11 +46,10 @@ def draw(
     With --goals, an episode shows how probable each goal was.
     """
     from ..drawing.files import FORMATS, save
-    from ..drawing.frames import Frame, FramesError, episode_frames, episode_of, plan_frames, with_goals
+    from ..drawing.frames import Frame, episode_frames, episode_of, plan_frames, with_goals
     from ..drawing.picture import Artist
-    from ..drawing.profile import ProfileError
     from ..drawing.raster import require
-    from ..drawing.states import StateError, read_state
+    from ..drawing.states import read_state
     from .options.common import apart, separate_files
 
     if out.suffix not in FORMATS:
@@ -71,14 +72,16 @@ def draw(
         artist = Artist(planner.load(found), goal=goals is None)
         if plan:
             lines = (line.partition(";")[0].strip() for line in plan.read_text(encoding="utf-8").splitlines())
-            rows = plan_frames(artist, [line for line in lines if line and line != "SequentialPlan:"])
+            with _told(plan):
+                rows = plan_frames(artist, [line for line in lines if line and line != "SequentialPlan:"])
         elif trace:
             records = list(each_record(trace))
             damaged = next((record for record in records if isinstance(record, Exception)), None)
             if damaged is not None:
                 raise damaged
             known = [record for record in records if isinstance(record, dict)]
-            rows = episode_frames(artist, known, episode)
+            with _told(trace):
+                rows = episode_frames(artist, known, episode)
             if goals is not None:
                 rows = with_goals(rows, _shares(goals, episode_of(known, episode)))
         else:
@@ -86,9 +89,7 @@ def draw(
             rows = [(Frame(tuple(values), "State" if state else "Start"),)]
     except UnicodeDecodeError:
         fail(f"{plan}: not a text file in UTF-8", ExitCode.FAILED)
-    except FramesError as error:
-        fail(f"{plan or trace}: {error}", ExitCode.FAILED)
-    except (ProfileError, StateError) as error:
+    except InputFileError as error:
         fail(str(error), ExitCode.FAILED)
     frames = save(artist, rows, out, width=setting.width)
     record = {
@@ -99,6 +100,15 @@ def draw(
         print_json(record)
     else:
         click.echo(f"{out}: {frames} frame{'s'[: frames > 1]}, {record['bytes']:,} bytes")
+
+
+@contextmanager
+def _told(file: Path) -> Iterator[None]:
+    """Tell the fault of a plan or trace that cannot be drawn with its file."""
+    try:
+        yield
+    except ValueError as error:
+        fail(f"{file}: {error}", ExitCode.FAILED)
 
 
 def _shares(goals: Goals, rows: Sequence[Mapping[str, Any]]) -> list[list[dict[str, float]]]:

@@ -1,6 +1,5 @@
 from .files import save as save
 from .frames import Frame as Frame
-from .frames import FramesError as FramesError
 from .frames import draw_frames as draw_frames
 from .frames import draw_strip as draw_strip
 from .frames import episode_frames as episode_frames
@@ -10,6 +9,4 @@ from .picture import Picture as Picture
 from .picture import draw as draw
 from .profile import Look as Look
 from .profile import Profile as Profile
-from .profile import ProfileError as ProfileError
-from .states import StateError as StateError
 from .states import read_state as read_state

@@ -22,10 +22,6 @@ ICON = 24.0
 """Width of the robot's icon in a title."""
 
 
-class FramesError(ValueError):
-    """A plan or a trace cannot be drawn; the message states the reason."""
-
-
 @dataclass(frozen=True)
 class Frame:
     """A state and the action taken in it.
@@ -78,7 +74,7 @@ def plan_frames(artist: Artist, plan: Sequence[str], start: Sequence[int] | None
 
     Raises
     ------
-    FramesError
+    ValueError
         An action is not applicable in its state.
     """
     values, frames = artist.subject.initial if start is None else start, []
@@ -104,7 +100,7 @@ def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: 
 
     Raises
     ------
-    FramesError
+    ValueError
         The trace has no such episode, a row has no step or that of another row, or an action is not applicable in its
         state.
     """
@@ -137,11 +133,11 @@ def episode_of(rows: Sequence[Mapping[str, Any]], episode: str | None = None) ->
     """Return the rows of one episode of a trace; parameters and errors as in `episode_frames`."""
     names = list(dict.fromkeys(str(row.get("episode")) for row in rows))
     if not names:
-        raise FramesError("the trace is empty")
+        raise ValueError("the trace is empty")
     matching = [name for name in names if name == episode or name.endswith(f"-{episode}")]
     episode = names[0] if episode is None else matching[0] if len(matching) == 1 else episode
     if episode not in names:
-        raise FramesError(f"episode {episode!r}: the trace has {', '.join(names[:10])}{' ...' * (len(names) > 10)}")
+        raise ValueError(f"episode {episode!r}: the trace has {', '.join(names[:10])}{' ...' * (len(names) > 10)}")
     return [row for row in rows if str(row.get("episode")) == episode]
 
 
@@ -171,7 +167,7 @@ def _meant(artist: Artist, text: str, values: Sequence[int], where: str) -> tupl
     try:
         return artist.subject.meant(str(text), values)
     except ValueError as error:
-        raise FramesError(f"{where}: {error}") from None
+        raise ValueError(f"{where}: {error}") from None
 
 
 def _check_steps(rows: Sequence[Mapping[str, Any]]) -> None:
@@ -180,9 +176,9 @@ def _check_steps(rows: Sequence[Mapping[str, Any]]) -> None:
     for row in rows:
         where, step = f"{row.get('person')}, {row.get('episode')}", row.get("step")
         if not isinstance(step, int | np.integer) or isinstance(step, bool):
-            raise FramesError(f"{where}: step {json.dumps(step, default=str)}; expected a whole number in every row")
+            raise ValueError(f"{where}: step {json.dumps(step, default=str)}; expected a whole number in every row")  # noqa: TRY004
         if (row.get("person"), step) in seen:
-            raise FramesError(f"{where}, step {step}: in two rows; are these two episodes, or two people?")
+            raise ValueError(f"{where}, step {step}: in two rows; are these two episodes, or two people?")
         seen.add((row.get("person"), step))
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from planner import Plan, State, Task
 
-from .frames import FramesError, draw_strip, plan_frames
+from .frames import draw_strip, plan_frames
 from .picture import Artist
-from .profile import ProfileError
 
 MOST_OBJECTS = 200
 """Objects of a task that is drawn unasked, which takes less than a second; `draw` has no limit."""
@@ -32,5 +31,5 @@ def svg_of(thing: object) -> str | None:
                 return None
             return draw_strip(artist, plan_frames(artist, thing, thing.start)).svg
         return artist.draw(thing.values if isinstance(thing, State) else None).svg
-    except (FramesError, ProfileError):
+    except ValueError:
         return None

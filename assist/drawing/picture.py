@@ -96,7 +96,7 @@ class Artist:
 
     Raises
     ------
-    ProfileError
+    InputFileError
         The domain's `drawing.toml` is invalid.
     """
 
@@ -222,7 +222,7 @@ def draw(task: AnyTask | State, values: Sequence[int] | None = None, *, width: f
 
     Raises
     ------
-    ProfileError
+    InputFileError
         The domain's `drawing.toml` is invalid.
     """
     if isinstance(task, State) and values is None:

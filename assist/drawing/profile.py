@@ -37,6 +37,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from planner.system.errors import InputFileError
+
 from ..texts.catalogue import FIRST, TAG, Catalogue, catalogue, languages
 from .subject import Atom, Subject, atom, is_number
 
@@ -57,10 +59,6 @@ SHAPES = (
     "part",
 )
 """The shapes of objects."""
-
-
-class ProfileError(ValueError):
-    """A `drawing.toml` is invalid; the message has the file, the entry and the reason."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +170,7 @@ class Profile:
 
         Raises
         ------
-        ProfileError
+        InputFileError
             The file is invalid.
         """
         file = subject.task.instance.domain.parent / FILE
@@ -195,20 +193,20 @@ def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profil
 
     Raises
     ------
-    ProfileError
+    InputFileError
         The file is not TOML, or has an entry that is unknown, malformed or not of the domain.
     """
     try:
         content = tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{file}: {error}") from None
+        raise InputFileError(f"{file}: {error}") from None
     tables = ("types", "things", "places", "marks", "links", "colours", "words", "hide", "texts")
     texts, language = texts or catalogue(), content.pop("language", FIRST)
     if not isinstance(language, str) or not TAG.fullmatch(language):
-        raise ProfileError(f"{file}: language = {language!r}; expected a language's tag, such as 'de'")
+        raise InputFileError(f"{file}: language = {language!r}; expected a language's tag, such as 'de'")
     for name, table in content.items():
         if name not in tables or not isinstance(table, dict):
-            raise ProfileError(f"{file}: [{name}] is not expected; there are {', '.join(f'[{t}]' for t in tables)}")
+            raise InputFileError(f"{file}: [{name}] is not expected; there are {', '.join(f'[{t}]' for t in tables)}")
     things = {name: _look(file, f"things.{name}", value) for name, value in content.get("things", {}).items()}
     arities = {fact[0]: len(fact) - 1 for fact in (*subject.constant, *subject.changing)}
     rules: dict[str, dict[str, Rule]] = {}
@@ -217,7 +215,7 @@ def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profil
         for predicate, text in content.get(table, {}).items():
             found = re.fullmatch(pattern, text) if isinstance(text, str) else None
             if found is None:
-                raise ProfileError(
+                raise InputFileError(
                     f"{file}: {table}.{predicate}: {text!r}; expected something like {EXAMPLES[table]!r}"
                 )
             what, how, where, part = (found.groupdict().get(group) for group in ("what", "how", "where", "part"))
@@ -226,9 +224,9 @@ def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profil
             within = [int(end) for end in re.findall(r"\?(\d)", where or "")] if table == "marks" else []
             for end in (rule.what, {"places": rule.where, "marks": rule.what}.get(table, 1), *within):
                 if isinstance(end, str) and end not in things:
-                    raise ProfileError(f"{file}: {table}.{predicate}: '{end}' is not among [things]")
+                    raise InputFileError(f"{file}: {table}.{predicate}: '{end}' is not among [things]")
                 if isinstance(end, int) and end > arities.get(predicate, end):
-                    raise ProfileError(
+                    raise InputFileError(
                         f"{file}: {table}.{predicate}: ?{end}; the predicate has {arities[predicate]} arguments"
                     )
             rules[table][predicate] = rule
@@ -239,10 +237,10 @@ def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profil
             own.setdefault(name, types[kind])
     for name, text in content.get("words", {}).items():
         if not isinstance(text, str):
-            raise ProfileError(f"{file}: words.{name}: {text!r}; expected a text")
+            raise InputFileError(f"{file}: words.{name}: {text!r}; expected a text")
     for name, listed in content.get("hide", {}).items():
         if name != "predicates" or not isinstance(listed, list) or not all(isinstance(one, str) for one in listed):
-            raise ProfileError(f"{file}: hide: '{name} = {listed!r}' is not expected; there is a list, predicates")
+            raise InputFileError(f"{file}: hide: '{name} = {listed!r}' is not expected; there is a list, predicates")
     profile = Profile(
         types=types,
         own=own,
@@ -269,15 +267,15 @@ def _translated(file: Path, tables: dict[str, Any], profile: Profile, texts: Cat
     )
     for tag, table in tables.items():
         if not TAG.fullmatch(tag) or not isinstance(table, dict):
-            raise ProfileError(f"{file}: texts.{tag}: expected a table of a language, such as [texts.de]")
+            raise InputFileError(f"{file}: texts.{tag}: expected a table of a language, such as [texts.de]")
         for text in [*shown, *table]:
             own = table.get(text)
             if text not in shown and text not in profile.types:
-                raise ProfileError(f"{file}: texts.{tag}: {text!r} is none of this file's titles, marks and words")
+                raise InputFileError(f"{file}: texts.{tag}: {text!r} is none of this file's titles, marks and words")
             if not isinstance(own, str) or _arguments(own) != _arguments(text):
                 with_all = " with ".join(["a text", " and ".join(_arguments(text))][: 1 + bool(_arguments(text))])
                 found = "there is none" if own is None else repr(own)
-                raise ProfileError(f"{file}: texts.{tag}: {text!r}: {found}; expected {with_all}")
+                raise InputFileError(f"{file}: texts.{tag}: {text!r}: {found}; expected {with_all}")
     spoken = next((tag for tag in (texts.tag, texts.tag.partition("-")[0]) if tag == language or tag in tables), None)
     if spoken is None and shown:
         return replace(profile, texts=catalogue(language if language in languages() else FIRST), language=language)
@@ -319,7 +317,7 @@ def _known_by(file: Path, where: str, of: str | list[Any], subject: Subject) -> 
     for one in [of] if isinstance(of, str) else of:
         found = re.fullmatch(r"([\w-]+) \?(\d)", one) if isinstance(one, str) else None
         if found is None:
-            raise ProfileError(f"{file}: {where}: of = {one!r}; expected something like 'holds ?1'")
+            raise InputFileError(f"{file}: {where}: of = {one!r}; expected something like 'holds ?1'")
         predicate, end = found[1], int(found[2])
         yield from (fact[end] for fact in sorted(subject.constant) if fact[0] == predicate and 0 < end < len(fact))
 
@@ -350,13 +348,13 @@ def _look(file: Path, where: str, value: Any) -> Look:
     if where.startswith("types") and ".parts." not in where:
         kinds["of"] = (str, list)
     if not isinstance(value, dict):
-        raise ProfileError(f"{file}: {where}: expected a table such as {{shape = 'crate'}}")
+        raise InputFileError(f"{file}: {where}: expected a table such as {{shape = 'crate'}}")
     for name, one in value.items():
         if name not in kinds or not isinstance(one, kinds[name]):
-            raise ProfileError(f"{file}: {where}: '{name} = {one!r}' is not expected; there are {', '.join(kinds)}")
+            raise InputFileError(f"{file}: {where}: '{name} = {one!r}' is not expected; there are {', '.join(kinds)}")
     shape = value.get("shape", "part" if ".parts." in where else "panel" if where.startswith("things") else "chip")
     if shape not in SHAPES:
-        raise ProfileError(f"{file}: {where}: shape {shape!r}; there are {', '.join(SHAPES)}")
+        raise InputFileError(f"{file}: {where}: shape {shape!r}; there are {', '.join(SHAPES)}")
     parts = tuple((name, _look(file, f"{where}.parts.{name}", part)) for name, part in value.get("parts", {}).items())
     high, hidden = value.get("high", 1), value.get("hidden", False)
     return Look(shape, value.get("title"), value.get("in"), value.get("holds"), high, parts, hidden)

@@ -11,12 +11,9 @@ from pathlib import Path
 
 from planner.grounding.semantics import derived
 from planner.pddl.instances import Expression, UnbalancedError, nested
+from planner.system.errors import InputFileError
 
 from .subject import Atom, Subject, atom, is_number
-
-
-class StateError(ValueError):
-    """A file does not describe a state of the task; the message has the file and the line."""
 
 
 def read_state(file: str | Path, subject: Subject) -> list[int]:
@@ -32,14 +29,14 @@ def read_state(file: str | Path, subject: Subject) -> list[int]:
 
     Raises
     ------
-    StateError
+    InputFileError
         A fact is not of the task, two facts exclude each other, or a variable has no value.
     """
     file = Path(file)
     try:
         text = file.read_text(encoding="utf-8-sig").lower()
     except UnicodeDecodeError:
-        raise StateError(f"{file}: not a text file in UTF-8") from None
+        raise InputFileError(f"{file}: not a text file in UTF-8") from None
     given: dict[Atom, int] = {}
     known = subject.constant | subject.changing
     numbers: dict[Atom, list[str]] = {}
@@ -53,13 +50,13 @@ def read_state(file: str | Path, subject: Subject) -> list[int]:
             shown_as = _among(fact[-1].removeprefix("= "), numbers[fact[:-1]])
             if shown_as is None:
                 values_are = _listed_values(numbers[fact[:-1]])
-                raise StateError(f"{file}:{line}: {_shown(fact)} is no fact of the task; expected {values_are}")
+                raise InputFileError(f"{file}:{line}: {_shown(fact)} is no fact of the task; expected {values_are}")
             fact = (*fact[:-1], f"= {shown_as}")
         if fact not in known:
             shown = {_shown(one): one for one in known}
             near = difflib.get_close_matches(_shown(fact), shown, n=1)
             meant = f"; did you mean {near[0]}?" if near else ""
-            raise StateError(f"{file}:{line}: {_shown(fact)} is no fact of the task{meant}")
+            raise InputFileError(f"{file}:{line}: {_shown(fact)} is no fact of the task{meant}")
         given.setdefault(fact, line)
     values = list(subject.task.initial)
     for number, variable in enumerate(subject.task.variables):
@@ -70,16 +67,16 @@ def read_state(file: str | Path, subject: Subject) -> list[int]:
         if len(held) > 1:
             first, second = sorted((atoms[value] for value in held[:2]), key=lambda one: given[one or ()])
             excluded = f"{_shown(second)} cannot hold together with {_shown(first)}"
-            raise StateError(f"{file}:{given[second or ()]}: {excluded} on line {given[first or ()]}")
+            raise InputFileError(f"{file}:{given[second or ()]}: {excluded} on line {given[first or ()]}")
         if not held:  # a number that is not given has no value, where the task has such states
             held = [value for value, one in enumerate(atoms) if one is None or one[-1] == "= undefined"][:1]
         if not held and all(one and is_number(one) for one in atoms):
             missing = f"(= {_shown((atoms[0] or ())[:-1])} N)"
             shown_as = _listed_values([(one or ())[-1].removeprefix("= ") for one in atoms])
-            raise StateError(f"{file}: too few facts; expected {missing}, where N is {shown_as}")
+            raise InputFileError(f"{file}: too few facts; expected {missing}, where N is {shown_as}")
         if not held:
             one_of = ", ".join(_shown(one) for one in atoms)
-            raise StateError(f"{file}: too few facts; expected one of {one_of}")
+            raise InputFileError(f"{file}: too few facts; expected one of {one_of}")
         values[number] = held[0]
     return derived(subject.task, values)
 
@@ -134,10 +131,10 @@ def _facts(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
         whole = re.match(r"(\s|;[^\n]*(\n|$))*\(\s*define\b", text) is not None
         found = nested(text) if whole else nested(f"({text}\n)")
     except UnbalancedError as error:
-        raise StateError(f"{file}:{error.line}: {str(error).replace('(define ...)', 'a fact')}") from None
+        raise InputFileError(f"{file}:{error.line}: {str(error).replace('(define ...)', 'a fact')}") from None
     inner = found.section(":init")
     if whole and inner is None:
-        raise StateError(f"{file}: there is no (:init ...)")
+        raise InputFileError(f"{file}: there is no (:init ...)")
     yield from _atoms(file, found.parts if inner is None else inner.parts[1:])
 
 
@@ -155,7 +152,7 @@ def _atoms(file: Path, parts: tuple[Expression, ...]) -> Iterator[tuple[int, Ato
         elif name is None and part.word:
             name = part
         elif part.word or not all(one.word for one in part.parts) or (name is None and not part.parts):
-            raise StateError(f"{file}:{part.place.line}: {part}; expected a fact, (predicate argument ...)")
+            raise InputFileError(f"{file}:{part.place.line}: {part}; expected a fact, (predicate argument ...)")
         else:
             words = _words([*([] if name is None else [name]), *part.parts])
             if name is not None and len(waiting) > 1 and waiting[0].word == "=" and waiting[1].word:
@@ -166,7 +163,7 @@ def _atoms(file: Path, parts: tuple[Expression, ...]) -> Iterator[tuple[int, Ato
             yield part.place.line, words
             name = None
     if name is not None:
-        raise StateError(f"{file}:{name.place.line}: {name}; expected a fact, (predicate argument ...)")
+        raise InputFileError(f"{file}:{name.place.line}: {name}; expected a fact, (predicate argument ...)")
 
 
 def _words(parts: Sequence[Expression]) -> Atom:
@@ -178,15 +175,15 @@ def _listed(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
     try:
         facts = json.loads(text)
     except ValueError as error:
-        raise StateError(f"{file}:{getattr(error, 'lineno', 1)}: not JSON; expected a list of facts") from None
+        raise InputFileError(f"{file}:{getattr(error, 'lineno', 1)}: not JSON; expected a list of facts") from None
     at = 0
     for fact in facts:
         if not isinstance(fact, str):
-            raise StateError(f'{file}: {json.dumps(fact)}; expected a fact as text, "(predicate argument ...)"')
+            raise InputFileError(f'{file}: {json.dumps(fact)}; expected a fact as text, "(predicate argument ...)"')
         at = max(at, text.find(json.dumps(fact, ensure_ascii=False), at))
         line = text.count("\n", 0, at) + 1
         try:
             parts = nested(f"({fact})").parts
         except UnbalancedError:
-            raise StateError(f"{file}:{line}: {fact}; expected a fact, (predicate argument ...)") from None
+            raise InputFileError(f"{file}:{line}: {fact}; expected a fact, (predicate argument ...)") from None
         yield from ((line, one) for _, one in _atoms(file, parts))

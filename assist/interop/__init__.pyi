@@ -2,7 +2,6 @@ from .gymnasium import TeamEnv as TeamEnv
 from .gymnasium import TeamVectorEnv as TeamVectorEnv
 from .pettingzoo import RobotsEnv as RobotsEnv
 from .pettingzoo import parallel_env as parallel_env
-from .policyx import PolicyFileError as PolicyFileError
 from .policyx import read_policy as read_policy
 from .pomdp import write_pomdp as write_pomdp
 from .pomdp_py import PomdpPy as PomdpPy

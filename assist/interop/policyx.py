@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from planner.system.errors import InputFileError
+
 from ..person.alpha_vectors import VectorPolicy
 from ..person.pomdp import AssistPOMDP
 from .observed import Observed
-
-
-class PolicyFileError(ValueError):
-    """A policy file is malformed or belongs to another problem; the message begins with `FILE:LINE:`."""
 
 
 def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
@@ -30,7 +28,7 @@ def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
 
     Raises
     ------
-    PolicyFileError
+    InputFileError
         The file is malformed, or belongs to another problem.
     """
     observed = Observed.of(pomdp)
@@ -43,7 +41,7 @@ def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
     missing = ~choices.goal.copy()
     missing[state[keep]] = False
     if missing.any():
-        raise PolicyFileError(f"{path}:{reader.end}: no alpha vector for state {int(missing.argmax())}")
+        raise InputFileError(f"{path}:{reader.end}: no alpha vector for state {int(missing.argmax())}")
     vectors = np.array([reader.vectors[i] for i in keep]).reshape(len(keep), *pomdp.grid.shape)
     robot = np.array(reader.action, dtype=np.int64)[keep]
     robot = np.where(robot < pomdp.robot_actions[state[keep]], robot, 0)
@@ -67,8 +65,8 @@ class _PolicyReader:
         self.parser.CharacterDataHandler = self.characters
         self.parser.EndElementHandler = self.finish
 
-    def fail(self, message: str) -> PolicyFileError:
-        return PolicyFileError(f"{self.name}:{self.parser.CurrentLineNumber}: {message}")
+    def fail(self, message: str) -> InputFileError:
+        return InputFileError(f"{self.name}:{self.parser.CurrentLineNumber}: {message}")
 
     def read(self, path: Path) -> None:
         try:
@@ -76,7 +74,7 @@ class _PolicyReader:
                 self.parser.ParseFile(stream)
         except xml.parsers.expat.ExpatError as error:
             message = xml.parsers.expat.ErrorString(error.code)
-            raise PolicyFileError(f"{self.name}:{error.lineno}: not a policy in XML: {message}") from None
+            raise InputFileError(f"{self.name}:{error.lineno}: not a policy in XML: {message}") from None
         self.end = self.parser.CurrentLineNumber
         if self.declared is None:
             raise self.fail("no <AlphaVector> element; expected a policy of SARSOP")

@@ -160,7 +160,7 @@ class LiveTask:
 
         Raises
         ------
-        ProfileError
+        InputFileError
             The file cannot be used.
         """
         artist = self._artist

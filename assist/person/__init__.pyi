@@ -1,5 +1,4 @@
 from .alpha_vectors import VectorPolicy as VectorPolicy
-from .archive import ArchiveError as ArchiveError
 from .assumptions import Assumptions as Assumptions
 from .attention_subproblem import AttentionSubproblem as AttentionSubproblem
 from .joint_belief import JointBelief as JointBelief

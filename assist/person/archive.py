@@ -18,12 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.system import files
+from planner.system.errors import InputFileError
 
 T = TypeVar("T")
-
-
-class ArchiveError(ValueError):
-    """A file that does not hold the expected dataclass."""
 
 
 def save(file: Path, value: Any, **more: Any) -> None:
@@ -37,7 +34,7 @@ def load(file: Path, cls: type[T]) -> T:
 
     Raises
     ------
-    ArchiveError
+    InputFileError
         The file is of another kind, or it lacks a field.
     """
     try:
@@ -45,9 +42,9 @@ def load(file: Path, cls: type[T]) -> T:
             found = {name: arrays[name] for name in arrays.files}
         return _unpack(cls, found, "")
     except KeyError as error:
-        raise ArchiveError(f"{file}: no array {error}; expected a saved {cls.__name__}") from None
+        raise InputFileError(f"{file}: no array {error}; expected a saved {cls.__name__}") from None
     except (ValueError, TypeError, IndexError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise ArchiveError(f"{file}: {error}; expected a saved {cls.__name__}") from None
+        raise InputFileError(f"{file}: {error}; expected a saved {cls.__name__}") from None
 
 
 def _pack(value: Any, prefix: str) -> dict[str, Any]:

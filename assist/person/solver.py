@@ -131,7 +131,7 @@ class Solution(Result, Policy):
 
         Raises
         ------
-        ArchiveError
+        InputFileError
             The file is of another kind.
         """
         return archive.load(Path(file), cls)

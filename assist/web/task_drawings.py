@@ -32,7 +32,7 @@ class Pictures:
 
         Raises
         ------
-        ProfileError
+        InputFileError
             The domain's `drawing.toml` cannot be used.
         """
         known = first_of(task).task

@@ -18,7 +18,7 @@ from recorded import log_of
 from teams import equal, run, state
 from test_qmdp import make
 
-from assist.drawing.frames import FramesError, episode_frames
+from assist.drawing.frames import episode_frames
 from assist.drawing.picture import Artist
 from assist.interop.gymnasium import TeamEnv, TeamVectorEnv
 from assist.interop.pettingzoo import parallel_env
@@ -271,7 +271,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda g: happen(g.table, Joined(person="ann"), Left(person="ann"), Joined(person="ann", task="tiny")),
         InapplicableError, "ann returns to the task that they left",
     ),
-    "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), FramesError, "the trace is empty"),
+    "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), ValueError, "the trace is empty"),
     "the operator's link": (
         lambda _: Client("http://127.0.0.1:9/operator#secret").see(),
         ValueError, "expected the name of a person, since the link is the operator's",

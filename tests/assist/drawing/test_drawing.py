@@ -18,9 +18,7 @@ from PIL import Image
 from assist.cli import main
 from assist.drawing import (
     Artist,
-    FramesError,
     Profile,
-    ProfileError,
     draw,
     draw_frames,
     draw_strip,
@@ -33,6 +31,7 @@ from assist.drawing.subject import Subject
 from assist.texts import catalogue
 from planner import load
 from planner.grounding.fast_downward import optimal_plan
+from planner.system.errors import InputFileError
 
 SVG = "{http://www.w3.org/2000/svg}"
 INSTANCES = [
@@ -231,7 +230,7 @@ def test_faulty_texts_of_a_language_are_refused(tmp_path: Path, old: str, new: s
     (tmp_path / "drawing.toml").write_text(GERMAN.replace(old, new, 1), encoding="utf-8")
     shutil.copy(KITTING / "domain.pddl", tmp_path)
     shutil.copy(KITTING / "tiny.pddl", tmp_path)
-    with pytest.raises(ProfileError, match=re.escape(said)) as error:
+    with pytest.raises(InputFileError, match=re.escape(said)) as error:
         Artist(load(tmp_path / "tiny.pddl"))  # even where nobody asks for the language
     assert "drawing.toml" in str(error.value)
 
@@ -325,7 +324,7 @@ def test_a_wrong_drawing_toml_is_said_in_one_line(tmp_path: Path) -> None:
         "nothing": "drawing.toml: ",
     }.items():
         (tmp_path / "drawing.toml").write_text(text)
-        with pytest.raises(ProfileError, match=re.escape(words)):
+        with pytest.raises(InputFileError, match=re.escape(words)):
             Profile.of(Subject.of(task))
     result = CliRunner().invoke(main, ["draw", str(tmp_path / "tiny.pddl"), "--out", str(tmp_path / "a.svg")])
     assert (result.exit_code, result.output.count("\n")) == (1, 1)
@@ -408,7 +407,7 @@ def test_an_episode_in_which_the_robot_acts_itself_is_drawn(tmp_path: Path) -> N
     ],
 )
 def test_rows_without_a_step_of_their_own_are_not_drawn(change: dict, words: str) -> None:
-    with pytest.raises(FramesError, match=re.escape(words)):
+    with pytest.raises(ValueError, match=re.escape(words)):
         episode_frames(artist("kitting/tiny"), [*TRACE[:2], TRACE[2] | change])
 
 

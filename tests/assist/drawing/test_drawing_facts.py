@@ -18,8 +18,6 @@ from PIL import Image
 
 from assist.drawing import (
     Artist,
-    FramesError,
-    StateError,
     draw_frames,
     draw_strip,
     episode_frames,
@@ -37,6 +35,7 @@ from planner.grounding.fast_downward import optimal_plan
 from planner.grounding.translation import in_the_files_terms
 from planner.pddl.compilation import Compilation
 from planner.pddl.reader import read
+from planner.system.errors import InputFileError
 
 SVG = "{http://www.w3.org/2000/svg}"
 WIDTH = 760
@@ -274,7 +273,7 @@ def test_an_episode_of_many_steps_fits_a_page(packing: Path) -> None:
     strip = draw_strip(artist, episode_frames(artist, trace))
     assert strip.width <= WIDTH
     assert strip.svg.count('class="ka-step"') == 2 * (len(plan) + 1)
-    with pytest.raises(FramesError):
+    with pytest.raises(ValueError):
         episode_frames(artist, trace, "7")
 
 
@@ -322,7 +321,7 @@ def test_numbers_of_a_state_are_read(bins: Artist, tmp_path: Path, text: str) ->
     values = read_state(tmp_path / "state", bins.subject)
     assert {"stock bin-1 = 1", "stock bin-2 = 1", "done = 1"} == {words_for(one) for one in bins.subject.facts(values)}
     (tmp_path / "state").write_text(text.replace("bin-2) = 1", "bin-2) = 9").replace("bin-2) 1", "bin-2) 9"))
-    with pytest.raises(StateError, match=r"\(= \(stock bin-2\) 9\) is no fact of the task; expected 0, 1"):
+    with pytest.raises(InputFileError, match=r"\(= \(stock bin-2\) 9\) is no fact of the task; expected 0, 1"):
         read_state(tmp_path / "state", bins.subject)
 
 

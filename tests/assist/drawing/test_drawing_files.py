@@ -11,7 +11,8 @@ from conftest import ROOT, invoke, kit
 from hypothesis import given
 from hypothesis import strategies as st
 
-from assist.drawing import Artist, StateError, draw, draw_strip, episode_frames, plan_frames, read_state
+from assist.drawing import Artist, draw, draw_strip, episode_frames, plan_frames, read_state
+from planner.system.errors import InputFileError
 
 TINY = kit("tiny")
 ARTIST = Artist(TINY.task)
@@ -116,7 +117,7 @@ def test_every_state_is_read_back(tmp_path_factory: pytest.TempPathFactory, data
 def test_states_that_cannot_be_are_refused_with_their_line(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "state"
     file.write_text(text)
-    with pytest.raises(StateError) as error:
+    with pytest.raises(InputFileError) as error:
         read_state(file, ARTIST.subject)
     assert str(error.value).startswith(f"{file}{message}")
     found = invoke("draw", "kitting/tiny", "--state", file, "--out", tmp_path / "a.svg")

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from test_alpha_vectors import lockers, problems
 from test_qmdp import GRID, make
 
-from assist.interop import PolicyFileError, read_policy, to_pomdp_py, write_pomdp, write_pomdpx
+from assist.interop import read_policy, to_pomdp_py, write_pomdp, write_pomdpx
 from assist.interop.observed import Observed, action_names
 from assist.people.choices import Choices
 from assist.people.human import HumanModel
@@ -26,7 +26,7 @@ from assist.person.leaf_bounds import LeafBounds
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
 from planner import Instance, Table, load, sweep
-from planner.system.errors import MissingExtraError
+from planner.system.errors import InputFileError, MissingExtraError
 
 # SARSOP's own output for `make(tiny_choices, h)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
 # tiny.pomdpx` (APPL 0.9) ended with the bounds below. That person's misconceptions were drawn state by state.
@@ -350,7 +350,7 @@ def test_a_policy_that_cannot_be_right_is_refused(
     text = POLICY.read_text()
     assert old in text
     file.write_text(text.replace(old, new) if "obsValue" in old and line > 4 else text.replace(old, new, 1))
-    with pytest.raises(PolicyFileError) as caught:
+    with pytest.raises(InputFileError) as caught:
         read_policy(file, make(tiny_choices))
     found, number, *_ = str(caught.value).split(":")
     assert found == str(file)

@@ -20,13 +20,13 @@ from assist.people.misconception import Misconception
 from assist.people.ranges import Population
 from assist.people.trust_rules import Reliability
 from assist.person import truncated_task as region
-from assist.person.archive import ArchiveError
 from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.solver import Solution, solve
 from assist.person.truncated_task import TruncatedTask
 from planner import Instance, OnDemand, Table, load, sweep
+from planner.system.errors import InputFileError
 
 SETTING = {"gamma": 0.97, "c_suggest": 0.3}
 INSTANCES = {name: Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl") for name in ("paper-fixed", "sealed")}
@@ -291,7 +291,7 @@ def test_another_file_is_no_solution(tmp_path: Path) -> None:
     text.write_text("nothing of the kind")
     np.savez(other, lower=np.zeros(3))
     for file in (text, other):
-        with pytest.raises(ArchiveError, match=f"{file.name}.*expected a saved Solution"):
+        with pytest.raises(InputFileError, match=f"{file.name}.*expected a saved Solution"):
             Solution.load(file)
 
 
@@ -313,10 +313,10 @@ def test_the_command_gives_bounds_and_a_file(tmp_path: Path) -> None:
     assert len(found["values"]) == len(found["task_states"]) == 21
     for name in ("lower", "corner", "policy.pomdp.model.lapse", "policy.pomdp.robot_actions"):
         np.savez(out, **{**found, name: np.array(["text"])})
-        with pytest.raises(ArchiveError, match=f"'{name}' is of the kind <U4"):
+        with pytest.raises(InputFileError, match=f"'{name}' is of the kind <U4"):
             Solution.load(out)
     np.savez(out, **{**found, "policy.pomdp.robot_actions": found["policy.pomdp.robot_actions"][:1]})
-    with pytest.raises(ArchiveError, match="expected a saved Solution"):
+    with pytest.raises(InputFileError, match="expected a saved Solution"):
         Solution.load(out)
 
 
