@@ -73,7 +73,7 @@ ROOMS = {
     "assist.web": """tokens cookies log_lines measures schemas service authorization request_limits task_drawings
         event_routes event_table routes metrics streams openapi_page page_routes app connections server client""",
     "assist.web.user_study": "schemas service routes rehearsal server",
-    "assist.bridges": """messages ordering session_client tasks team_watch transport errands kernel mqtt_settings mqtt
+    "assist.bridges": """messages ordering session_client tasks transport errands kernel mqtt_settings mqtt
         opcua_settings opcua opcua_server ros2_settings ros2""",
     "assist.cli.terminal": "interrupts console",
     "assist.cli.options": """common config settings task population person travel team policies help goals live log

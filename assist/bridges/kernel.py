@@ -24,7 +24,6 @@ from .errands import Errands
 from .ordering import InOrder
 from .session_client import SessionClient
 from .tasks import Tasks, together
-from .team_watch import TeamWatch
 from .transport import Answer, Drove, Faulty, Located, Message, Output, Reported, Resumed, Transport
 
 LOG = logging.getLogger(__name__)
@@ -80,7 +79,7 @@ class Bridge:
         self.connected, self._again = False, transport.again if again is None else again
         self._session = SessionClient(link)
         transport.session = self._session.session
-        self._watch = TeamWatch(self._session, self._advise, self._instruct if transport.robots else None)
+        self._present: set[str] = set()
         self._errands: Errands | None = None
         self._senders: dict[str, _Sender] = {}
         self._tasks = Tasks()
@@ -120,7 +119,7 @@ class Bridge:
         """
         self.put(self.transport.initially())
         try:
-            await together(self._watch.run(), self._stay_connected(), self._repeat())
+            await together(self._follow(), self._stay_connected(), self._repeat())
         finally:
             self.connected = False
             await self._tasks.cancel()
@@ -320,6 +319,19 @@ class Bridge:
             self.put(self.transport.answer(answer))
 
     # Advice.
+
+    async def _follow(self) -> None:
+        """Follow everybody in the team, and where robots are to go."""
+        async for kind, content in self._session.changes():
+            if kind == "people":
+                for person in self._present - set(content["people"]):  # they left while there was no connection
+                    self._advise(person, None)
+                self._present = set(content["people"])
+            elif kind in ("view", "left"):
+                self._advise(content["person"], content if kind == "view" else None)
+                (self._present.add if kind == "view" else self._present.discard)(content["person"])
+            elif kind == "robot" and self.transport.robots:
+                self._instruct(content["robot"], content["instruction"])
 
     def _advise(self, person: str, view: Mapping[str, Any] | None) -> None:
         """Send what has changed for a person, unless a newer view was sent."""

@@ -8,24 +8,23 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+from pydantic_core import PydanticCustomError
 
-from ..declare.declared import Expected
-from ..declare.tables import fault, regular_expression
+from ..declare import tables as toml
+from ..declare.declared import DeclarationError, Expected, Text, declared, spelt
+from ..declare.tables import convert, located, told
 from ..live.events import OfPerson, fault_of, kinds
 from ..people.action_names import wrong_form
 
 Fields = dict[str, str]
 """Fields of a message, as texts."""
-
-Names = Annotated[dict[str, str], Expected("a table of texts")]
-ObserveTables = Annotated[dict[str, Any] | list[dict[str, Any]], Expected("a table, or a list of tables")]
 
 FIELD = re.compile(r"\{(\w+)\}")
 LEVEL = re.compile(r"\{(\w+)\}|[^{}+#]*")
@@ -59,6 +58,13 @@ class Topic:
     def names(self) -> list[str]:
         """The names of the fields."""
         return FIELD.findall(self.text)
+
+    @classmethod
+    def of(cls, text: Any) -> Topic:
+        """Return the topic of a text in a file."""
+        if not isinstance(text, str) or not text:
+            raise PydanticCustomError("kind", "a text")
+        return cls(text)
 
     @property
     def filter(self) -> str:
@@ -231,47 +237,57 @@ def _numbers_in(given: Mapping[str, Any]) -> set[str]:
     return {name for name, text in given.items() if re.fullmatch(r"-?\d{1,15}(\.\d{1,15})?|true|false", str(text))}
 
 
-@dataclass(frozen=True)
-class Source:
-    """Messages that report events of one kind.
+def _template(text: str) -> str:
+    rest = FIELD.sub("x", text)
+    if "{" in rest or "}" in rest:
+        raise ValueError(f"{text!r}; expected fields as {{name}}, and no other braces")
+    return text
 
-    Attributes
-    ----------
-    topic : Topic
-    action, id, person : str
-        Templates.
-    number, seq : str or None
-        Templates of whole numbers.
-    pattern : re.Pattern or None
-        Pattern whose named groups are the fields of a payload; None for JSON objects.
-    names : mapping of str to str
-        The task's names of values.
-    event : str
-        The kind of event. Fields of a message with the names of its other fields are their values.
+
+def _of_action(text: str) -> str:
+    if wrong_here := wrong_form(FIELD.sub("x", _template(text))):
+        raise ValueError(f"{text} {wrong_here}")
+    return text
+
+
+def _pattern(text: Any) -> re.Pattern[str]:
+    if not isinstance(text, str):
+        raise PydanticCustomError("kind", "a text")
+    try:
+        return re.compile(text)
+    except re.error as error:
+        raise ValueError(f"{text!r} is no regular expression: {error}") from None
+
+
+def _event(kind: str) -> str:
+    if kind not in kinds(OfPerson):
+        raise ValueError(f"{kind!r}; expected one of {', '.join(kinds(OfPerson))}")
+    return kind
+
+
+Template = Annotated[Text, AfterValidator(_template)]
+"""A text with fields such as `{person}`, which take their values from a message."""
+ActionTemplate = Annotated[Text, AfterValidator(_of_action)]
+EventKind = Annotated[Text, AfterValidator(_event)]
+
+
+@declared(kw_only=True)
+class Source:
+    """Messages that report events of one kind. Fields of a message named as other fields of the event are its values.
+
+    Subclasses have what the protocol says of where messages come from, and may have templates `person`, `number` and
+    `seq`, and `event`, the kind of event.
     """
 
-    topic: Topic
-    action: str = "{action}"
-    id: str = "{id}"
-    person: str = "{person}"
-    number: str | None = None
-    seq: str | None = None
-    pattern: re.Pattern[str] | None = None
-    names: Mapping[str, str] = field(default_factory=dict)
-    event: str = "acted"
+    action: Annotated[ActionTemplate, Field(description="Template of the action.")] = "{action}"
+    id: Annotated[Template | None, Field(description="Template of the message's id, if messages have one.")] = "{id}"
+    pattern: Annotated[
+        Annotated[re.Pattern[str], BeforeValidator(_pattern), Expected("a text")] | None,
+        Field(description="Pattern whose named groups are the fields of a text; None for JSON objects."),
+    ] = None
 
-    def fields(self, topic: str, payload: bytes) -> Fields:
-        """Return the fields of a message; those of its topic take precedence.
-
-        Raises
-        ------
-        MessageError
-            As in `fields_of`.
-        """
-        return {**fields_of(payload, self.pattern), **(self.topic.fields(topic) or {})}
-
-    def report(self, fields: Fields) -> Report:
-        """Return what a message with these fields reports.
+    def report(self, fields: Fields, names: Mapping[str, str]) -> Report:
+        """Return what a message with these fields reports; `names` are the task's names of values.
 
         An unusable action is part of the report, since the report may have a number that others wait for.
 
@@ -280,72 +296,70 @@ class Source:
         MessageError
             The person, the id or a number is missing or unsuitable.
         """
-        identifier = filled(self.id, fields, {})
+        identifier = filled(self.id or "{id}", fields, {})
         if not 0 < len(identifier) <= LONGEST_ID:
             raise MessageError(f"an id of {len(identifier)} characters; expected 1 to {LONGEST_ID}")
-        person, number = filled(self.person, fields, {}), _whole(self.number, fields, 1)
-        known, seq = [*kinds(OfPerson)[self.event].fields()], _whole(self.seq, fields, 0)
+        person, number = filled(getattr(self, "person", "{person}"), fields, {}), self._whole("number", fields, 1)
+        kind, seq = getattr(self, "event", "acted"), self._whole("seq", fields, 0)
+        known = [*kinds(OfPerson)[kind].fields()]
         values = {
             name: fields[name] for name in known if name in fields and name not in ("person", "id", "action", "seq")
         }
         values |= {} if seq is None else {"seq": str(seq)}
         try:
-            values |= {"action": filled(self.action, fields, self.names)} if "action" in known else {}
+            values |= {"action": filled(self.action, fields, names)} if "action" in known else {}
         except MessageError as error:
-            return Report(person, identifier, self.event, values, number, str(error))
-        return Report(person, identifier, self.event, values, number)
+            return Report(person, identifier, kind, values, number, str(error))
+        return Report(person, identifier, kind, values, number)
+
+    def _whole(self, name: str, fields: Fields, least: int) -> int | None:
+        """Return the whole number that a template stands for; None without a template."""
+        template: str | None = getattr(self, name, None)
+        if template is None:
+            return None
+        text = filled(template, fields, {})
+        if not re.fullmatch(r"\d{1,15}", text, re.ASCII) or int(text) < least:
+            raise MessageError(f"{template} is {text[:40]!r}; expected a whole number of {least} or more")
+        return int(text)
 
 
-def source_of(table: Any, topic: Topic, names: Mapping[str, str], file: Path, place: str) -> Source:
-    """Return the source that a table `observe` of a file describes.
-
-    Raises
-    ------
-    InputFileError
-        A template has braces of no field, or an action's has brackets that do not match; or the pattern is none.
-    """
-    parts: dict[str, Any] = {name: getattr(table, name, None) for name in ("action", "id", "person", "number", "seq")}
-    for name, text in parts.items():
-        rest = FIELD.sub("x", text or "")
-        if "{" in rest or "}" in rest:
-            raise fault(file, f"{place}.{name}", f"{text!r}; expected fields as {{name}}, and no other braces")
-        if name == "action" and (wrong := wrong_form(rest)):
-            raise fault(file, f"{place}.{name}", f"{text} {wrong}")
-    parts["id"], parts["person"] = parts["id"] or "{id}", parts["person"] or "{person}"
-    pattern = regular_expression(table.pattern, file, f"{place}.pattern")
-    event = getattr(table, "event", "acted")
-    if event not in kinds(OfPerson):
-        raise fault(file, f"{place}.event", f"{event!r}; expected one of {', '.join(kinds(OfPerson))}")
-    return Source(topic, **parts, pattern=pattern, names=names, event=event)
+def wrong(message: str, *place: str) -> DeclarationError:
+    """Return the error of a value at a place of the settings."""
+    return DeclarationError(place, None, message, f"{spelt(place)}: {message}")
 
 
-def observed_in(tables: ObserveTables, file: Path) -> Iterator[tuple[str, Any]]:
-    """Yield the place and the content of each table `observe` of a file, of which there is one or more."""
-    if tables == []:
-        raise fault(file, "observe", "is empty; expected a table or more")
-    if isinstance(tables, dict):
-        yield "observe", tables
-    else:
-        yield from ((f"observe[{number}]", one) for number, one in enumerate(tables, start=1))
-
-
-def chosen(
-    fields: tuple[str, ...] | None, usual: tuple[str, ...], known: set[str], file: Path, place: str
-) -> tuple[str, ...]:
-    """Return the fields of a view that a file names, or the usual ones."""
+def require_among(fields: tuple[str, ...] | None, known: set[str], place: str) -> None:
+    """Refuse fields of a view that it does not have."""
     for name in fields or ():
         if name not in known:
             near = get_close_matches(name, known, n=1, cutoff=0.75)  # a slip of the hand, not another word
             right = f"did you mean {near[0]!r}?" if near else f"expected some of {', '.join(sorted(known))}"
-            raise fault(file, f"{place}.fields", f"{name!r}; {right}")
-    return fields or usual
+            raise wrong(f"{name!r}; {right}", place, "fields")
 
 
-def _whole(template: str | None, fields: Fields, least: int) -> int | None:
-    """Return the whole number that a template stands for; None without a template."""
-    if template is None:
-        return None
-    text = filled(template, fields, {})
-    if not re.fullmatch(r"\d{1,15}", text, re.ASCII) or int(text) < least:
-        raise MessageError(f"{template} is {text[:40]!r}; expected a whole number of {least} or more")
-    return int(text)
+@declared(kw_only=True)
+class BridgeSettings:
+    """The settings of a bridge, from one TOML file."""
+
+    names: Annotated[
+        Annotated[dict[str, str], Expected("a table of texts")],
+        Field(description="The task's names of values that messages have otherwise, such as bar codes."),
+    ] = field(default_factory=dict)
+
+    def require(self, robots: int) -> None:
+        """Refuse settings that do not fit so many robots, with a `DeclarationError`."""
+
+    @classmethod
+    def read(cls, file: str | Path, robots: int = 1) -> Self:
+        """Read the settings for so many robots from a TOML file.
+
+        Raises
+        ------
+        InputFileError
+            A field is missing, unknown or of the wrong type; the message has its place.
+        """
+        file = Path(file)
+        with located(file), told(file):
+            found = convert(toml.load(file), cls, file)
+            found.require(robots)
+            return found

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from planner.system.errors import MissingExtraError
 
 from .messages import LONGEST_ID, MessageError, fields_of
-from .mqtt_settings import MqttSettings
+from .mqtt_settings import ADVICE, ROBOT, MqttSettings
 from .ordering import Acknowledgements
 from .transport import Answer, Faulty, Located, Message, Output, Reported, Resumed, Transport
 
@@ -65,6 +65,7 @@ class Mqtt(Transport):
     Parameters
     ----------
     settings : MqttSettings
+    robots : int
     at_once : int
         Messages that may wait for the broker's acknowledgement at a time. More help over slow networks.
 
@@ -78,16 +79,17 @@ class Mqtt(Transport):
 
     name = "MQTT"
 
-    def __init__(self, settings: MqttSettings, *, at_once: int = 8) -> None:
+    def __init__(self, settings: MqttSettings, robots: int = 1, *, at_once: int = 8) -> None:
         super().__init__()
         self.settings, self.at_once, self.wait, self._mqtt = settings, at_once, settings.wait, library()
         self.lost = (self._mqtt.MqttError, OSError)
-        self.robots = 0 if settings.robot is None else settings.robots
+        self._count = robots
+        self.robots = 0 if settings.robot is None else robots
         self._context = settings.context()
 
     def address(self) -> str:
         """Return the broker's host and port."""
-        return f"{self.settings.host}:{self.settings.port}"
+        return f"{self.settings.broker.host}:{self.settings.port}"
 
     @asynccontextmanager
     async def connect(self) -> AsyncIterator[None]:
@@ -98,22 +100,22 @@ class Mqtt(Transport):
             for topic in self._topics():
                 await broker.subscribe(topic, qos=1)
             if settings.status is not None:
-                await broker.publish(settings.status.text, ONLINE, qos=1, retain=True)
+                await broker.publish(settings.status.topic.text, ONLINE, qos=1, retain=True)
             try:
                 yield
             finally:
                 self._open.close()
                 if settings.status is not None:
                     with suppress(self._mqtt.MqttError):
-                        await broker.publish(settings.status.text, OFFLINE, qos=1, retain=True, timeout=1.0)
+                        await broker.publish(settings.status.topic.text, OFFLINE, qos=1, retain=True, timeout=1.0)
 
     def _client(self) -> aiomqtt.Client:
         settings, will = self.settings, None
         if settings.status is not None:
-            will = self._mqtt.Will(settings.status.text, OFFLINE, qos=1, retain=True)
+            will = self._mqtt.Will(settings.status.topic.text, OFFLINE, qos=1, retain=True)
         client: aiomqtt.Client = self._mqtt.Client(
-            settings.host, settings.port, username=settings.username, password=settings.password(),
-            identifier=settings.client, clean_session=False, will=will, tls_context=self._context, keepalive=15,
+            settings.broker.host, settings.port, username=settings.broker.username, password=settings.password(),
+            identifier=settings.broker.client, clean_session=False, will=will, tls_context=self._context, keepalive=15,
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
         )  # fmt: skip
         client._client.manual_ack_set(True)  # aiomqtt itself would acknowledge what has not been recorded
@@ -122,9 +124,9 @@ class Mqtt(Transport):
     def _topics(self) -> list[str]:
         settings = self.settings
         topics = [source.topic.filter for source in settings.sources]
-        topics += [settings.arrived.filter] if settings.arrived is not None else []
+        topics += [settings.arrived.topic.filter] if settings.arrived is not None else []
         if settings.answers is not None and any(source.number is not None for source in settings.sources):
-            topics.insert(0, settings.answers.filter)  # the last answers say which number comes next
+            topics.insert(0, settings.answers.topic.filter)  # the last answers say which number comes next
         return topics
 
     async def messages(self) -> AsyncIterator[Message]:
@@ -144,10 +146,10 @@ class Mqtt(Transport):
     def message(self, topic: str, payload: bytes, done: Any, *, retained: bool = False) -> Message:
         """Return what a message reports."""
         answers, arrived = self.settings.answers, self.settings.arrived
-        own = None if answers is None else answers.fields(topic)
+        own = None if answers is None else answers.topic.fields(topic)
         if own is not None:
             return self._resumed(own["person"], payload, done) if retained else Message(done=done)
-        if arrived is not None and (fields := arrived.fields(topic)) is not None:
+        if arrived is not None and (fields := arrived.topic.fields(topic)) is not None:
             return self._located(fields.get("robot", "1"), payload, done)
         source = next((one for one in self.settings.sources if one.topic.fields(topic) is not None), None)
         if source is None:  # a subscription of an earlier configuration
@@ -155,7 +157,7 @@ class Mqtt(Transport):
         fields = dict(source.topic.fields(topic) or {})
         try:
             fields = source.fields(topic, payload)
-            return Reported(source.report(fields), done=done)
+            return Reported(source.report(fields, self.settings.names), done=done)
         except MessageError as error:
             return Faulty(str(error), fields.get("person"), fields.get("id"), done=done)
 
@@ -169,8 +171,8 @@ class Mqtt(Transport):
 
     def _located(self, robot: str, payload: bytes, done: Any) -> Message:
         try:
-            if robot not in map(str, range(1, self.settings.robots + 1)):
-                raise MessageError(f"robot {robot[:40]!r}; expected a number from 1 to {self.settings.robots}")
+            if robot not in map(str, range(1, self._count + 1)):
+                raise MessageError(f"robot {robot[:40]!r}; expected a number from 1 to {self._count}")
             fields = fields_of(payload)
         except MessageError as error:
             LOG.warning("MQTT: arrival of a robot: %s", error)
@@ -183,7 +185,7 @@ class Mqtt(Transport):
         """Yield a person's advice; when they have left, the broker is to keep nothing of them."""
         output = self.settings.advice
         if output is not None:
-            payload = b"" if view is None else _json(view, output.fields)
+            payload = b"" if view is None else _json(view, output.fields or ADVICE)
             yield Output(output.topic.fill(person=person), (payload, True), keep=True)
 
     def answer(self, answer: Answer) -> Iterable[Output]:
@@ -191,18 +193,18 @@ class Mqtt(Transport):
         topic, person = self.settings.answers, answer.person
         if topic is not None and person and len(person) <= LONGEST_ID and not WILD.search(person):
             payload = json.dumps(answer.as_dict(session=self.session)).encode()
-            yield Output(topic.fill(person=person), (payload, answer.number is not None))
+            yield Output(topic.topic.fill(person=person), (payload, answer.number is not None))
 
     def forget(self, person: str) -> Iterable[Output]:
         """Yield what removes the last answer to a person who has left."""
         if self.settings.answers is not None:
-            yield Output(self.settings.answers.fill(person=person), (b"", True))
+            yield Output(self.settings.answers.topic.fill(person=person), (b"", True))
 
     def instruction(self, robot: int, errand: Mapping[str, Any]) -> Iterable[Output]:
         """Yield a robot's instruction."""
         output = self.settings.robot
         if output is not None:
-            yield Output(output.topic.fill(robot=str(robot)), (_json(errand, output.fields), True), keep=True)
+            yield Output(output.topic.fill(robot=str(robot)), (_json(errand, output.fields or ROBOT), True), keep=True)
 
 
 def _json(view: Mapping[str, Any], fields: Iterable[str]) -> bytes:

@@ -5,163 +5,115 @@ from __future__ import annotations
 import os
 import ssl
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Annotated, Any
+from dataclasses import field
+from typing import Annotated
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from ..declare import tables as toml
 from ..declare.declared import Expected, Number, Text, Texts, Truth, Whole, declared
-from ..declare.tables import convert, fault, located
-from .messages import Names, ObserveTables, Source, Topic, chosen, observed_in, source_of
+from .messages import BridgeSettings, EventKind, Fields, Source, Template, Topic, fields_of, require_among, wrong
 
 ENVIRONMENT = "KITASSIST_MQTT_"
 """Prefix of the environment variables PASSWORD, CA, CERTIFICATE and KEY."""
-
-Port = Annotated[Whole, Field(ge=1, le=65535), Expected("a port, 1 to 65535")]
-Seconds = Annotated[Number, Field(gt=0, le=3600), Expected("seconds above 0, at most 3600")]
-
-
-@declared
-class BrokerTable:
-    """The table `broker`."""
-
-    host: Text = "localhost"
-    port: Port | None = None
-    client: Text = "kitassist"
-    username: Text | None = None
-    tls: Truth = False
-
-
-@declared
-class ObserveTable:
-    """A table `observe`."""
-
-    topic: Text
-    action: Text = "{action}"
-    id: Text = "{id}"
-    person: Text = "{person}"
-    number: Text | None = None
-    seq: Text | None = None
-    pattern: Text | None = None
-    event: Text = "acted"
-
-
-@declared
-class OutputTable:
-    """A table `advice` or `robot`."""
-
-    topic: Text
-    fields: Texts | None = None
-
-
-@declared
-class TopicTable:
-    """A table `answers`, `arrived` or `status`."""
-
-    topic: Text
-
-
-@declared
-class FileTables:
-    """The whole file."""
-
-    observe: ObserveTables
-    broker: BrokerTable = field(default_factory=BrokerTable)
-    advice: OutputTable | None = None
-    answers: TopicTable | None = None
-    robot: OutputTable | None = None
-    arrived: TopicTable | None = None
-    status: TopicTable | None = None
-    names: Names | None = None
-    wait: Seconds = 10.0
-
-
-@dataclass(frozen=True)
-class Output:
-    """A topic on which parts of a view are published.
-
-    Attributes
-    ----------
-    topic : Topic
-    fields : tuple of str
-        Fields of the view.
-    """
-
-    topic: Topic
-    fields: tuple[str, ...]
-
 
 ADVICE = "person", "suggestion", "finished", "seq"
 VIEW = {*ADVICE, "task", "present", "paused", "applicable", "reason", "cost_to_go", "steps", "explained"}
 ROBOT = "person", "suggestion", "arrived", "seq"
 ERRAND = {*ROBOT, "reason", "location"}
 
+Port = Annotated[Whole, Field(ge=1, le=65535), Expected("a port, 1 to 65535")]
+Seconds = Annotated[Number, Field(gt=0, le=3600), Expected("seconds above 0, at most 3600")]
+TopicText = Annotated[Topic, BeforeValidator(Topic.of), Expected("a text")]
 
-@dataclass(frozen=True)
-class MqttSettings:
-    """Settings of the MQTT bridge.
 
-    Attributes
-    ----------
-    sources : tuple of Source
-        Messages that report actions.
-    host : str
-    port : int
-    client : str
-        Name of the bridge at the broker, which keeps messages for it while it is away.
-    username : str or None
-    tls : bool
-    advice, robot : Output or None
-        Where suggestions and the robot's instructions are published.
-    answers, arrived, status : Topic or None
-        Where reports are answered, where the robot reports its place, and where the bridge shows that it works.
-    wait : float
-        Seconds for which later messages of a person wait for an earlier one.
-    robots : int
-        Number of robots; several have the field `{robot}`, a number from 1, in their topics.
-    """
+@declared
+class Broker:
+    """The table `broker`."""
 
-    sources: tuple[Source, ...]
-    host: str = "localhost"
-    port: int = 1883
-    client: str = "kitassist"
-    username: str | None = None
-    tls: bool = False
-    advice: Output | None = None
-    answers: Topic | None = None
-    robot: Output | None = None
-    arrived: Topic | None = None
-    status: Topic | None = None
-    wait: float = 10.0
-    robots: int = 1
+    host: Text = "localhost"
+    port: Annotated[Port | None, Field(description="1883 unless given, and 8883 with TLS.")] = None
+    client: Annotated[
+        Text, Field(description="Name of the bridge at the broker, which keeps messages for it while it is away.")
+    ] = "kitassist"
+    username: Text | None = None
+    tls: Truth = False
 
-    @classmethod
-    def read(cls, file: str | Path, robots: int = 1) -> MqttSettings:
-        """Read the settings for so many robots from a TOML file.
+
+@declared(kw_only=True)
+class Observed(Source):
+    """A table `observe`: a topic with reports."""
+
+    topic: TopicText
+    person: Template = "{person}"
+    event: EventKind = "acted"
+    number: Annotated[Template | None, Field(description="Template of the place among the person's reports.")] = None
+    seq: Annotated[Template | None, Field(description="Template of `seq` of the view on which they acted.")] = None
+
+    def fields(self, topic: str, payload: bytes) -> Fields:
+        """Return the fields of a message; those of its topic take precedence.
 
         Raises
         ------
-        InputFileError
-            A field is missing, unknown or of the wrong type; the message has its place.
+        MessageError
+            As in `fields_of`.
         """
-        file = Path(file)
-        with located(file):
-            tables = convert(toml.load(file), FileTables, file)
-            broker = tables.broker
-            port = broker.port or (8883 if broker.tls else 1883)
-            names = tables.names or {}
-            sources = tuple(_source(one, names, file, place) for place, one in observed_in(tables.observe, file))
-            return cls(
-                sources, broker.host, port, broker.client, broker.username, broker.tls,
-                advice=_output(tables.advice, ["person"], ADVICE, VIEW, file, "advice"),
-                answers=_topic(tables.answers, ["person"], file, "answers"),
-                robot=_output(tables.robot, _of_robot(tables.robot, robots), ROBOT, ERRAND, file, "robot"),
-                arrived=_topic(tables.arrived, _of_robot(tables.arrived, robots), file, "arrived"),
-                status=_topic(tables.status, [], file, "status"),
-                wait=tables.wait, robots=robots,
-            )  # fmt: skip
+        return {**fields_of(payload, self.pattern), **(self.topic.fields(topic) or {})}
+
+
+@declared
+class Output:
+    """A table `advice` or `robot`: a topic on which parts of a view are published."""
+
+    topic: TopicText
+    fields: Texts | None = None
+
+
+@declared
+class Plain:
+    """A table `answers`, `arrived` or `status`: a topic."""
+
+    topic: TopicText
+
+
+@declared(kw_only=True)
+class MqttSettings(BridgeSettings):
+    """Settings of the MQTT bridge. With several robots, their topics have the field `{robot}`, a number from 1."""
+
+    observe: Annotated[Observed | Annotated[tuple[Observed, ...], Field(min_length=1)], Expected("a table or more")]
+    broker: Broker = field(default_factory=Broker)
+    advice: Annotated[Output | None, Field(description="Where suggestions are published.")] = None
+    answers: Annotated[Plain | None, Field(description="Where reports are answered.")] = None
+    robot: Annotated[Output | None, Field(description="Where the robots' instructions are published.")] = None
+    arrived: Annotated[Plain | None, Field(description="Where robots report their places.")] = None
+    status: Annotated[Plain | None, Field(description="Where the bridge shows that it works.")] = None
+    wait: Annotated[
+        Seconds, Field(description="Seconds for which later messages of a person wait for an earlier one.")
+    ] = 10.0
+
+    def require(self, robots: int) -> None:
+        """Refuse topics without the fields that they need, and fields that a view does not have."""
+        tables = {name: getattr(self, name) for name in ("advice", "answers", "status", "robot", "arrived")}
+        for place, table in tables.items():
+            if table is None:
+                continue
+            names = ["person"] if place in ("advice", "answers") else []
+            if place in ("robot", "arrived") and (robots > 1 or "{robot}" in table.topic.text):
+                names = ["robot"]
+            if sorted(table.topic.names) != names:
+                expected = " and ".join(f"{{{name}}}" for name in names) or "no field"
+                raise wrong(f"{table.topic.text!r}; expected {expected} in it", place, "topic")
+        for place, output, known in (("advice", self.advice, VIEW), ("robot", self.robot, ERRAND)):
+            require_among(None if output is None else output.fields, known, place)
+
+    @property
+    def sources(self) -> tuple[Observed, ...]:
+        """The messages that report events."""
+        return self.observe if isinstance(self.observe, tuple) else (self.observe,)
+
+    @property
+    def port(self) -> int:
+        """The broker's port."""
+        return self.broker.port or (8883 if self.broker.tls else 1883)
 
     def context(self, environment: Mapping[str, str] = os.environ) -> ssl.SSLContext | None:
         """Return the TLS settings, with the files of the environment; None without TLS.
@@ -171,7 +123,7 @@ class MqttSettings:
         OSError
             A file cannot be read, or is no certificate or key.
         """
-        if not self.tls:
+        if not self.broker.tls:
             return None
         name = "CA"
         try:
@@ -187,41 +139,3 @@ class MqttSettings:
     def password(self, environment: Mapping[str, str] = os.environ) -> str | None:
         """Return the password, from the environment."""
         return environment.get(f"{ENVIRONMENT}PASSWORD")
-
-
-def _checked(text: str, names: list[str], file: Path, place: str) -> Topic:
-    """Return a topic that has exactly the given fields."""
-    try:
-        topic = Topic(text)
-    except ValueError as error:
-        raise fault(file, f"{place}.topic", str(error)) from None
-    if sorted(topic.names) != names:
-        expected = " and ".join(f"{{{name}}}" for name in names) or "no field"
-        raise fault(file, f"{place}.topic", f"{text!r}; expected {expected} in it")
-    return topic
-
-
-def _of_robot(table: OutputTable | TopicTable | None, robots: int) -> list[str]:
-    """Return the fields that the topic of robots needs: a number, which may be absent if there is one robot."""
-    return ["robot"] if robots > 1 or (table is not None and "{robot}" in table.topic) else []
-
-
-def _topic(table: TopicTable | None, names: list[str], file: Path, place: str) -> Topic | None:
-    return None if table is None else _checked(table.topic, names, file, place)
-
-
-def _output(
-    table: OutputTable | None, names: list[str], usual: tuple[str, ...], known: set[str], file: Path, place: str
-) -> Output | None:
-    if table is None:
-        return None
-    return Output(_checked(table.topic, names, file, place), chosen(table.fields, usual, known, file, place))
-
-
-def _source(content: Any, names: Mapping[str, str], file: Path, place: str) -> Source:
-    table = convert(content, ObserveTable, file, place)
-    try:
-        topic = Topic(table.topic)
-    except ValueError as error:
-        raise fault(file, f"{place}.topic", str(error)) from None
-    return source_of(table, topic, names, file, place)

@@ -79,24 +79,24 @@ class OpcUa(Transport):
         super().__init__()
         self.settings, self._library, self._period = settings, library(), period
         self.lost = (OSError, self._library.ua.UaError)
-        self._observed = {one.node: one for one in settings.observed}
+        self._observed = {one.node: one for one in settings.observe}
         self._last: dict[str, Any] = {}  # the last value of each node
         self._received = asyncio.Queue[tuple[Any, Message | None]]()  # with the connection
 
     def address(self) -> str:
         """Return the server's address."""
-        return self.settings.url
+        return self.settings.server.url
 
     def initially(self) -> Iterable[Output]:
         """Yield an empty suggestion for each node, until the service has told more."""
-        yield from (Output(node, "", keep=True) for node, _ in self.settings.advice)
+        yield from (Output(one.node, "", keep=True) for one in self.settings.advice)
 
     @asynccontextmanager
     async def connect(self) -> AsyncIterator[None]:
         """Connect to the server, and subscribe to the nodes."""
-        client = self._client = self._library.Client(self.settings.url)
-        if self.settings.username is not None:
-            client.set_user(self.settings.username)
+        client = self._client = self._library.Client(self.settings.server.url)
+        if self.settings.server.username is not None:
+            client.set_user(self.settings.server.username)
             client.set_password(password() or "")
 
         async def over(_: Exception) -> None:
@@ -148,7 +148,7 @@ class OpcUa(Transport):
             Whether it is the first one after a connection.
         """
         observed = self._observed[node]
-        old = first and not observed.has_id and (node not in self._last or value == self._last[node])
+        old = first and observed.id is None and (node not in self._last or value == self._last[node])
         self._last[node] = value
         if value not in (None, "") and not old:
             self._received.put_nowait((self._client, self._message(observed, str(value), data)))
@@ -157,11 +157,11 @@ class OpcUa(Transport):
         """Return what a value reports."""
         fields: dict[str, str] = {}
         try:
-            fields = fields_of_value(text, observed.source.pattern)
-            if not observed.has_id:
+            fields = fields_of_value(text, observed.pattern)
+            if observed.id is None:
                 at = data.SourceTimestamp or data.ServerTimestamp
                 fields["id"] = sha256(f"{observed.node} {at} {text}".encode()).hexdigest()
-            return Reported(observed.source.report(fields), observed.node)
+            return Reported(observed.report(fields, self.settings.names), observed.node)
         except MessageError as error:
             return Faulty(str(error), fields.get("person"), fields.get("id"), observed.node)
 
@@ -170,7 +170,7 @@ class OpcUa(Transport):
     def advice(self, person: str, view: Mapping[str, Any] | None) -> Iterable[Output]:
         """Yield a person's suggestion, and an empty text where there is none."""
         suggestion = "" if view is None else view["suggestion"] or ""
-        yield from (Output(node, suggestion, keep=True) for node, whose in self.settings.advice if whose == person)
+        yield from (Output(one.node, suggestion, keep=True) for one in self.settings.advice if one.person == person)
 
     def answer(self, answer: Answer) -> Iterable[Output]:
         """Yield the answer to a report, for the node that goes with that of the report."""

@@ -34,7 +34,7 @@ class _Users:
     """Who may use the server: all clients, or those with the name and password."""
 
     def __init__(self, settings: OwnServerSettings, user: Callable[[], Any]) -> None:
-        self._name, self._password, self._user = settings.username, password(), user
+        self._name, self._password, self._user = settings.own_server.username, password(), user
 
     def get_user(self, _: Any, username: str | None = None, password: str | None = None, **__: Any) -> Any:
         """Return the user, who may write only where the nodes allow it; None for a stranger."""
@@ -58,6 +58,7 @@ class OwnServer(Transport):
     Parameters
     ----------
     settings : OwnServerSettings
+    robots : int
 
     Raises
     ------
@@ -67,9 +68,9 @@ class OwnServer(Transport):
 
     name = "OPC UA"
 
-    def __init__(self, settings: OwnServerSettings) -> None:
+    def __init__(self, settings: OwnServerSettings, robots: int = 1) -> None:
         super().__init__()
-        self.settings, self._library, self.robots = settings, library(), settings.robots
+        self.settings, self._library, self.robots = settings, library(), robots
         self._received = asyncio.Queue[Message]()
         self._nodes: dict[str, _Nodes] = {}  # of people and robots, by their path
         self._inputs: dict[str, Callable[[str], Message]] = {}  # what written values report
@@ -77,7 +78,7 @@ class OwnServer(Transport):
 
     def address(self) -> str:
         """Return the address at which it listens."""
-        return self.settings.url
+        return self.settings.own_server.url
 
     @asynccontextmanager
     async def connect(self) -> AsyncIterator[None]:
@@ -98,10 +99,10 @@ class OwnServer(Transport):
             user_manager=_Users(self.settings, lambda: users.User(role=users.UserRole.User, name="line"))
         )
         await server.init()
-        server.set_endpoint(self.settings.url)
+        server.set_endpoint(self.settings.own_server.url)
         server.set_server_name("kitassist")
         server.set_security_policy([ua.SecurityPolicyType.NoSecurity], permission_ruleset=users.SimpleRoleRuleset())
-        anonymous = self.settings.username is None
+        anonymous = self.settings.own_server.username is None
         server.set_identity_tokens([ua.AnonymousIdentityToken if anonymous else ua.UserNameIdentityToken])
         self._space = await server.register_namespace(NAMESPACE)
         for name in ("People", "Robots"):
@@ -210,16 +211,16 @@ class OwnServer(Transport):
 
     def _report(self, person: str, text: str, identifier: str | None = None) -> Report:
         """Return what a text reports; a fault is part of it."""
-        fields, source = {"person": person}, self.settings.source
-        if identifier is None and not self.settings.has_id:
+        fields, source = {"person": person}, self.settings.own_server
+        if identifier is None and source.id is None:
             identifier = uuid.uuid4().hex
         if identifier is not None:
-            source = replace(source, id="{id}")
+            source = replace(source, id=None)
         try:
             fields = {**fields_of_value(text, source.pattern), **fields}
             if identifier is not None:
                 fields["id"] = identifier
-            return source.report(fields)
+            return source.report(fields, self.settings.names)
         except MessageError as error:
             return Report(person, identifier or "", fault=str(error))
 

@@ -19,7 +19,8 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 
 from .messages import MessageError
-from .ros2_settings import STRING, Observed, Ros2Settings
+from .mqtt_settings import ADVICE
+from .ros2_settings import ANSWER, STRING, Observed, Ros2Settings
 from .ros2_settings import Output as RosOutput
 from .transport import Answer, Drove, Faulty, Message, Output, Reported, Transport
 
@@ -37,33 +38,34 @@ class Ros2(Transport):
     Parameters
     ----------
     settings : Ros2Settings
+    robots : int
     """
 
     name = "ROS 2"
     again = 5.0  # for those who have joined the topic meanwhile; fewer seconds add load
     lost = (OSError, InvalidHandshake, ConnectionClosed, TimeoutError)
 
-    def __init__(self, settings: Ros2Settings) -> None:
+    def __init__(self, settings: Ros2Settings, robots: int = 1) -> None:
         super().__init__()
         self.settings = settings
         self.drives = settings.go_to is not None
-        self.robots = settings.robots if self.drives else 0
-        self._observed = {one.topic: one for one in settings.observed}
+        self.robots = robots if self.drives else 0
+        self._observed = {one.topic: one for one in settings.sources}
 
     def address(self) -> str:
         """Return the server's address."""
-        return self.settings.url
+        return self.settings.rosbridge.url
 
     @asynccontextmanager
     async def connect(self) -> AsyncIterator[None]:
         """Connect to the server, advertise and subscribe."""
         settings = self.settings
         # A connection over which the server does not answer a ping within ten seconds is closed.
-        async with connect(settings.url, proxy=None, ping_interval=10, ping_timeout=10) as self._socket:
+        async with connect(settings.rosbridge.url, proxy=None, ping_interval=10, ping_timeout=10) as self._socket:
             for output in (settings.advice, settings.answers):
                 if output is not None:
                     await self._say(op="advertise", topic=output.topic, type=output.type)
-            for one in settings.observed:
+            for one in settings.sources:
                 await self._say(op="subscribe", topic=one.topic, type=one.type)
             yield
 
@@ -104,7 +106,7 @@ class Ros2(Transport):
         fields: Mapping[str, str] = {}
         try:
             fields = observed.fields(message)
-            return Reported(observed.source.report(dict(fields)))
+            return Reported(observed.report(dict(fields), self.settings.names))
         except MessageError as error:
             return Faulty(str(error), fields.get("person"), fields.get("id"))
 
@@ -113,14 +115,14 @@ class Ros2(Transport):
     def advice(self, person: str, view: Mapping[str, Any] | None) -> Iterable[Output]:
         """Yield a person's advice, until they leave."""
         if self.settings.advice is not None:
-            content = None if view is None else _published(self.settings.advice, view)
+            content = None if view is None else _published(self.settings.advice, view, ADVICE)
             yield Output(f"advice {person}", content, keep=True)
 
     def answer(self, answer: Answer) -> Iterable[Output]:
         """Yield the answer to a report."""
         if self.settings.answers is not None:
             told = {**answer.as_dict(), "person": answer.person, "seq": answer.seq or 0}
-            yield Output("answers", _published(self.settings.answers, told))
+            yield Output("answers", _published(self.settings.answers, told, ANSWER))
 
     def instruction(self, robot: int, errand: Mapping[str, Any]) -> Iterable[Output]:  # noqa: ARG002
         """Yield nothing: robots are sent by goals."""
@@ -138,9 +140,9 @@ class Ros2(Transport):
         yield Output(action, content, passing=True)
 
 
-def _published(output: RosOutput, fields: Mapping[str, Any]) -> dict[str, Any]:
+def _published(output: RosOutput, fields: Mapping[str, Any], usual: tuple[str, ...]) -> dict[str, Any]:
     """Return the message that publishes fields; messages of ROS have no absent values, but empty texts."""
-    chosen = {name: fields.get(name) for name in output.fields}
+    chosen = {name: fields.get(name) for name in output.fields or usual}
     if output.type == STRING:
         content: dict[str, Any] = {"data": json.dumps(chosen)}
     else:

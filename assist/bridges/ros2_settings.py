@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import field
 from typing import Annotated, Any
 
-from ..declare import tables as toml
+from pydantic import AfterValidator, Field
+
 from ..declare.declared import AnyTable, Expected, Text, Texts, declared
-from ..declare.tables import convert, fault, located
 from .messages import (
     FIELD,
+    BridgeSettings,
+    EventKind,
     Fields,
     MessageError,
-    Names,
-    ObserveTables,
     Source,
-    Topic,
-    chosen,
+    Template,
     fields_of,
-    observed_in,
-    source_of,
+    require_among,
     texts_of,
+    wrong,
 )
-from .mqtt_settings import ADVICE, VIEW
+from .mqtt_settings import VIEW
 
 STRING = "std_msgs/msg/String"
 NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
@@ -34,75 +32,50 @@ TYPE = re.compile(r"[a-z]\w*/((msg|action)/)?[A-Z]\w*", re.ASCII)
 ANSWER = "person", "id", "status", "detail", "seq"
 NULLABLE = {"reason", "cost_to_go"}  # which messages of ROS cannot contain
 
-Places = Annotated[dict[str, dict[str, Any]], Expected("a table for each person")]
+
+def _name(name: str) -> str:
+    if not NAME.fullmatch(name.replace("{robot}", "1")):
+        raise ValueError(f"{name!r}; expected a name of ROS: letters, digits, _ and / between them")
+    return name
+
+
+def _type(type: str) -> str:
+    if not TYPE.fullmatch(type):
+        raise ValueError(f"{type!r}; expected a type of ROS, such as {STRING}")
+    return type
+
+
+def _url(url: str) -> str:
+    if not re.fullmatch(r"wss?://[^\s/:]+(:\d+)?(/\S*)?", url):
+        raise ValueError(f"{url!r}; expected ws://host:port or wss://host")
+    return url
+
+
+Name = Annotated[Text, AfterValidator(_name)]
+Type = Annotated[Text, AfterValidator(_type)]
 
 
 @declared
-class RosbridgeTable:
+class Rosbridge:
     """The table `rosbridge`."""
 
-    url: Text
+    url: Annotated[Text, AfterValidator(_url)]
 
 
-@declared
-class ObserveTable:
-    """A table `observe`."""
+@declared(kw_only=True)
+class Observed(Source):
+    """A table `observe`: a topic with reports, whose fields are the message's, or of the JSON object in a String."""
 
-    topic: Text
-    type: Text = STRING
-    action: Text = "{action}"
-    id: Text = "{id}"
-    person: Text = "{person}"
-    seq: Text | None = None
-    pattern: Text | None = None
-    event: Text = "acted"
+    topic: Name
+    type: Type = STRING
+    person: Template = "{person}"
+    event: EventKind = "acted"
+    seq: Template | None = None
 
-
-@declared
-class OutputTable:
-    """A table `advice` or `answers`."""
-
-    topic: Text
-    type: Text = STRING
-    fields: Texts | None = None
-
-
-@declared
-class GoToTable:
-    """The table `go_to`."""
-
-    action: Text
-    type: Text
-    goal: AnyTable
-    places: Places = field(default_factory=dict)
-
-
-@declared
-class FileTables:
-    """The whole file."""
-
-    rosbridge: RosbridgeTable
-    observe: ObserveTables
-    advice: OutputTable | None = None
-    answers: OutputTable | None = None
-    go_to: GoToTable | None = None
-    names: Names | None = None
-
-
-@dataclass(frozen=True)
-class Observed:
-    """A ROS topic whose messages report actions.
-
-    Attributes
-    ----------
-    topic, type : str
-    source : Source
-        Templates of what a message reports. Fields are those of the message, or of the JSON object in a String.
-    """
-
-    topic: str
-    type: str
-    source: Source
+    def __post_init__(self) -> None:
+        """Refuse a pattern for messages that are no texts."""
+        if self.pattern is not None and self.type != STRING:
+            raise wrong(f"applies to texts; expected the type {STRING}", "pattern")
 
     def fields(self, message: Mapping[str, Any]) -> Fields:
         """Return the fields of a message.
@@ -113,44 +86,32 @@ class Observed:
             It is a String without a JSON object in it, or does not match the pattern.
         """
         if self.type == STRING:
-            return fields_of(str(message.get("data", "")).encode(errors="replace"), self.source.pattern)
+            return fields_of(str(message.get("data", "")).encode(errors="replace"), self.pattern)
         return texts_of(message)
 
 
-@dataclass(frozen=True)
+@declared
 class Output:
-    """A ROS topic on which the bridge publishes.
+    """A table `advice` or `answers`: a topic on which fields are published, or a JSON object of them in a String."""
 
-    Attributes
-    ----------
-    topic, type : str
-    fields : tuple of str
-        Fields of the message, or of the JSON object in a String.
-    """
-
-    topic: str
-    type: str
-    fields: tuple[str, ...]
+    topic: Name
+    type: Type = STRING
+    fields: Texts | None = None
 
 
-@dataclass(frozen=True)
+@declared
 class GoToAction:
-    """The ROS action that takes the robot to a person.
+    """The table `go_to`: the ROS action that takes a robot to a person."""
 
-    Attributes
-    ----------
-    action, type : str
-        In the action's name, `{robot}` is a robot's number, from 1.
-    goal : dict
-        The goal, in which `{person}` and the fields of the person's place are filled in.
-    places : mapping of str to dict
-        Fields of each person's place, such as coordinates.
-    """
-
-    action: str
-    type: str
-    goal: Mapping[str, Any]
-    places: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    action: Annotated[Name, Field(description="Its name, in which `{robot}` is a robot's number, from 1.")]
+    type: Type
+    goal: Annotated[
+        AnyTable, Field(description="The goal, in which `{person}` and the fields of their place are filled in.")
+    ]
+    places: Annotated[
+        Annotated[dict[str, dict[str, Any]], Expected("a table for each person")],
+        Field(description="Fields of each person's place, such as coordinates."),
+    ] = field(default_factory=dict)
 
     def goal_for(self, person: str) -> dict[str, Any]:
         """Return the goal that takes the robot to a person.
@@ -187,92 +148,33 @@ def _filled(template: Any, fields: Mapping[str, Any]) -> Any:
     return fields[alone[1]] if alone else FIELD.sub(lambda found: str(fields[found[1]]), template)
 
 
-@dataclass(frozen=True)
-class Ros2Settings:
-    """Settings of the ROS 2 bridge.
+@declared(kw_only=True)
+class Ros2Settings(BridgeSettings):
+    """Settings of the ROS 2 bridge."""
 
-    Attributes
-    ----------
-    url : str
-        Address of the rosbridge server, `ws://host:port` or `wss://host:port`.
-    observed : tuple of Observed
-    advice, answers : Output or None
-        Where suggestions are published, and where reports are answered.
-    go_to : GoTo or None
-    robots : int
-        Number of robots; each of several has an action of its own.
-    """
-
-    url: str
-    observed: tuple[Observed, ...]
-    advice: Output | None = None
-    answers: Output | None = None
+    rosbridge: Rosbridge
+    observe: Annotated[Observed | Annotated[tuple[Observed, ...], Field(min_length=1)], Expected("a table or more")]
+    advice: Annotated[Output | None, Field(description="Where suggestions are published.")] = None
+    answers: Annotated[Output | None, Field(description="Where reports are answered.")] = None
     go_to: GoToAction | None = None
-    robots: int = 1
 
-    @classmethod
-    def read(cls, file: str | Path, robots: int = 1) -> Ros2Settings:
-        """Read the settings for so many robots from a TOML file.
+    def require(self, robots: int) -> None:
+        """Refuse a topic that occurs twice, unknown fields, and goals that lack a field or the robot's number."""
+        if len({one.topic for one in self.sources}) < len(self.sources):
+            raise wrong("a topic occurs twice; expected one table for each", "observe")
+        for place, output, known in (("advice", self.advice, VIEW), ("answers", self.answers, {*ANSWER})):
+            if output is not None:
+                require_among(output.fields, known if output.type == STRING else known - NULLABLE, place)
+        go_to = self.go_to
+        if go_to is not None and robots > 1 and "{robot}" not in go_to.action:
+            raise wrong(f"{go_to.action!r}; expected {{robot}} in it", "go_to", "action")
+        for person in () if go_to is None else go_to.places:
+            try:
+                go_to.goal_for(person)  # type: ignore[union-attr]
+            except MessageError as error:
+                raise wrong(str(error).partition(": ")[2], "go_to", "places", person) from None
 
-        Raises
-        ------
-        InputFileError
-            A field is missing, unknown or of the wrong type; the message has its place.
-        """
-        file = Path(file)
-        with located(file):
-            tables = convert(toml.load(file), FileTables, file)
-            if not re.fullmatch(r"wss?://[^\s/:]+(:\d+)?(/\S*)?", tables.rosbridge.url):
-                raise fault(file, "rosbridge.url", f"{tables.rosbridge.url!r}; expected ws://host:port or wss://host")
-            names = tables.names or {}
-            observed = tuple(_observed(one, names, file, place) for place, one in observed_in(tables.observe, file))
-            if len({one.topic for one in observed}) < len(observed):
-                raise fault(file, "observe", "a topic occurs twice; expected one table for each")
-            return cls(
-                tables.rosbridge.url, observed,
-                advice=_output(tables.advice, ADVICE, VIEW, file, "advice"),
-                answers=_output(tables.answers, ANSWER, {*ANSWER}, file, "answers"),
-                go_to=_go_to(tables.go_to, file, robots), robots=robots,
-            )  # fmt: skip
-
-
-def _checked(topic: str, type: str, file: Path, place: str) -> None:
-    """Check a name and a type of ROS."""
-    key = "action" if place == "go_to" else "topic"
-    if not NAME.fullmatch(topic):
-        raise fault(file, f"{place}.{key}", f"{topic!r}; expected a name of ROS: letters, digits, _ and / between them")
-    if not TYPE.fullmatch(type):
-        raise fault(file, f"{place}.type", f"{type!r}; expected a type of ROS, such as {STRING}")
-
-
-def _observed(content: Any, names: Mapping[str, str], file: Path, place: str) -> Observed:
-    table = convert(content, ObserveTable, file, place)
-    _checked(table.topic, table.type, file, place)
-    if table.pattern is not None and table.type != STRING:
-        raise fault(file, f"{place}.pattern", f"applies to texts; expected the type {STRING}")
-    return Observed(table.topic, table.type, source_of(table, Topic("topic"), names, file, place))
-
-
-def _output(
-    table: OutputTable | None, usual: tuple[str, ...], known: set[str], file: Path, place: str
-) -> Output | None:
-    if table is None:
-        return None
-    _checked(table.topic, table.type, file, place)
-    known = known if table.type == STRING else known - NULLABLE
-    return Output(table.topic, table.type, chosen(table.fields, usual, known, file, place))
-
-
-def _go_to(table: GoToTable | None, file: Path, robots: int) -> GoToAction | None:
-    if table is None:
-        return None
-    if robots > 1 and "{robot}" not in table.action:
-        raise fault(file, "go_to.action", f"{table.action!r}; expected {{robot}} in it")
-    _checked(table.action.replace("{robot}", "1"), table.type, file, "go_to")
-    go_to = GoToAction(table.action, table.type, table.goal, table.places)
-    for person in table.places:
-        try:
-            go_to.goal_for(person)
-        except MessageError as error:
-            raise fault(file, f"go_to.places.{person}", str(error).partition(": ")[2]) from None
-    return go_to
+    @property
+    def sources(self) -> tuple[Observed, ...]:
+        """The topics with reports."""
+        return self.observe if isinstance(self.observe, tuple) else (self.observe,)

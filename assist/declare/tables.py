@@ -39,14 +39,6 @@ def fault(file: Path, place: str, message: str) -> InputFileError:
     return InputFileError(f"{file}: {place}: {message}")
 
 
-def regular_expression(text: str | None, file: Path, place: str) -> re.Pattern[str] | None:
-    """Return a compiled regular expression, None if there is none; raise `InputFileError` if the text is not one."""
-    try:
-        return None if text is None else re.compile(text)
-    except re.error as error:
-        raise fault(file, place, f"{text!r} is no regular expression: {error}") from None
-
-
 @contextmanager
 def located(file: Path) -> Iterator[None]:
     """Add the line number to errors about a place in a file."""

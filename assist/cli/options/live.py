@@ -195,17 +195,17 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
     try:
         tables = toml.load(file)
         if "rosbridge" in tables:
-            return partial(_bridge, partial(Ros2, Ros2Settings.read(file, robots)))
+            return partial(_bridge, partial(Ros2, Ros2Settings.read(file, robots), robots))
         if "own_server" in tables:
             opcua.library()
-            return partial(_bridge, partial(opcua_server.OwnServer, OwnServerSettings.read(file, robots)))
+            return partial(_bridge, partial(opcua_server.OwnServer, OwnServerSettings.read(file), robots))
         if "server" in tables:
             opcua.library()
             return partial(_bridge, partial(opcua.OpcUa, OpcUaSettings.read(file)))
         mqtt.library()
         settings = MqttSettings.read(file, robots)
         settings.context()
-        return partial(_bridge, partial(mqtt.Mqtt, settings))
+        return partial(_bridge, partial(mqtt.Mqtt, settings, robots))
     except (InputFileError, OSError) as error:
         raise click.UsageError(str(error)) from None
 

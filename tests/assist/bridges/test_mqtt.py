@@ -29,9 +29,9 @@ from starlette.testclient import TestClient
 from test_docs import BLOCK
 
 from assist.bridges.kernel import Bridge
-from assist.bridges.messages import MessageError, Report, Source, Topic, fields_of, filled
+from assist.bridges.messages import MessageError, Report, Topic, fields_of, filled
 from assist.bridges.mqtt import Mqtt
-from assist.bridges.mqtt_settings import MqttSettings
+from assist.bridges.mqtt_settings import MqttSettings, Observed
 from assist.bridges.opcua_settings import OpcUaSettings, OwnServerSettings
 from assist.bridges.ordering import Acknowledgements, InOrder
 from assist.bridges.ros2_settings import Ros2Settings
@@ -641,9 +641,9 @@ def test_templates_take_words_only() -> None:
 
 @given(st.binary())
 def test_any_payload_is_read_or_refused(payload: bytes) -> None:
-    source = Source(Topic("line/{person}"), number="{n}")
+    source = Observed(topic="line/{person}", number="{n}")
     with suppress(MessageError):
-        source.report(source.fields("line/ann", payload))
+        source.report(source.fields("line/ann", payload), {})
 
 
 def test_fields_of_payloads() -> None:
@@ -652,12 +652,12 @@ def test_fields_of_payloads() -> None:
         "b": "7",
         "f": "1.5",
     }
-    source = Source(Topic("line/{person}"), number="{n}", seq="{seq}")
-    report = source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"})
+    source = Observed(topic="line/{person}", number="{n}", seq="{seq}")
+    report = source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0"}, {})
     assert (report.number, report.values, report.fault) == (2, {"action": "(go)", "seq": "0"}, None)
     for wrong in ({"n": "0"}, {"n": "x"}, {"id": ""}, {"id": "i" * 129}, {"seq": "-1"}):
         with pytest.raises(MessageError, match="expected"):
-            source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0", **wrong})
+            source.report({"person": "ann", "action": "(go)", "id": "1", "n": "2", "seq": "0", **wrong}, {})
 
 
 @pytest.mark.parametrize(
@@ -671,7 +671,7 @@ def test_fields_of_payloads() -> None:
         ('[observe]\ntopic = "line"\n[status]\ntopic = "{person}"', "expected no field in it"),
         ('[observe]\ntopic = "line"\n[robot]\ntopic = "r"\nfields = ["speed"]', "expected some of arrived"),
         ('[observe]\ntopic = "line"\n[broker]\nport = 0', "expected a port, 1 to 65535"),
-        ("observe = []", "is empty; expected a table or more"),
+        ("observe = []", "observe: []; expected a table or more"),
         (
             '[observe]\ntopic = "line"\naction = "(place {item}"',
             ":3: observe.action: (place {item} opens 1 and closes 0",
@@ -694,18 +694,19 @@ def test_the_settings_in_the_documentation(tmp_path: Path, monkeypatch: pytest.M
     files = [tmp_path / f"{name}.toml" for name in ("mqtt", "opcua", "own_server", "ros2")]
     for file, text in zip(files, shown, strict=True):
         file.write_text(text)
-    assert OpcUaSettings.read(files[1]).advice == (("ns=2;s=A.Light", "ann"),)
+    (advice,) = OpcUaSettings.read(files[1]).advice
+    assert (advice.node, advice.person) == ("ns=2;s=A.Light", "ann")
     monkeypatch.setenv("KITASSIST_OPCUA_PASSWORD", "secret")
-    assert OwnServerSettings.read(files[2]).url == "opc.tcp://0.0.0.0:4840"
+    assert OwnServerSettings.read(files[2]).own_server.url == "opc.tcp://0.0.0.0:4840"
     go_to = Ros2Settings.read(files[3]).go_to
     assert go_to is not None
     assert go_to.goal_for("ann") == {"x": 1.0, "y": 2.5}
     settings = MqttSettings.read(files[0])
     (source,) = settings.sources
     payload = b'{"item": "4006381333931", "slot": "slot-1", "scan": "s-17", "n": 3}'
-    report = source.report(source.fields("line/ann/action", payload))
+    report = source.report(source.fields("line/ann/action", payload), settings.names)
     assert report == Report("ann", "s-17", values={"action": "(place hammer slot-1)"}, number=3)
-    assert (settings.host, settings.port, settings.wait) == ("broker.example", 8883, 10.0)
+    assert (settings.broker.host, settings.port, settings.wait) == ("broker.example", 8883, 10.0)
 
 
 def test_passwords_and_certificates_come_from_the_environment(tmp_path: Path) -> None:
