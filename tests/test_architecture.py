@@ -42,8 +42,8 @@ ROOMS = {
         convex_bound hsvi search memory_needed further_beliefs solver time_expansion subproblem_frontier
         attention_subproblem truncated_task state_cache growing_problem leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",
-    "assist.learning": """method log_steps log_json log_files log comparison intervals advice_log advice_rules
-        advice_model advice_fit replay observations joint_states evidence likelihood choosing
+    "assist.learning": """method statistics log_steps log_json log_files log comparison intervals advice_log
+        advice_rules advice_model advice_fit replay observations joint_states evidence likelihood choosing
         likelihood_table person_estimate profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
         diagnostics population fit goals model_comparison rule_families posterior_sample influence_population
         rule_search trust_fit rule_comparison""",
@@ -67,11 +67,11 @@ ROOMS = {
     "assist.study": "study protocol tasks cells runner own_code",
     "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file codes
         participant_team participants places events record groups roll cohort session tables export""",
-    "assist.reports": """statistics watched_episode policy_comparison effects hypothesis_tests repeated_measures wording
+    "assist.reports": """watched_episode policy_comparison repeated_measures wording
         templates html_page study_summary study_claims study_figures study_report userstudy_summary
         preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures schemas service authorization request_limits task_drawings
-        event_routes event_table routes metrics streams openapi_page page_routes app connections server client""",
+        event_routes event_table routes metrics streams page_routes app connections server client""",
     "assist.web.user_study": "schemas service routes rehearsal server",
     "assist.bridges": """messages ordering session_client tasks transport errands kernel mqtt_settings mqtt
         opcua_settings opcua opcua_server ros2_settings ros2""",

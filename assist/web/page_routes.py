@@ -6,6 +6,7 @@ import html
 import json
 import re
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 
 from fastapi import APIRouter, Request, Response
@@ -14,11 +15,12 @@ from fastapi.responses import FileResponse, HTMLResponse
 from ..drawing import svg
 from ..texts.catalogue import Catalogue, catalogue
 from ..texts.refusals import AbsentError
-from . import openapi_page
 
 PAGES = Path(__file__).parent / "pages"
 SECTIONS = ("page", "task", "study", "question")
 """Sections of the catalogue of texts from which scripts take theirs."""
+SWAGGER = ("swagger-ui.css", "swagger-ui-bundle.js")
+"""Files of Swagger UI, which FastAPI would have browsers load from another server."""
 
 router = APIRouter(include_in_schema=False)
 
@@ -65,9 +67,9 @@ async def nowhere(request: Request) -> Response:
 
 
 @router.get("/docs")
-async def docs(request: Request) -> Response:
+async def docs() -> Response:
     """Return the description of the interface."""
-    return document(request, openapi_page.page(request.app.openapi()))
+    return HTMLResponse(_read(PAGES / "docs.html"))
 
 
 @router.get("/join/{name}")
@@ -87,4 +89,6 @@ async def part(name: str) -> Response:
     """Return a script or a style sheet of the pages."""
     if name == "drawing.css":
         return Response(svg.style(), media_type="text/css")
+    if name in SWAGGER:
+        return FileResponse(str(files("fastapi_offline") / "static" / name))
     return piece(PAGES, name)
