@@ -15,7 +15,7 @@ def claims(study: Study, summary: Record) -> str:
     if reference is None:
         return ""
     rows = []
-    for key, published in reference.headline:
+    for key, published in reference.headline.items():
         for instance, found in summary["headline"]["instances"].items():
             if key in found:
                 verdict = {"yes": "holds", "not shown": "is not shown"}.get(sign(found[key]), "does not hold")
@@ -49,7 +49,8 @@ def readings(study: Study, found: Sequence[Record]) -> str:
     """Return a table of interpretations of unspecified details, compared with the reference."""
     targets = study.reference.interventions if study.reference else ()
     head = [
-        "policy", "setting", "robot's prior", "instance", "counted", *(f"published {m:g}" for _, m in targets), "off",
+        "policy", "setting", "robot's prior", "instance", "counted",
+        *(f"published {one.mean:g}" for one in targets), "off",
     ]  # fmt: skip
     rows = [
         [

@@ -33,7 +33,7 @@ def pictures(found: Found, summary: Record) -> Iterator[ReportFigure]:
 
     study, whose = found.study, of_whom(found)
     reference = study.reference
-    published = {named(key): value for key, value in reference.headline} if reference else {}
+    published = {named(key): value for key, value in reference.headline.items()} if reference else {}
     source = f"{study.focus} in {reference.name}" if reference else ""
 
     cells = pd.DataFrame(_measured(cell for cell in summary["cells"] if found.main.items() <= cell.items()))
@@ -52,8 +52,11 @@ def pictures(found: Found, summary: Record) -> Iterator[ReportFigure]:
     condition = of_kinds(study)
     if condition is not None:
         kinds = pd.DataFrame(_kinds(found, condition))
-        marks = reference.interventions if reference else ()
-        marks = tuple(mark for mark in marks if {*mark[0]} <= {*condition.populations})
+        marks = [
+            (one.populations, one.mean)
+            for one in (reference.interventions if reference else ())
+            if {*one.populations} <= {*condition.populations}
+        ]
         figure = partial(draw.category_figure, kinds, condition.populations, marks, source)
         yield ReportFigure("categories", "Actions and interventions for each kind of people", figure)
 

@@ -23,10 +23,8 @@ from ..declare.declared import (
     Count,
     Counts,
     Expected,
-    Number,
     Text,
     Texts,
-    Truth,
     declared,
     names_of,
     shown,
@@ -58,35 +56,6 @@ class ConditionTable:
     repeats: Count | None = None
 
 
-@declared
-class ContrastTable:
-    """A table of `contrasts`."""
-
-    name: Text
-    of: Texts
-    to: Texts
-
-
-@declared
-class InterventionsTable:
-    """A table of `reference.interventions`."""
-
-    populations: Texts
-    mean: Number
-
-
-@declared
-class ReferenceTable:
-    """The table `reference`."""
-
-    source: Text
-    name: Text = "the reference"
-    headline: AnyTable = field(default_factory=dict)
-    interventions: tuple[InterventionsTable, ...] = ()
-    declines: Truth = False
-    contrasts: Texts | None = None
-
-
 @declared(kw_only=True)
 class StudyTable(StudyPlan):
     """The whole file."""
@@ -99,8 +68,8 @@ class StudyTable(StudyPlan):
     setting: AnyTable = field(default_factory=dict)
     populations: dict[str, AnyTable] = field(default_factory=dict)
     conditions: tuple[ConditionTable, ...] | None = None
-    contrasts: tuple[ContrastTable, ...] = ()
-    reference: ReferenceTable | None = None
+    contrasts: tuple[Contrast, ...] = ()
+    reference: Reference | None = None
 
 
 def shipped() -> list[str]:
@@ -185,19 +154,15 @@ class Reader:
         first = conditions[0]
         focus = table.focus or ("attention" if "attention" in first.policies else first.policies[-1])
         self._among("focus", (focus,), first.policies)
-        contrasts = tuple(
-            Contrast(
-                own.name,
-                self._among(f"contrasts[{number}].of", own.of, people),
-                self._among(f"contrasts[{number}].to", own.to, people),
-            )
-            for number, own in enumerate(table.contrasts, start=1)
-        )
+        for number, own in enumerate(table.contrasts, start=1):
+            self._among(f"contrasts[{number}].of", own.of, people)
+            self._among(f"contrasts[{number}].to", own.to, people)
+        self._check_reference(people, first)
         return Study(
             **{name: getattr(table, name) for name in names_of(StudyPlan)}, file=self.file,
             title=table.title or self.file.stem, focus=focus, populations=tuple(people.items()), instances=instances,
-            own_policies=tuple(self.own.items()), conditions=tuple(conditions), contrasts=contrasts,
-            reference=self._reference(people, contrasts, first),
+            own_policies=tuple(self.own.items()), conditions=tuple(conditions), contrasts=table.contrasts,
+            reference=table.reference,
         )  # fmt: skip
 
     def _condition(
@@ -302,23 +267,15 @@ class Reader:
         """Return a setting that replaces the given fields of `base`."""
         return replaced(base, content, self.file, place)
 
-    def _reference(
-        self, people: dict[str, Population], contrasts: tuple[Contrast, ...], first: Condition
-    ) -> Reference | None:
+    def _check_reference(self, people: Iterable[str], first: Condition) -> None:
+        """Check the names in the reference."""
         table = self.table.reference
         if table is None:
-            return None
+            return
         known = {f"{m}_vs_{p.replace('-', '_')}" for m in ("actions", "interventions") for p in first.policies}
-        for key, value in table.headline.items():
-            place = f"reference.headline.{key}"
+        for key in table.headline:
             if key not in known:
-                raise fault(self.file, place, f"unknown; {meant(key, sorted(known))}")
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise fault(self.file, place, f"{shown(value)}; expected a number")
-        interventions = tuple(
-            (self._among(f"reference.interventions[{number}].populations", own.populations, people), own.mean)
-            for number, own in enumerate(table.interventions, start=1)
-        )
-        claimed = self._among("reference.contrasts", table.contrasts or (), [contrast.name for contrast in contrasts])
-        headline = tuple((key, float(value)) for key, value in table.headline.items())
-        return Reference(table.source, table.name, headline, interventions, table.declines, claimed)
+                raise fault(self.file, f"reference.headline.{key}", f"unknown; {meant(key, sorted(known))}")
+        for number, own in enumerate(table.interventions, start=1):
+            self._among(f"reference.interventions[{number}].populations", own.populations, people)
+        self._among("reference.contrasts", table.contrasts, [contrast.name for contrast in self.table.contrasts])

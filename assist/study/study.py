@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +22,7 @@ from pydantic import Field
 
 from planner import Instance
 
-from ..declare.declared import Count, Seed, declared, plain
+from ..declare.declared import Count, Number, Seed, Text, Texts, Truth, declared, plain
 from ..people.ranges import Population
 from ..people.user_code import UserChoiceModel
 from ..person.settings import Setting
@@ -97,48 +97,39 @@ class Cell:
         return ", ".join(part for part in named if part)
 
 
-@dataclass(frozen=True)
+@declared
+class Interventions:
+    """A table of `reference.interventions`: the mean number of interventions for some populations."""
+
+    populations: Texts
+    mean: Number
+
+
+@declared
 class Reference:
-    """Published results that a study is compared with.
+    """The table `reference`: published results that a study is compared with."""
 
-    Attributes
-    ----------
-    source : str
-        Citation.
-    name : str
-        Name in reports.
-    headline : tuple of pairs
-        Name and percentage of each headline figure.
-    interventions : tuple of pairs
-        Populations, and their mean number of interventions.
-    declines : bool
-        Whether the source claims that the savings per person decline with the size of the team.
-    contrasts : tuple of str
-        The study's contrasts that the source claims to exceed 1.
-    """
-
-    source: str
-    name: str = "the reference"
-    headline: tuple[tuple[str, float], ...] = ()
-    interventions: tuple[tuple[tuple[str, ...], float], ...] = ()
-    declines: bool = False
-    contrasts: tuple[str, ...] = ()
+    source: Annotated[Text, Field(description="Citation.")]
+    name: Annotated[Text, Field(description="Name in reports.")] = "the reference"
+    headline: Annotated[dict[str, Number], Field(description="Percentage of each headline figure, by name.")] = field(
+        default_factory=dict
+    )
+    interventions: tuple[Interventions, ...] = ()
+    declines: Annotated[
+        Truth, Field(description="Whether the source claims that savings per person decline with the size of the team.")
+    ] = False
+    contrasts: Annotated[
+        tuple[Text, ...], Field(description="The study's contrasts that the source claims to exceed 1.")
+    ] = ()
 
 
-@dataclass(frozen=True)
+@declared
 class Contrast:
-    """Two groups of populations whose mean numbers of interventions are compared, as a ratio.
+    """A table of `contrasts`: populations whose mean numbers of interventions are compared, as the ratio `of / to`."""
 
-    Attributes
-    ----------
-    name : str
-    of, to : tuple of str
-        Populations of the numerator and of the denominator.
-    """
-
-    name: str
-    of: tuple[str, ...]
-    to: tuple[str, ...]
+    name: Text
+    of: Texts
+    to: Texts
 
 
 @declared(kw_only=True)

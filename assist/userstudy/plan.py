@@ -6,9 +6,13 @@ from dataclasses import dataclass
 from datetime import date
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, Strict
 
 from planner import Instance
 
+from ..declare.declared import Count, Expected, Number, Seed, Text, Truth, Whole, declared
 from ..people.ranges import Population
 from ..person.settings import Setting
 from ..texts.catalogue import Catalogue
@@ -23,6 +27,11 @@ OUTCOMES = ("completion", "actions", "suboptimal_actions", "seconds", "suggestio
 
 WAITING = "waiting"
 """Kind of the stage at which participants wait for their group."""
+
+Minutes = Annotated[Number, Field(gt=0, le=10_000), Expected("a number of minutes above 0")]
+Seconds = Annotated[Number, Field(gt=0, le=86_400), Expected("a number of seconds above 0")]
+Members = Annotated[Whole, Field(ge=2, le=20), Expected("a whole number from 2 to 20")]
+Day = Annotated[date, Strict(), Expected("a date such as 2027-03-31")]
 
 
 @dataclass(frozen=True)
@@ -46,24 +55,18 @@ class Condition:
     reasons: bool
 
 
-@dataclass(frozen=True)
+@declared
 class Grouping:
-    """How participants form groups that share one robot.
+    """The table `group`: several participants share a robot."""
 
-    Attributes
-    ----------
-    size : int
-        Number of participants of a group.
-    wait : float
-        Minutes after which a participant no longer waits for the others.
-    then : str
-        What happens then: "start" with those who are waiting, or without them ("alone"), or "end" the participant's
-        study.
-    """
-
-    size: int
-    wait: float
-    then: str
+    size: Annotated[Members, Field(description="Participants of a group.")]
+    wait: Annotated[Minutes, Field(description="Minutes after which a participant no longer waits for the others.")] = (
+        5.0
+    )
+    then: Annotated[
+        Literal["end", "alone", "start"],
+        Field(description="What happens then: the study ends, or begins alone, or with those who are there."),
+    ] = "end"
 
 
 @dataclass(frozen=True)
@@ -89,8 +92,59 @@ class Stage:
     period: int = 0
 
 
-@dataclass(frozen=True)
-class UserStudy:
+@declared(kw_only=True)
+class UserStudyPlan:
+    """What a user study's file sets, and the study has as it is."""
+
+    design: Annotated[
+        Literal["between", "within"],
+        Field(description="Whether a participant has one condition, or all of them in a balanced order."),
+    ] = "between"
+    participants: Annotated[Count | None, Field(description="Number of places; unlimited unless given.")] = None
+    again: Annotated[Truth, Field(description="Whether simulated people start again when they have finished.")] = True
+    cost_to_go: Annotated[
+        Truth, Field(description="Whether participants' views have the cost-to-go, which says how far they are.")
+    ] = False
+    per_address: Annotated[
+        Count | None,
+        Field(
+            description="Participants of one address (IPv6: a /64 network) who may hold a place before the first task."
+        ),
+    ] = None
+    replace: Annotated[
+        Truth, Field(description="Whether participants who leave after their task began are replaced.")
+    ] = False
+    away: Annotated[
+        Minutes, Field(description="Minutes without contact after which a participant counts as dropped out.")
+    ] = 10.0
+    minutes: Annotated[
+        Minutes | None, Field(description="Minutes after which a task may be left unfinished; never unless given.")
+    ] = None
+    tick: Annotated[Seconds, Field(description="Seconds without an action after which the robot decides again.")] = 2.0
+    code: Annotated[
+        Text | None, Field(description="Completion code of all; each participant has their own unless given.")
+    ] = None
+    withdraw_until: Annotated[
+        Day | None,
+        Field(
+            description="Last day, by the service's clock, for withdrawing data after the end; no limit unless given."
+        ),
+    ] = None
+    exclude_failed_checks: Annotated[
+        Count | None, Field(description="Failed attention checks that exclude from the report; never unless given.")
+    ] = None
+    confirmatory: Annotated[
+        tuple[Text, ...], Field(description="Outcomes that test your hypotheses; all others are exploratory.")
+    ] = ()
+    seed: Annotated[Seed, Field(description="Seed of all randomness.")] = 0
+    group: Annotated[
+        Grouping | None,
+        Field(description="How participants form groups that share a robot; each has a team unless given."),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class UserStudy(UserStudyPlan):
     """The plan of a user study.
 
     Attributes
@@ -99,38 +153,14 @@ class UserStudy:
     digest : str
         Digest of the file's content.
     title : str
-    seed : int
-        Seed of the assignment and of the simulated people.
     tasks : tuple of (str, Instance)
         Tasks by name, in the order in which all participants do them.
     practice : Instance or None
     conditions : tuple of Condition
-    design : str
-        "between" or "within" participants.
     reference : str
         The condition with which the others are compared.
-    participants : int or None
-        Number of places; None: unlimited.
     simulated : int
         Number of simulated people in each participant's team.
-    again : bool
-        Whether simulated people begin again when they have finished, so that the robot stays in demand.
-    replace : bool
-        Whether participants who leave after their task began are replaced.
-    away : float
-        Minutes without a connection or a request after which a participant counts as dropped out.
-    minutes : float or None
-        Time limit of a task in minutes, after which participants may proceed.
-    tick : float
-        Seconds without an action after which the robot decides again.
-    code : str or None
-        Completion code of all participants; None: a code of their own.
-    withdraw_until : date or None
-        Last day on which data can be withdrawn after the end, in the time zone of the service; None: no limit.
-    exclude_failed_checks : int or None
-        Number of failed attention checks from which on participants are excluded from the report; None: never.
-    confirmatory : tuple of str
-        Outcomes whose comparisons are tests of the study's hypotheses, as one family; all others are exploratory.
     setting : Setting
     population : Population
         The robot's prior over people, from which simulated people are drawn too.
@@ -139,43 +169,21 @@ class UserStudy:
     questionnaires : tuple of Questionnaire
     catalogue : Catalogue
         Texts of participants' pages, in the study's language.
-    group : Grouping or None
-        How participants form groups that share a robot; None if each has a team of their own.
-    cost_to_go : bool
-        Whether participants' views have the cost-to-go, which tells how far they are.
-    per_address : int or None
-        Largest number of participants of one network address who hold a place without having begun a task; None: no
-        limit. Signed links have none.
     """
 
     file: Path
     digest: str
     title: str
-    seed: int
     tasks: tuple[tuple[str, Instance], ...]
     practice: Instance | None
     conditions: tuple[Condition, ...]
-    design: str
     reference: str
-    participants: int | None
     simulated: int
-    again: bool
-    replace: bool
-    away: float
-    minutes: float | None
-    tick: float
-    code: str | None
-    withdraw_until: date | None
-    exclude_failed_checks: int | None
-    confirmatory: tuple[str, ...]
     setting: Setting
     population: Population
     texts: dict[str, str]
     questionnaires: tuple[Questionnaire, ...]
     catalogue: Catalogue
-    group: Grouping | None = None
-    cost_to_go: bool = False
-    per_address: int | None = None
 
     @cached_property
     def stages(self) -> tuple[Stage, ...]:

@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import field
-from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from pydantic import Field, Strict
+from pydantic import Field
 
 from planner import Instance, InstanceError, find_instances
 from planner.pddl.instance_finder import bundled_files
 from planner.system.errors import expected as meant
 
-from ..declare.declared import AnyTable, Count, Expected, Number, Seed, Text, Texts, Truth, Whole, declared
+from ..declare.declared import AnyTable, Expected, Text, Texts, Truth, Whole, declared, names_of
 from ..declare.tables import convert, fault, load, located, replaced
 from ..people.ranges import Population
 from ..people.real_people import advice_takers
@@ -26,16 +25,12 @@ from ..people.user_code import parse
 from ..person.settings import Setting
 from ..team.policy_names import POLICIES
 from ..texts.catalogue import FIRST, Catalogue, catalogue
-from .plan import OUTCOMES, WITHIN, Condition, Grouping, UserStudy
+from .plan import OUTCOMES, WITHIN, Condition, UserStudy, UserStudyPlan
 from .questionnaire_file import QuestionnaireTable, questionnaires_of
 from .questionnaires import BEFORE, END, Questionnaire
 
-Minutes = Annotated[Number, Field(gt=0, le=10_000), Expected("a number of minutes above 0")]
-Seconds = Annotated[Number, Field(gt=0, le=86_400), Expected("a number of seconds above 0")]
 # More simulated people would keep the robot away from the participant.
 Mates = Annotated[Whole, Field(ge=0, le=20), Expected("a whole number from 0 to 20")]
-Members = Annotated[Whole, Field(ge=2, le=20), Expected("a whole number from 2 to 20")]
-Day = Annotated[date, Strict(), Expected("a date such as 2027-03-31")]
 
 
 @declared
@@ -53,22 +48,8 @@ class ConditionTable:
     ] = None
 
 
-@declared
-class GroupTable:
-    """The table `group`: several participants share a robot."""
-
-    size: Annotated[Members, Field(description="Participants of a group.")]
-    wait: Annotated[Minutes, Field(description="Minutes after which a participant no longer waits for the others.")] = (
-        5.0
-    )
-    then: Annotated[
-        Literal["end", "alone", "start"],
-        Field(description="What happens then: the study ends, or begins alone, or with those who are there."),
-    ] = "end"
-
-
-@declared
-class FileTable:
+@declared(kw_only=True)
+class FileTable(UserStudyPlan):
     """The whole file."""
 
     tasks: Annotated[Texts, Field(description="Problems, as files or names of shipped tasks, in order.")]
@@ -85,57 +66,16 @@ class FileTable:
     title: Annotated[Text | None, Field(description="Title of the study; the name of the file unless given.")] = None
     thanks: Annotated[Text | None, Field(description="Text in Markdown after the last task.")] = None
     practice: Annotated[Text | None, Field(description="A problem for practice, without suggestions.")] = None
-    design: Annotated[
-        Literal["between", "within"],
-        Field(description="Whether a participant has one condition, or all of them in a balanced order."),
-    ] = "between"
     reference: Annotated[
         Text | None, Field(description="The condition with which the others are compared; the first unless given.")
     ] = None
-    participants: Annotated[Count | None, Field(description="Number of places; unlimited unless given.")] = None
     simulated: Annotated[
         Mates | None,
         Field(
             description="Simulated people who share the robot with each participant; 2, or 0 in groups, unless given."
         ),
     ] = None
-    again: Annotated[Truth, Field(description="Whether simulated people start again when they have finished.")] = True
     reasons: Annotated[Truth, Field(description="Whether participants see the reasons of suggestions.")] = False
-    cost_to_go: Annotated[
-        Truth, Field(description="Whether participants' views have the cost-to-go, which says how far they are.")
-    ] = False
-    per_address: Annotated[
-        Count | None,
-        Field(
-            description="Participants of one address (IPv6: a /64 network) who may hold a place before the first task."
-        ),
-    ] = None
-    replace: Annotated[
-        Truth, Field(description="Whether participants who leave after their task began are replaced.")
-    ] = False
-    away: Annotated[
-        Minutes, Field(description="Minutes without contact after which a participant counts as dropped out.")
-    ] = 10.0
-    minutes: Annotated[
-        Minutes | None, Field(description="Minutes after which a task may be left unfinished; never unless given.")
-    ] = None
-    tick: Annotated[Seconds, Field(description="Seconds without an action after which the robot decides again.")] = 2.0
-    code: Annotated[
-        Text | None, Field(description="Completion code of all; each participant has their own unless given.")
-    ] = None
-    withdraw_until: Annotated[
-        Day | None,
-        Field(
-            description="Last day, by the service's clock, for withdrawing data after the end; no limit unless given."
-        ),
-    ] = None
-    exclude_failed_checks: Annotated[
-        Count | None, Field(description="Failed attention checks that exclude from the report; never unless given.")
-    ] = None
-    confirmatory: Annotated[
-        Texts | None, Field(description="Outcomes that test your hypotheses; all others are exploratory.")
-    ] = None
-    seed: Annotated[Seed, Field(description="Seed of all randomness.")] = 0
     setting: Annotated[AnyTable, Field(description="Fields of the setting, such as costs.")] = field(
         default_factory=dict
     )
@@ -145,10 +85,6 @@ class FileTable:
             description="The people whom the robot expects; their influence is as wide as real people's unless given."
         ),
     ] = field(default_factory=dict)
-    group: Annotated[
-        GroupTable | None,
-        Field(description="How participants form groups that share a robot; each has a team unless given."),
-    ] = None
     questionnaires: Annotated[
         tuple[QuestionnaireTable, ...], Field(description="Questionnaires before, after and at the end.")
     ] = ()
@@ -196,32 +132,30 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         )
         for number, own in enumerate(table.conditions, start=1)
     )  # fmt: skip
-    group = _group(file, table)
-    simulated = table.simulated if table.simulated is not None else 2 if group is None else 0
+    _check_group(file, table)
+    _check_confirmatory(file, table.confirmatory, questionnaires)
     return UserStudy(
-        file, hashlib.sha256(file.read_bytes()).hexdigest()[:32], table.title or file.stem, table.seed,
-        tuple(zip(stems, tasks, strict=True)),
-        None if table.practice is None else found("practice", table.practice),
-        conditions, table.design, reference, table.participants,
-        simulated, table.again, table.replace, table.away, table.minutes, table.tick, table.code,
-        table.withdraw_until, table.exclude_failed_checks, _confirmatory(file, table, questionnaires),
-        setting, _population(file, table.population),
-        {"consent": table.consent, "instructions": table.instructions,
-         "thanks": table.thanks or words("study.thanks_text")},
-        questionnaires, words, group, table.cost_to_go, table.per_address,
+        **{name: getattr(table, name) for name in names_of(UserStudyPlan)},
+        file=file, digest=hashlib.sha256(file.read_bytes()).hexdigest()[:32], title=table.title or file.stem,
+        tasks=tuple(zip(stems, tasks, strict=True)),
+        practice=None if table.practice is None else found("practice", table.practice),
+        conditions=conditions, reference=reference,
+        simulated=table.simulated if table.simulated is not None else 2 if table.group is None else 0,
+        setting=setting, population=_population(file, table.population), questionnaires=questionnaires, catalogue=words,
+        texts={"consent": table.consent, "instructions": table.instructions,
+               "thanks": table.thanks or words("study.thanks_text")},
     )  # fmt: skip
 
 
-def _group(file: Path, table: FileTable) -> Grouping | None:
-    """Return how participants form groups; None if each has a team of their own."""
+def _check_group(file: Path, table: FileTable) -> None:
+    """Check that all places are in groups, which have no simulated people."""
     if table.group is None:
-        return None
-    size, then = table.group.size, table.group.then
+        return
+    size, places = table.group.size, table.participants
     if table.simulated:
         raise fault(file, "simulated", f"{table.simulated}; expected 0 in a study with groups")
-    if table.participants is not None and table.participants % size:
-        raise fault(file, "participants", f"{table.participants}; expected a multiple of {size}, the size of a group")
-    return Grouping(size, table.group.wait, then)
+    if places is not None and places % size:
+        raise fault(file, "participants", f"{places}; expected a multiple of {size}, the size of a group")
 
 
 def _words(file: Path, language: str, carried_out: bool) -> Catalogue:
@@ -235,14 +169,14 @@ def _words(file: Path, language: str, carried_out: bool) -> Catalogue:
         raise fault(file, "language", str(error).removeprefix("language ")) from None
 
 
-def _confirmatory(file: Path, table: FileTable, questionnaires: tuple[Questionnaire, ...]) -> tuple[str, ...]:
+def _check_confirmatory(file: Path, names: tuple[str, ...], questionnaires: tuple[Questionnaire, ...]) -> None:
+    """Check that these are different outcomes of the study."""
     scales = [one.name for one in questionnaires if one.scale and one.when not in (BEFORE, END)]
-    known, names = (*OUTCOMES, *scales), table.confirmatory or ()
+    known = (*OUTCOMES, *scales)
     for number, name in enumerate(names, start=1):
         if name not in known or names.index(name) < number - 1:
             right = meant(name, known) if name not in known else "expected different names"
             raise fault(file, f"confirmatory[{number}]", f"'{name}'; {right}")
-    return tuple(names)
 
 
 def _conditions(file: Path, tables: tuple[ConditionTable, ...], carried_out: bool) -> list[str]:
