@@ -6,20 +6,20 @@ are paired by person, with a correction for the number of models.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from planner.system.arrays import read_only
 from planner.system.results import Result
 
 from ..people.decision import Floats
 from .log import LogError
+from .statistics import Comparison as Tested
+from .statistics import IntervalEstimate, holm, ratio
 
 FOLDS = 8
 
@@ -132,16 +132,15 @@ class Comparison(Result):
             The model with which the others are compared.
         """
         count, of_reference, rows = len(people), logs[reference], []
-        width = float(stats.t.ppf((1 + level) / 2, count - 1))
         for name in [reference, *(name for name in logs if name != reference)]:
             nats, stderr = ratio(-logs[name], choices)
             row = Score(name, parameters[name], nats, stderr, -logs[name] / choices)
             if name != reference:
                 mean, error = ratio(of_reference - logs[name], choices)
-                p = float(2 * stats.t.sf(abs(mean) / error, count - 1)) if error > 0 else 1.0
-                interval = (mean - width * error, mean + width * error)
+                ends = IntervalEstimate.of(mean, error, count - 1, level)
+                p = Tested.of(mean, error, count - 1, level).p if error > 0 else 1.0
                 better = int((logs[name] > of_reference).sum())
-                row = replace(row, difference=mean, interval=interval, p=p, better_for=better)
+                row = replace(row, difference=mean, interval=(ends.low, ends.high), p=p, better_for=better)
             rows.append(row)
         corrected = iter(holm([row.p for row in rows if row.p is not None]))
         scores = [row if row.p is None else replace(row, p_corrected=next(corrected)) for row in rows]
@@ -239,31 +238,3 @@ def folds_of(people: int, folds: int) -> NDArray[np.int64]:
     if people < 2:
         raise LogError("one person; a comparison needs two or more, to learn from some about others")
     return np.arange(people) % min(folds, people)
-
-
-def ratio(sums: Floats, counts: Floats | NDArray[np.int64]) -> tuple[float, float]:
-    """Return the mean per choice and its standard error over people (ratio estimator, by the delta method).
-
-    Parameters
-    ----------
-    sums, counts : arrays, shape (K,)
-        Total of each person, and the number of their choices.
-    """
-    mean, people = sums.sum() / counts.sum(), len(counts)
-    spread = ((sums - mean * counts) ** 2).sum() * people / (people - 1)
-    return float(mean), float(math.sqrt(spread) / counts.sum())
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return the p-values adjusted for their number (Holm, 1979), which bounds the family-wise error.
-
-    Parameters
-    ----------
-    p_values : sequence of float
-        Undefined ones (NaN) count as 1: the family is as large as it was planned.
-    """
-    given = np.asarray(p_values, dtype=float)
-    values = np.where(np.isnan(given), 1.0, given)
-    order, found = np.argsort(values, kind="stable"), np.empty(len(values))
-    found[order] = np.maximum.accumulate(np.minimum(1.0, values[order] * np.arange(len(values), 0, -1)))
-    return np.where(np.isnan(given), np.nan, found).tolist()

@@ -25,6 +25,8 @@ from planner.system.errors import expected
 from planner.system.progress import Progress, Wanted, shows_progress
 from planner.system.results import Result, html_table
 
+from ..learning import statistics
+from ..learning.statistics import IntervalEstimate
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
 from ..person.policy import not_worth_its_cost
@@ -36,8 +38,6 @@ from ..simulation.pool import Pool, require_pool
 from ..simulation.simulate import simulate
 from ..team.policies import by_name
 from ..team.state import TeamPolicy
-from . import statistics
-from .statistics import IntervalEstimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -444,7 +444,7 @@ def _each(run: Episodes, name: str) -> Floats:
 
 def _parts(name: str, estimate: IntervalEstimate | None) -> dict[str, float]:
     """Return the columns of an estimate; NaN where there is none."""
-    found = estimate or IntervalEstimate(math.nan, math.nan, math.nan)
+    found = estimate or IntervalEstimate(math.nan)
     return {name: found.value, f"{name}_low": found.low, f"{name}_high": found.high}
 
 

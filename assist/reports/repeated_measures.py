@@ -1,22 +1,73 @@
-"""Conditions that the same participants have had one after the other: intervals of means, and a mixed model."""
+"""Conditions that the same participants have had one after the other: intervals, comparisons, and a mixed model."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from statistics import fmean
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, stats
 
-from .statistics import IntervalEstimate
+from ..learning.statistics import Comparison, IntervalEstimate, detectable, small
 
 Floats = NDArray[np.floating[Any]]
 Values = Mapping[str, Mapping[str, float]]
 """Values by condition and participant."""
 Periods = Mapping[tuple[str, str], int]
 """The period in which a participant had a condition, by participant and condition."""
+
+
+def within_participants(differences: ArrayLike, periods: ArrayLike, level: float = 0.95) -> Comparison:
+    """Compare two conditions of the same participants, adjusted for the periods in which they had them.
+
+    Least squares explain each participant's difference by the conditions and the periods. So learning from one period
+    to the next is no part of the difference, also if orders are not balanced, and does not widen its interval. Other
+    conditions do not matter, so that variances of conditions may differ.
+
+    Parameters
+    ----------
+    differences : float array, shape (n,)
+        For each participant, the value in the condition minus that in the other one.
+    periods : int array, shape (n, 2)
+        The period of the condition and of the other one. If all participants had the same order, the effects of
+        condition and period are the same, and there is no interval.
+    """
+    y = np.asarray(differences, dtype=float)
+    design, inverse, determined = _of_periods(periods)
+    found = inverse @ design.T @ y
+    freedom, left = len(y) - int(np.linalg.matrix_rank(design)), float(((y - design @ found) ** 2).sum())
+    if not determined or freedom < 1 or left <= 1e-20 * float((y**2).sum()):
+        return Comparison(IntervalEstimate(float(found[0] if determined else y.mean())))
+    deviation = math.sqrt(left / freedom)
+    effect = float(found[0]) / deviation * small(freedom) if freedom > 1 else math.nan
+    return Comparison.of(float(found[0]), deviation * math.sqrt(inverse[0, 0]), freedom, level, effect)
+
+
+def _of_periods(periods: ArrayLike) -> tuple[Floats, Floats, bool]:
+    """Return the design matrix of a comparison, its inverse information, and whether the difference is determined."""
+    when = np.asarray(periods, dtype=np.int64).reshape(-1, 2)
+    later = np.unique(when)[1:]
+    design = np.column_stack([np.ones(len(when)), *[(when == period) @ [1.0, -1.0] for period in later]])
+    inverse = np.linalg.pinv(design.T @ design)
+    return design, inverse, math.isclose(float(inverse[0] @ (design.T @ design)[:, 0]), 1.0, abs_tol=1e-9)
+
+
+def detectable_within(periods: ArrayLike, power: float = 0.8, level: float = 0.95) -> float:
+    """Return the smallest standardised difference that `within_participants` detects with this power.
+
+    Parameters
+    ----------
+    periods : int array, shape (n, 2)
+        As in `within_participants`. The effects of periods take degrees of freedom from the test. The result is NaN
+        where there is no test.
+    power, level : float
+    """
+    design, inverse, determined = _of_periods(periods)
+    freedom = len(design) - int(np.linalg.matrix_rank(design))
+    return detectable(freedom, 1 / math.sqrt(inverse[0, 0]), power, level) if determined else math.nan
 
 
 def means_within(values: Values, level: float = 0.95) -> dict[str, IntervalEstimate]:

@@ -18,6 +18,7 @@ from planner.system.results import Result
 from planner.system.workers import outcomes
 
 from ..declare.declared import plain, sentences
+from ..learning.statistics import FEW
 from ..person.policy import not_worth_its_cost
 from ..plots import style
 from ..study.protocol import study_of
@@ -25,7 +26,6 @@ from ..study.runner import load_study
 from ..study.study import OWN, Study, StudyPlan
 from . import study_claims
 from .html_page import html_page, require_packages
-from .statistics import FEW
 from .study_figures import ReportFigure, of_kinds, of_whom, pictures
 from .study_summary import ARM, BASELINES, MEASURES, Found, average
 from .templates import rendered
@@ -174,7 +174,7 @@ def _headline(study: Study, summary: Record) -> str:
     """Return the table of savings, compared with the published ones."""
     reference, groups = study.reference, _groups(summary)
     columns = varying(groups, COLUMNS)
-    published = dict(reference.headline) if reference else {}
+    published = reference.headline if reference else {}
     rows = []
     for group in groups:
         together = [("together", group)] if len(group["instances"]) > 1 else []

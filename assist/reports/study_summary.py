@@ -1,6 +1,6 @@
 """Numeric results of a study: means for each team size and policy, savings with intervals, and comparisons.
 
-Everything is computed over pools of people, not over their episodes; see `assist.reports.statistics`.
+Everything is computed over pools of people, not over their episodes; see `assist.learning.statistics`.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 
 from planner.system.files import finite
 
+from ..learning import statistics
+from ..learning.statistics import IntervalEstimate
 from ..person.settings import Setting
 from ..study.study import SCHEMA, Study
 from ..team.policy_names import POLICIES
-from . import statistics
-from .statistics import IntervalEstimate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -279,7 +279,7 @@ class Found:
                         for side in (contrast.of, contrast.to)
                     ]
                     above, below = sides[0].align(sides[1], join="inner")
-                    estimate = statistics.ratio(above, below, np.random.default_rng(SEED))
+                    estimate = statistics.quotient(above, below, np.random.default_rng(SEED))
                     if above.sum() > 0:  # otherwise the ratio is undefined
                         found.append({**family, "policy": policy, "contrast": contrast.name, **estimate.record()})
         return found
@@ -292,7 +292,7 @@ class Found:
         found = []
         targets = () if self.study.reference is None else self.study.reference.interventions
         for family, pools in self._families() if targets else ():
-            if not {name for names, _ in targets for name in names} <= set(pools["population"]):
+            if not {name for one in targets for name in one.populations} <= set(pools["population"]):
                 continue
             largest = max(pools["humans"])
             for policy in [name for name in dict.fromkeys(pools["policy"]) if name not in BASELINES]:
@@ -303,10 +303,10 @@ class Found:
                     ("per person, all K", own, True),
                 ):
                     means = [
-                        statistics.mean(_interventions(part[part["population"].isin(names)], per_person))
-                        for names, _ in targets
+                        statistics.mean(_interventions(part[part["population"].isin(one.populations)], per_person))
+                        for one in targets
                     ]
-                    wrong = [abs(m.value - t) for m, (_, t) in zip(means, targets, strict=True)]
+                    wrong = [abs(m.value - one.mean) for m, one in zip(means, targets, strict=True)]
                     found.append(
                         {
                             **family,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from planner.system.errors import DamagedFileError
 from planner.system.files import atomic
 
+from ..learning.statistics import FEW
 from ..live.store import stored
 from ..plots import style
 from ..plots import userstudy as draw
@@ -23,7 +24,6 @@ from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Row, Tables, tables, text_of
 from .html_page import html_page, require_packages
 from .preregistration import compared
-from .statistics import FEW
 from .templates import rendered
 from .userstudy_summary import ALL, measures, summarise
 from .wording import interval, number, p_value, short, value

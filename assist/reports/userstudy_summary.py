@@ -17,14 +17,25 @@ import numpy as np
 
 from planner.system.files import finite
 
-from ..learning.comparison import holm
+from ..learning.statistics import (
+    FEW,
+    IntervalEstimate,
+    RankTest,
+    between_groups,
+    cronbach_alpha,
+    detectable,
+    fisher_p,
+    holm,
+    mann_whitney,
+    mean,
+    newcombe,
+    sign_test,
+    signed_rank,
+)
 from ..userstudy.plan import UserStudy
 from ..userstudy.questionnaires import CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX, Item, Questionnaire
 from ..userstudy.tables import Row, Tables
-from .effects import between_groups, cronbach_alpha, detectable, detectable_within, within_participants
-from .hypothesis_tests import RankTest, fisher_p, mann_whitney, newcombe, sign_test, signed_rank
-from .repeated_measures import means_within, mixed_model
-from .statistics import FEW, IntervalEstimate, mean
+from .repeated_measures import detectable_within, means_within, mixed_model, within_participants
 
 ALL = "all participants"
 """Stands for the condition where answers do not belong to one."""
@@ -144,7 +155,7 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
             answer for one in study.questionnaires for item in one.items for answer in _asked(study, one, item, tables)
         ],
         "detectable": finite(_detectable_within(study, found[0], tables) if study.is_within
-                             else detectable(min(smallest), min(smallest))),
+                             else detectable(2 * min(smallest) - 2, math.sqrt(min(smallest) / 2))),
         "few": [
             name for name, count in zip(names, smallest, strict=True)
             if len(found[0].values[name]) < FEW

@@ -19,18 +19,19 @@ from scipy import special, stats
 from userstudies import PLAN, SCORES, written
 
 from assist.cli import main
-from assist.learning.comparison import holm
-from assist.reports.effects import between_groups, cronbach_alpha, within_participants
-from assist.reports.hypothesis_tests import (
+from assist.learning.statistics import (
     EXACT,
+    between_groups,
+    cronbach_alpha,
     fisher_p,
+    holm,
     mann_whitney,
     newcombe,
     sign_test,
     signed_rank,
 )
 from assist.reports.preregistration import REGISTERED
-from assist.reports.repeated_measures import means_within, mixed_model
+from assist.reports.repeated_measures import means_within, mixed_model, within_participants
 from assist.reports.userstudy_report import of_folder, write_report
 from assist.reports.userstudy_summary import _adjusted, _measure, measures, summarise
 from assist.userstudy.plan import OUTCOMES
@@ -440,9 +441,9 @@ def test_a_registration_comes_first_and_the_report_says_what_has_changed_since(t
     written(data / "study.toml", CONFIRMED.replace("actions", "seconds"))
     assert "but** the study's file has changed" in first_lines()
     record = json.loads((data / REGISTERED).read_text())
-    record["analysis"]["reports/effects.py"] = "0"
+    record["analysis"]["learning/statistics.py"] = "0"
     (data / REGISTERED).write_text(json.dumps(record | {"registered": "3000-01-01T00:00:00+00:00"}))
-    for part in ("registered after the first participant had arrived", "has changed (reports/effects.py)"):
+    for part in ("registered after the first participant had arrived", "has changed (learning/statistics.py)"):
         assert part in first_lines()
     (data / REGISTERED).write_text("{}")
     refused = run("study-report", data)

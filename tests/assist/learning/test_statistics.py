@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from assist.reports import statistics
+from assist.learning import statistics
 from assist.reports.wording import beside, sign
 
 
@@ -64,7 +64,7 @@ def test_changes_ratios_and_effects() -> None:
     a, b, c, d = rng.uniform(1, 2, (4, 20))
     change = statistics.change((a, b), (c, d), np.random.default_rng(0))
     assert change.value == pytest.approx(100 * (c.mean() / d.mean() - a.mean() / b.mean()))
-    assert statistics.ratio(a, b, rng).value == pytest.approx(a.mean() / b.mean())
+    assert statistics.quotient(a, b, rng).value == pytest.approx(a.mean() / b.mean())
     assert statistics.effect(a - b) == pytest.approx((a - b).mean() / (a - b).std(ddof=1))
     alike = statistics.saving(np.full(5, 3.0), np.full(5, 4.0), rng)
     assert (alike.low, alike.value, alike.high) == (25, 25, 25)
