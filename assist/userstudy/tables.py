@@ -11,8 +11,8 @@ import json
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -121,11 +121,15 @@ class Tables:
     def analysed(self) -> Tables:
         """Return the tables as the report uses them: of excluded participants, only the row in `participants`."""
         excluded = {row["participant"] for row in self.participants if row["excluded"] is not None}
+        return Tables(self.participants).with_rows(self, excluded)
+
+    def with_rows(self, other: Tables, without: Container[str]) -> Tables:
+        """Return these participants with the rows of other tables, without those of some participants."""
         kept = {
-            name: [row for row in getattr(self, name) if row["participant"] not in excluded]
-            for name in ("tasks", "actions", "answers", "events")
-        }
-        return Tables(self.participants, **kept)
+            name: [row for row in getattr(other, name) if row["participant"] not in without]
+            for name in COLUMNS if name != "participants"
+        }  # fmt: skip
+        return replace(self, **kept)
 
     def csv(self, name: str) -> str:
         """Return a table as CSV."""
@@ -203,94 +207,65 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     require_version(journal, header, StudyRecord.format)
     if header.get("format") != StudyRecord.format:
         raise DamagedFileError(journal, None, "not the journal of a user study")
-    roll, found = Roll(study), _Rows(study)
+    roll, found = Roll(study), Tables()
+    here: dict[str, Row] = {}  # of each participant what they did at their stage; at a task, its row
     for utc, plain in records:
         record = StudyRecord.of(json.dumps(plain))
-        code = record.event.who
-        before = None if code is None else roll.participants.get(code)
+        event, code = record.event, str(record.event.who)
+        before = roll.participants.get(code)
         stage = study.stages[0 if before is None else before.at]
-        where = None if before is None else _where(study, before, stage)
+        where = {} if before is None else _where(study, before, stage)
         roll.note(record)
-        if code is not None:
-            found.happened(record, utc, stage, where, roll.participants[code])
-        for entered in dict.fromkeys(roll.entered):
-            found.enters(roll.participants[entered], record, utc, by_others=entered in record.members)
-    return found.of(roll)
-
-
-class _Rows:
-    """The rows of the tables, collected event by event."""
-
-    def __init__(self, study: UserStudy) -> None:
-        self._study, self._tables = study, Tables()
-        self._current: dict[str, Row] = {}  # of participants who are at a task, its row
-        self._steps, self._failed = Counter[str](), Counter[str]()
-
-    def happened(
-        self, record: StudyRecord, utc: str | None, stage: Stage, where: Row | None, person: Participant
-    ) -> None:
-        """Add what a participant did at a stage, before which the participant was `where`."""
-        event, code = record.event, person.code
         if event.is_tabled:
-            self._event(code, record, utc, stage)
-        if where is None:
-            return
+            found.events.append(_event(code, record, utc, event.kind, stage))
         if isinstance(event, Onward):
-            rows = list(_answers(self._study, stage, event.answers or {}))
-            self._tables.answers += [where | row for row in rows]
-            self._failed[code] += sum(row["passed"] is False for row in rows)
+            found.answers += [where | row for row in _answers(study, stage, event.answers or {})]
         elif event.is_action:
-            row = where | _action(stage, record, self._steps[code]) | {"utc": utc}
-            self._steps[code] += 1
-            self._tables.actions.append(row)
-            if code in self._current and record.seen is not None:
-                _count(self._current[code], row, record.seen.finished, record.time - person.entered)
+            row = where | _action(stage, record, here[code]["actions"]) | {"utc": utc}
+            found.actions.append(row)
+            _count(here[code], row, record, roll.participants[code])
+        for entered in dict.fromkeys(roll.entered):
+            person = roll.participants[entered]
+            to = study.stages[person.at]
+            here[entered] = _where(study, person, to) | _begun(study, to)
+            if to.kind == "task":
+                found.tasks.append(here[entered])
+            if entered in record.members:  # others of the group have come
+                found.events.append(_event(entered, record, utc, "onward", to))
+    withdrawn = {code for code, person in roll.participants.items() if person.status == WITHDREW}
+    failed = Counter(row["participant"] for row in found.answers if row["passed"] is False)
+    people = [_participant(study, person, failed[person.code]) for person in roll.participants.values()]
+    return Tables(people).with_rows(found, withdrawn)
 
-    def enters(self, person: Participant, record: StudyRecord, utc: str | None, *, by_others: bool) -> None:
-        """Begin the row of a task when a participant enters its stage, perhaps since others of the group have come."""
-        code, stage = person.code, self._study.stages[person.at]
-        self._current.pop(code, None)
-        self._steps[code] = 0
-        if stage.kind == "task":
-            self._current[code] = _where(self._study, person, stage) | {
-                "task": stage.what, "position": [name for name, _ in self._study.tasks].index(stage.what) + 1,
-                "finished": False, "actions": 0, "optimal_cost": None, "suboptimal_actions": 0, "suggestions": 0,
-                "followed": 0, "seconds": None,
-            }  # fmt: skip
-            self._tables.tasks.append(self._current[code])
-        if by_others:
-            self._event(code, record, utc, stage, "onward")
 
-    def _event(self, code: str, record: StudyRecord, utc: str | None, stage: Stage, kind: str | None = None) -> None:
-        self._tables.events.append({
-            "participant": code, "time": record.time, "utc": utc, "event": kind or record.event.kind,
-            "stage": stage.name,
-        })  # fmt: skip
+def _participant(study: UserStudy, person: Participant, failed: int) -> Row:
+    row: Row = {
+        "participant": person.code, "simulated": person.simulated, "arrived": None, "consented": None,
+        "status": person.status, "stage": study.stages[person.at].name, "condition": person.condition,
+        "group": person.group, "completion_code": None, "failed_checks": 0, "excluded": None,
+    }  # fmt: skip
+    if person.status == WITHDREW:
+        return row
+    most, excluded = study.exclude_failed_checks, person.excluded
+    if most is not None and failed >= most and excluded is None:
+        excluded = f"failed {most} or more attention checks"
+    return row | {
+        "arrived": person.arrived, "consented": person.consented, "completion_code": person.completion,
+        "failed_checks": failed, "excluded": excluded,
+    }  # fmt: skip
 
-    def of(self, roll: Roll) -> Tables:
-        """Return the tables, with the participants as they are at the end."""
-        withdrawn = {code for code, person in roll.participants.items() if person.status == WITHDREW}
-        kept = {
-            name: [row for row in getattr(self._tables, name) if row["participant"] not in withdrawn]
-            for name in ("tasks", "actions", "answers", "events")
-        }
-        return Tables([self._participant(person) for person in roll.participants.values()], **kept)
 
-    def _participant(self, person: Participant) -> Row:
-        row: Row = {
-            "participant": person.code, "simulated": person.simulated, "arrived": None, "consented": None,
-            "status": person.status, "stage": self._study.stages[person.at].name, "condition": person.condition,
-            "group": person.group, "completion_code": None, "failed_checks": 0, "excluded": None,
-        }  # fmt: skip
-        if person.status == WITHDREW:
-            return row
-        failed, most, excluded = self._failed[person.code], self._study.exclude_failed_checks, person.excluded
-        if most is not None and failed >= most and excluded is None:
-            excluded = f"failed {most} or more attention checks"
-        return row | {
-            "arrived": person.arrived, "consented": person.consented, "completion_code": person.completion,
-            "failed_checks": failed, "excluded": excluded,
-        }  # fmt: skip
+def _event(code: str, record: StudyRecord, utc: str | None, kind: str, stage: Stage) -> Row:
+    return {"participant": code, "time": record.time, "utc": utc, "event": kind, "stage": stage.name}
+
+
+def _begun(study: UserStudy, stage: Stage) -> Row:
+    """Return the columns of a task that a participant begins; of another stage, those that count actions."""
+    position = [*dict(study.tasks)].index(stage.what) + 1 if stage.kind == "task" else None
+    return {
+        "task": stage.what, "position": position, "finished": False, "actions": 0, "optimal_cost": None,
+        "suboptimal_actions": 0, "suggestions": 0, "followed": 0, "seconds": None,
+    }  # fmt: skip
 
 
 def _where(study: UserStudy, person: Participant, stage: Stage) -> Row:
@@ -324,10 +299,11 @@ def _action(stage: Stage, record: StudyRecord, step: int) -> Row:
     }  # fmt: skip
 
 
-def _count(task: Row, action: Row, finished: bool, seconds: float) -> None:
+def _count(task: Row, action: Row, record: StudyRecord, person: Participant) -> None:
     if action["step"] == 0:
         task["optimal_cost"] = action["cost_before"]
-    task["finished"], task["seconds"] = finished, round(seconds, 3)
+    if record.seen is not None:
+        task["finished"], task["seconds"] = record.seen.finished, round(record.time - person.entered, 3)
     task["actions"] += 1
     task["suboptimal_actions"] += not action["optimal"]
     task["suggestions"] += action["suggestion"] is not None
