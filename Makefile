@@ -114,14 +114,14 @@ $(VENV)/.line: $(VENV)/bin/python pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,ros2,metrics,test]'
+	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,ros2,test]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,ros2,metrics,docs]'
+	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,ros2,docs]'
 	@touch $@
 
 # All of these at once, which takes hardly longer than one.
 $(VENV)/.all: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,ros2,metrics,test,docs]'
+	$(INSTALL) -e '.[plots,study,web,mqtt,opcua,ros2,test,docs]'
 	@touch $(VENV)/.demo $(VENV)/.live $(VENV)/.line $(VENV)/.test $(VENV)/.docs $@

@@ -15,6 +15,7 @@ from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException as StarletteHTTPException
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from planner import LimitError
 
@@ -62,14 +63,13 @@ def make_app(
         servers=[{"url": service.access.root}] if service.access.root else None,
     )  # fmt: skip
     app.state.service, app.state.pictures = service, Pictures(str(service.texts.file))
+    service.measures.registry.register(metrics.Present(service))
     _says_what_is_wrong(app)
     events = event_routes.event_routes(service.events, service.shown)
     for router in (events, routes.router, metrics.router, streams.router, page_routes.router, *more):
         app.include_router(router)
-    app.add_middleware(
-        Guard, access=service.access, allowance=allowance, trusted=trusted_proxies,
-        texts=service.texts,
-    )  # fmt: skip
+    app.add_middleware(Guard, access=service.access, allowance=allowance, texts=service.texts)
+    app.add_middleware(ProxyHeadersMiddleware, trusted_hosts=list(trusted_proxies))
     return app
 
 

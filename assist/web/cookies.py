@@ -10,6 +10,7 @@ import hashlib
 from datetime import timedelta
 from urllib.parse import unquote, urlsplit
 
+from starlette.requests import HTTPConnection
 from starlette.responses import Response
 from starlette.types import Scope
 
@@ -45,14 +46,7 @@ def token_in(scope: Scope, base: str) -> str:
     named = [value.decode("latin-1") for name, value in scope["headers"] if name == NAMED]
     if not named:
         return ""
-    wanted = cookie_of(base, unquote(named[0]))
-    for name, value in scope["headers"]:
-        if name == b"cookie":
-            for pair in value.decode("latin-1").split(";"):
-                key, _, token = pair.strip().partition("=")
-                if key == wanted:
-                    return token
-    return ""
+    return HTTPConnection(scope).cookies.get(cookie_of(base, unquote(named[0])), "")
 
 
 def is_own_page(scope: Scope, base: str) -> bool:

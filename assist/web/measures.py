@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
-from bisect import bisect_left
-from collections import Counter
 from collections.abc import Mapping
-from itertools import accumulate
 from typing import Any
+
+from prometheus_client import CollectorRegistry, Counter, Histogram
+
+LIMITS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+"""Upper limits of the histogram's buckets, in seconds: from a fast disk to a slow decision."""
 
 
 class Measures:
@@ -15,27 +17,29 @@ class Measures:
 
     Attributes
     ----------
-    reports : Counter of (str, str)
-        Answered reports by kind of event and outcome: "recorded" (a repetition, too), "refused" or "failed".
-    followed : Counter of str
-        Answers to suggestions, "yes" or "no".
-    seconds : float
-        Sum of the seconds from the arrival of each report until it was saved.
+    registry : CollectorRegistry
+        With the counts, and whatever else is registered.
     """
 
-    LIMITS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
-    """Upper limits of the histogram's buckets, in seconds: from a fast disk to a slow decision."""
-
     def __init__(self) -> None:
-        self.reports, self.followed = Counter[tuple[str, str]](), Counter[str]()
-        self.seconds = 0.0
-        self._counts = [0] * (len(self.LIMITS) + 1)
+        self.registry = CollectorRegistry()
+        self._reports = Counter(
+            "kitassist_reports", "Answered reports.", ["kind", "outcome"], registry=self.registry
+        )  # fmt: skip
+        self._followed = Counter(
+            "kitassist_suggestions_answered", "Answers to suggestions.", ["followed"], registry=self.registry
+        )
+        self._seconds = Histogram(
+            "kitassist_report_seconds", "From the arrival of a report until it is saved.", buckets=LIMITS,
+            registry=self.registry,
+        )  # fmt: skip
+        for answer in ("no", "yes"):
+            self._followed.labels(answer)
 
     def add(self, kind: str, outcome: str, seconds: float) -> None:
-        """Count an answered report."""
-        self.reports[kind, outcome] += 1
-        self.seconds += seconds
-        self._counts[bisect_left(self.LIMITS, seconds)] += 1
+        """Count an answered report: "recorded" (a repetition, too), "refused" or "failed"."""
+        self._reports.labels(kind, outcome).inc()
+        self._seconds.observe(seconds)
 
     def acted(self, before: bytes | None, action: str | None, after: Mapping[str, Any]) -> None:
         """Count an action that may answer a suggestion, given the person's views before and after it."""
@@ -43,9 +47,4 @@ class Measures:
             return
         view = json.loads(before)
         if view["suggestion"] is not None and after["seq"] > view["seq"]:  # otherwise it is a repetition
-            self.followed["yes" if view["suggestion"] == (action or "").strip().lower() else "no"] += 1
-
-    def buckets(self) -> list[tuple[str, float]]:
-        """Return the cumulative histogram: limits and counts."""
-        names = [*map(str, self.LIMITS), "+Inf"]
-        return list(zip(names, accumulate(self._counts), strict=True))
+            self._followed.labels("yes" if view["suggestion"] == (action or "").strip().lower() else "no").inc()

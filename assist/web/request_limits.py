@@ -37,7 +37,8 @@ HEADERS = [
 ]
 
 
-Networks = Sequence[ipaddress.IPv4Network | ipaddress.IPv6Network]
+Networks = Sequence[str]
+"""Networks of proxies that report the client's address."""
 
 
 def networks(texts: Sequence[str]) -> Networks:
@@ -51,33 +52,18 @@ def networks(texts: Sequence[str]) -> Networks:
     found = []
     for text in texts:
         try:
-            found.append(ipaddress.ip_network(text.strip(), strict=False))
+            found.append(str(ipaddress.ip_network(text.strip(), strict=False)))
         except ValueError:
             raise ValueError(f"{text[:60]}: expected an address such as 127.0.0.1, or a network 10.0.0.0/8") from None
     return found
 
 
-def address_of(scope: Scope, trusted: Networks) -> str:
-    """Return the network address of a client, for limits; trusted proxies report it in the header X-Forwarded-For.
+def address_of(scope: Scope) -> str:
+    """Return the network address of a client, for limits; what trusted proxies report of it is in the scope by now.
 
-    Every proxy appends the address from which it was called. So the last address that is no trusted proxy's is the
-    client's; those before it are claims of the client. Of an IPv6 address the first half counts: a household or a site
-    has the other half to itself, 2^64 addresses.
+    Of an IPv6 address the first half counts: a household or a site has the other half to itself, 2^64 addresses.
     """
     address = str((scope.get("client") or ("",))[0])
-    claimed = [value.decode("latin-1") for name, value in scope["headers"] if name == b"x-forwarded-for"]
-    for before in reversed(",".join(claimed).split(",") if claimed else []):
-        try:
-            if not any(ipaddress.ip_address(address) in network for network in trusted):
-                break
-            address = str(ipaddress.ip_address(before.strip()))
-        except ValueError:
-            break
-    return _site(address)
-
-
-def _site(address: str) -> str:
-    """Return an IPv4 address as it is, and of an IPv6 address its network of 64 bits."""
     try:
         found = ipaddress.ip_address(address)
     except ValueError:
@@ -141,10 +127,10 @@ class Guard:
     """
 
     def __init__(
-        self, app: ASGIApp, access: AccessTokens, allowance: Allowance | None = None, trusted: Networks = (),
+        self, app: ASGIApp, access: AccessTokens, allowance: Allowance | None = None,
         texts: Catalogue | None = None,
     ) -> None:  # fmt: skip
-        self.app, self._access, self._allowance, self._trusted = app, access, allowance or Allowance(), trusted
+        self.app, self._access, self._allowance = app, access, allowance or Allowance()
         self._texts = texts or catalogue()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -174,7 +160,7 @@ class Guard:
         Callers without a valid token share a limit for each network address. It is larger for pages, and for visitors
         of a study, who all have the same token, since a whole waiting room may be behind one address.
         """
-        address = address_of(scope, self._trusted)
+        address = address_of(scope)
         if caller is not None and caller.person == VISITOR:
             return self._allowance.wait(f"visitors {address}", self._allowance.for_pages)
         if caller is not None:
@@ -187,7 +173,7 @@ class Guard:
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
         token, foreign = self._token(scope)
         caller = self._access.whose(token) if token else None
-        scope.setdefault("state", {}).update(caller=caller, address=address_of(scope, self._trusted))
+        scope.setdefault("state", {}).update(caller=caller, address=address_of(scope))
         wait = self._wait(scope, caller)
         if wait:
             said = self._worded(caller, "many")

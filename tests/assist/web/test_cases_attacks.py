@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import re
 from pathlib import Path
@@ -13,6 +14,7 @@ from conftest import ROOT
 from starlette.testclient import TestClient
 from test_cases_study_identities import signature_of
 from test_userstudy_pages import Web
+from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from assist.userstudy.codes import LETTERS
 from assist.web.request_limits import LARGEST, Allowance, address_of, networks
@@ -251,8 +253,14 @@ def test_the_many_addresses_of_one_household_count_as_one() -> None:
     """Whoever has an IPv6 network has 2^64 addresses, and has not as many attempts at codes and places."""
 
     def of(address: str, *claims: str, trusted: str = "127.0.0.1") -> str:
-        headers = [(b"x-forwarded-for", claim.encode()) for claim in claims]
-        return address_of({"client": (address, 1), "headers": headers}, networks([trusted]))
+        headers, seen = [(b"x-forwarded-for", claim.encode()) for claim in claims], list[str]()
+
+        async def app(scope: Any, *_: Any) -> None:
+            seen.append(address_of(scope))
+
+        scope = {"type": "http", "client": (address, 1), "headers": headers}
+        asyncio.run(ProxyHeadersMiddleware(app, list(networks([trusted])))(scope, None, None))
+        return seen[0]
 
     one = {of(f"2001:db8:0:7:{n:x}::{n:x}") for n in range(1, 50)}
     assert one == {"2001:db8:0:7::/64"}
