@@ -1,4 +1,4 @@
-"""The tables of declared fields in the pages: `python tests/declared_tables.py` writes them.
+"""The tables of declared fields and of events in the pages: `python tests/declared_tables.py` writes them.
 
 A table stands between `<!-- declared MODULE CLASS -->` and `<!-- end -->`.
 """
@@ -7,10 +7,15 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import MISSING
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from assist.declare.options import table
+from assist.declare.declared import annotation_of, bare, default_of, is_declared, names_of, phrase, plain, sentences
+from assist.declare.options import toml
+from assist.live.events import Event, kinds
+from planner.system.results import markdown_table
 
 DOCS = Path(__file__).parent.parent / "docs"
 MARKED = re.compile(r"(<!-- declared (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -23,6 +28,38 @@ def renewed(text: str) -> str:
         return f"{found[1]}\n{table(getattr(import_module(found[2]), found[3]))}\n\n{found[4]}"
 
     return MARKED.sub(anew, text)
+
+
+def table(kind: Any) -> str:
+    """Return the fields of a declared class, or of an event's kinds: what each is."""
+    return event_table(kind) if isinstance(kind, type) and issubclass(kind, Event) else field_table(kind)
+
+
+def field_table(kind: Any) -> str:
+    """Return a table of the fields of a declared class in Markdown: name, sentence, range and default."""
+    rows = []
+    for name in sorted(names_of(kind), key=lambda one: default_of(kind, one) is not MISSING):
+        annotation, default = annotation_of(kind, name), default_of(kind, name)
+        value = None if default is MISSING or is_declared(bare(annotation)) else plain(default)
+        shown = "" if value in (None, [], {}) else f"`{toml(value)}`"
+        rows.append(
+            (f"`{name}`", sentences(kind)[name], phrase(annotation), "required" if default is MISSING else shown)
+        )
+    return markdown_table(("field", "meaning", "what it is", "default"), rows)
+
+
+def event_table(base: type[Event]) -> str:
+    """Return a table of the events below a class: request, fields of the body, and what has happened."""
+    rows = []
+    for kind in kinds(base).values():
+        if kind.path is None or not kind.__module__.startswith("assist."):
+            continue
+        inside = re.findall(r"\{(\w+)\}", kind.path)
+        fields = ", ".join(f"`{name}`" for name in kind.fields() if name not in inside and kind.method == "POST")
+        said = str(kind.__doc__).strip().splitlines()[0].rstrip(".")
+        who = "operator: " if kind.by_operator else ""
+        rows.append((f"`{kind.method} {kind.path}`", fields, f"{who}{said[0].lower()}{said[1:]}"))
+    return markdown_table(("request", "fields", "reports"), rows)
 
 
 def main() -> None:

@@ -71,7 +71,7 @@ ROOMS = {
         templates html_page study_summary study_claims study_figures study_report userstudy_summary
         preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures schemas service authorization request_limits task_drawings
-        event_routes event_table routes metrics streams page_routes app connections server client""",
+        event_routes routes metrics streams page_routes app connections server client""",
     "assist.web.user_study": "schemas service routes rehearsal server",
     "assist.bridges": """messages ordering session_client tasks transport errands kernel mqtt_settings mqtt
         opcua_settings opcua opcua_server ros2_settings ros2""",

@@ -321,18 +321,6 @@ def printed(kind: Any) -> str:
     return "\n".join(_lines(kind, ""))
 
 
-def table(kind: Any) -> str:
-    """Return a table of the fields of a declared class in Markdown: name, sentence, range and default."""
-    rows = ["| field | meaning | what it is | default |", "|---|---|---|---|"]
-    for name in names_of(kind):
-        annotation, default = annotation_of(kind, name), default_of(kind, name)
-        value = None if default is MISSING or is_declared(bare(annotation)) else plain(default)
-        shown_as = "" if value in (None, [], {}) else f"`{_toml(value)}`"
-        cells = sentences(kind)[name], phrase(annotation), "required" if default is MISSING else shown_as
-        rows.append(f"| `{name}` | {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-    return "\n".join(rows)
-
-
 def _lines(kind: Any, hidden: str) -> list[str]:
     """Return the lines of a table; `hidden` is "# " where the table is not set."""
     lines, tables_after = list[str](), list[str]()
@@ -345,14 +333,14 @@ def _lines(kind: Any, hidden: str) -> list[str]:
             continue
         lines.append(f"{text} It is {phrase(annotation)}.")
         value = "" if default is MISSING else plain(default)
-        lines.append(f"# {name} =" if value in ("", None, [], {}) else f"{hidden}{name} = {_toml(value)}")
+        lines.append(f"# {name} =" if value in ("", None, [], {}) else f"{hidden}{name} = {toml(value)}")
     return lines + tables_after
 
 
-def _toml(value: Any) -> str:
+def toml(value: Any) -> str:
     """Return plain data as a value in TOML."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{name} = {_toml(own)}" for name, own in value.items()) + "}"
+        return "{" + ", ".join(f"{name} = {toml(own)}" for name, own in value.items()) + "}"
     if isinstance(value, list):
-        return f"[{', '.join(map(_toml, value))}]"
+        return f"[{', '.join(map(toml, value))}]"
     return shown(value)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from planner.system.results import markdown_table
+
 from ..study.study import Contrast, Study
 from .study_summary import BASELINES
-from .wording import Record, beside, interval, named, prior, sign, table
+from .wording import Record, beside, interval, named, prior, sign
 
 
 def claims(study: Study, summary: Record) -> str:
@@ -27,7 +29,7 @@ def claims(study: Study, summary: Record) -> str:
             claim = f"saves fewer {r['measure']} against {r['against']} in large teams"
             rows.append([claim, r["instance"], verdict, interval(r)])
     head = [f"claim: {study.focus} ...", "instance", "verdict", "percent, or percentage points"]
-    return table(head, rows) if rows else ""
+    return markdown_table(head, rows) if rows else ""
 
 
 def contrasts(study: Study, summary: Record) -> Iterator[tuple[Contrast, dict[str, list[str]]]]:
@@ -59,4 +61,4 @@ def readings(study: Study, found: Sequence[Record]) -> str:
         ]
         for r in found
     ]  # fmt: skip
-    return table(head, rows)
+    return markdown_table(head, rows)

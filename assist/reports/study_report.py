@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from planner.system.files import atomic, remove_unfinished
-from planner.system.results import Result
+from planner.system.results import Result, markdown_table
 from planner.system.workers import outcomes
 
 from ..declare.declared import plain, sentences
@@ -29,7 +29,7 @@ from .html_page import html_page, require_packages
 from .study_figures import ReportFigure, of_kinds, of_whom, pictures
 from .study_summary import ARM, BASELINES, MEASURES, Found, average
 from .templates import rendered
-from .wording import Record, beside, interval, named, number, prior, sign, table, varying, with_deviation
+from .wording import Record, beside, interval, named, number, prior, sign, varying, with_deviation
 
 FIGURES = "figures"
 COLUMNS = {"population": "people", "setting": "setting", "prior": "robot's prior"}
@@ -190,7 +190,7 @@ def _headline(study: Study, summary: Record) -> str:
                         row += ["", ""]
                     rows.append(row)
     head = [f"{summary['headline']['policy']} saves, %", *_titles(columns), "instance", "here"]
-    return table(head + ([reference.name, "comparison"] if reference and published else []), rows)
+    return markdown_table(head + ([reference.name, "comparison"] if reference and published else []), rows)
 
 
 def limit_notes(summary: Record) -> Iterator[str]:
@@ -245,7 +245,7 @@ def _by_arm(head: list[str], rows: Sequence[Record], cells: Callable[[Record], l
     """Return a table whose first columns are those of `COLUMNS` in which the rows differ; empty without rows."""
     columns = varying(rows, COLUMNS)
     lines = [[*_which(row, columns), row["instance"], *cells(row)] for row in rows]
-    return table([*_titles(columns), "instance", *head], lines) if rows else ""
+    return markdown_table([*_titles(columns), "instance", *head], lines) if rows else ""
 
 
 def _effects(study: Study, summary: Record) -> str:
@@ -310,11 +310,11 @@ def _kinds_of_people(found: Found, summary: Record) -> Record | None:
     head = ["condition", "instance", "setting", "robot's prior", "contrast", "policy", "ratio", "above 1"]
     return {
         "condition": condition,
-        "averages": table(["instance", "people", "policy", "actions per person", "interventions", most], rows),
-        "ratios": table(["instance", "contrast", "policy", "ratio of interventions", "above 1"], ratios)
+        "averages": markdown_table(["instance", "people", "policy", "actions per person", "interventions", most], rows),
+        "ratios": markdown_table(["instance", "contrast", "policy", "ratio of interventions", "above 1"], ratios)
         if ratios
         else "",
-        "elsewhere": table(head, elsewhere) if elsewhere else "",
+        "elsewhere": markdown_table(head, elsewhere) if elsewhere else "",
     }
 
 
@@ -337,7 +337,7 @@ def _sensitivity(found: Found, summary: Record) -> str:
         key = (what or "default", r["policy"], r["instance"], str(r["pools"]))
         grouped.setdefault(key, {})[f"{r['measure']} against {r['against']}"] = interval(r)
     columns = list(dict.fromkeys(name for cells in grouped.values() for name in cells))
-    return table(
+    return markdown_table(
         ["variation", "policy", "instance", "pools", *columns],
         ([*key, *(cells.get(name, "-") for name in columns)] for key, cells in grouped.items()),
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from planner.system.results import markdown_cell, markdown_table
+
 from . import wording
 
 
@@ -19,6 +21,7 @@ def rendered(template: str, **content: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    words = (wording.cell, wording.number, wording.prior, wording.short, wording.table, wording.value)
+    words = (wording.number, wording.prior, wording.short, wording.value)
     environment.filters |= {word.__name__: word for word in words}
+    environment.filters |= {"table": markdown_table, "cell": markdown_cell}
     return environment.get_template(template).render(content).rstrip() + "\n"

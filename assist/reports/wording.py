@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -12,21 +11,6 @@ from ..texts.catalogue import Catalogue, catalogue
 Record = dict[str, Any]
 
 ENDS = ("low", "high")
-MARKUP = re.compile(r"<(?=[!/?a-zA-Z])")
-"""Signs with which HTML begins a tag or a comment."""
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a Markdown table without the columns that are empty in every row."""
-    lines = [[cell(each) for each in row] for row in rows]
-    kept = [place for place in range(len(head)) if not lines or any(line[place] for line in lines)]
-    shown = [[line[place] for place in kept] for line in ([*head], ["---"] * len(head), *lines)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in shown)
-
-
-def cell(content: object) -> str:
-    """Return the text of a cell of a Markdown table: on one line, with markup shown as it is written."""
-    return MARKUP.sub("&lt;", " ".join(str(content).split()).replace("|", "\\|"))
 
 
 def short(text: str, most: int = 48) -> str:

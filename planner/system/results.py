@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 20
 """Rows of a result that a notebook shows; a frame has all."""
+MARKUP = re.compile(r"<(?=[!/?a-zA-Z])")
+"""Signs with which HTML begins a tag or a comment."""
 
 
 class ByContent:
@@ -99,6 +102,19 @@ def html_table(rows: Sequence[Mapping[Any, Any]], head: Sequence[str] = ()) -> s
     top = "".join(f"<th>{html.escape(str(name))}</th>" for name in head or columns)
     body = "".join(f"<tr>{''.join(f'<td>{_cell(row.get(name))}</td>' for name in columns)}</tr>" for row in rows)
     return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table in Markdown without the columns that are empty in every row."""
+    lines = [[markdown_cell(each) for each in row] for row in rows]
+    kept = [place for place in range(len(head)) if not lines or any(line[place] for line in lines)]
+    shown = [[line[place] for place in kept] for line in ([*head], ["---"] * len(head), *lines)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in shown)
+
+
+def markdown_cell(content: object) -> str:
+    """Return the text of a cell of such a table: on one line, with markup shown as it is written."""
+    return MARKUP.sub("&lt;", " ".join(str(content).split()).replace("|", "\\|"))
 
 
 def _cell(value: Any) -> str:

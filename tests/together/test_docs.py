@@ -18,9 +18,6 @@ from conftest import ROOT
 from test_architecture import PACKAGES, handed_on
 
 from assist.cli import main
-from assist.live.events import Event, TeamEvent
-from assist.userstudy.events import StudyEvent
-from assist.web.event_table import event_table
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "domains").rglob("*.md"))]
 STATUS = "echo $?"
@@ -157,8 +154,3 @@ def test_links_lead_somewhere() -> None:
         for link in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
             if "://" not in link:
                 assert (page.parent / link).exists(), f"{name(page)}: {link}"
-
-
-@pytest.mark.parametrize("events", [TeamEvent, StudyEvent])
-def test_the_table_of_events_follows_from_their_classes(events: type[Event]) -> None:
-    assert event_table(events) in (ROOT / "docs" / "http.md").read_text()
