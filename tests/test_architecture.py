@@ -66,9 +66,9 @@ ROOMS = {
     "assist.plots": "style labels episode watched people policies study userstudy",
     "assist.study": "study protocol tasks cells runner own_code",
     "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file codes
-        participant_team participants places events record groups roll cohort session tables export""",
+        participant_team participants events record groups roll cohort session tables export""",
     "assist.reports": """watched_episode policy_comparison repeated_measures wording
-        templates html_page study_summary study_claims study_figures study_report userstudy_summary
+        report_files study_summary study_claims study_figures study_report userstudy_summary
         preregistration userstudy_report""",
     "assist.web": """tokens cookies log_lines measures schemas service authorization request_limits task_drawings
         event_routes routes metrics streams page_routes app connections server client""",

@@ -6,14 +6,13 @@ treated in `assist.reports.study_claims`.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from planner.system.files import atomic, remove_unfinished
+from planner.system.files import remove_unfinished
 from planner.system.results import Result, markdown_table
 from planner.system.workers import outcomes
 
@@ -24,27 +23,16 @@ from ..plots import style
 from ..study.protocol import study_of
 from ..study.runner import load_study
 from ..study.study import OWN, Study, StudyPlan
-from . import study_claims
-from .html_page import html_page, require_packages
+from . import report_files, study_claims
+from .report_files import FIGURES, html_page, rendered, write_files
 from .study_figures import ReportFigure, of_kinds, of_whom, pictures
 from .study_summary import ARM, BASELINES, MEASURES, Found, average
-from .templates import rendered
 from .wording import Record, beside, interval, named, number, prior, sign, varying, with_deviation
 
-FIGURES = "figures"
 COLUMNS = {"population": "people", "setting": "setting", "prior": "robot's prior"}
 
 
-def require() -> None:
-    """Check that reports can be written.
-
-    Raises
-    ------
-    MissingExtraError
-        pandas, Jinja2, Markdown or matplotlib is not installed.
-    """
-    style.require()
-    require_packages("pandas", "jinja2", "markdown")
+require = partial(report_files.require, "pandas", "jinja2", "markdown")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,13 +106,7 @@ def write_report(study: Study | str | Path, folder: str | Path, *, jobs: int = 1
     folder, study = Path(folder), study_of(study)
     report = Report.of(study, folder)
     _draw_all(report.pictures, folder / FIGURES, jobs)
-    for name, text in {
-        "summary.json": json.dumps(report.summary, indent=1) + "\n",
-        "report.md": report.text,
-        "report.html": report.page(study.title),
-    }.items():
-        with atomic(folder / name) as path:
-            path.write_text(text, encoding="utf-8")
+    write_files(folder, report.summary, report.text, report.page(study.title))
     return report
 
 

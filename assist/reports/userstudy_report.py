@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import DamagedFileError
-from planner.system.files import atomic
 
 from ..learning.statistics import FEW
 from ..live.store import stored
@@ -22,16 +20,15 @@ from ..userstudy.plan_file import read
 from ..userstudy.questionnaires import TLX, Item
 from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Row, Tables, tables, text_of
-from .html_page import html_page, require_packages
+from . import report_files
 from .preregistration import compared
-from .templates import rendered
+from .report_files import FIGURES, html_page, rendered, write_files
 from .userstudy_summary import ALL, measures, summarise
 from .wording import interval, number, p_value, short, value
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FIGURES = "figures"
 LATER = {"utc", "group", "excluded", "failed_checks", "option", "passed"}
 """Columns that exports of earlier versions lack, besides the position of an answer."""
 NUMBERS = {
@@ -41,16 +38,7 @@ NUMBERS = {
 TRUTHS = {"simulated", "finished", "followed", "passed"}
 
 
-def require() -> None:
-    """Check that reports can be written.
-
-    Raises
-    ------
-    MissingExtraError
-        Jinja2, Markdown or matplotlib is not installed.
-    """
-    style.require()
-    require_packages("jinja2", "markdown")
+require = partial(report_files.require, "jinja2", "markdown")
 
 
 def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
@@ -127,10 +115,7 @@ def _written(folder: Path, out: Path) -> dict[str, Any]:
         style.save_for_pages(figure, out / FIGURES, name, dark=False)
     text = report_text(study, summary, {name: said for name, (said, _) in pictures.items()})
     page = html_page(study.title, text, dark=False, language=study.catalogue.tag)
-    numbers = json.dumps(summary, indent=1) + "\n"
-    for name, content in {"summary.json": numbers, "report.md": text, "report.html": page}.items():
-        with atomic(out / name) as path:
-            path.write_text(content, encoding="utf-8")
+    write_files(out, summary, text, page)
     return summary
 
 

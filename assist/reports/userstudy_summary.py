@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
@@ -69,35 +69,48 @@ def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
     """Yield the measures: completion, those of participants who finished all tasks, and those of questionnaires."""
     phrase = study.catalogue.phrase
     for name in TASK_MEASURES:
-        found: dict[str, dict[str, float]] = {one.name: {} for one in study.conditions}
+        found = []
         for (participant, condition), rows in _attempts(tables).items():
             done = _has_finished(study, rows)
             value = 100.0 * done if name == "completion" else _of_tasks(name, rows) if done else None
-            if value is not None:
-                found[condition][participant] = value
-        yield Measure(name, phrase(f"report.measures.{name}"), _of_units(tables, found))
+            found.append((participant, condition, value))
+        yield Measure(name, phrase(f"report.measures.{name}"), _by_condition(_names(study), found, tables))
     for one in study.questionnaires:
         if one.scale and study.is_by_condition(one):
-            found = {condition.name: {} for condition in study.conditions}
-            for participant, condition, scores in scored(one, tables):
-                if (score := one.mean(scores)) is not None:
-                    found[condition][participant] = score
+            means = [(who, condition, one.mean(scores)) for who, condition, scores in scored(one, tables)]
             low, high, _ = one.scale[0].ends
             kind = "raw_mean" if one.form == TLX else "mean"
             label = phrase(f"report.{kind}", name=one.name, low=f"{low:g}", high=f"{high:g}")
-            yield Measure(one.name, label, _of_units(tables, found))
+            yield Measure(one.name, label, _by_condition(_names(study), means, tables))
 
 
-def _of_units(tables: Tables, values: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    """Return values of the units of analysis from those of participants, by condition: means over groups, if any."""
+def _names(study: UserStudy) -> list[str]:
+    return [one.name for one in study.conditions]
+
+
+def _by_condition(
+    where: list[str], values: Iterable[tuple[str, str, float | None]], tables: Tables
+) -> dict[str, dict[str, float]]:
+    """Return values by condition and unit of analysis: those of participants, or means over the members of groups.
+
+    Parameters
+    ----------
+    where : list of str
+        The conditions; `ALL` alone for what belongs to none.
+    values : iterable of (participant, condition, value)
+        None stands for a missing value.
+    tables : Tables
+    """
     groups = {row["participant"]: row["group"] or row["participant"] for row in tables.participants}
-    found: dict[str, dict[str, float]] = {}
-    for condition, own in values.items():
-        units: dict[str, list[float]] = {}
-        for participant, value in own.items():
-            units.setdefault(groups.get(participant, participant), []).append(value)
-        found[condition] = {unit: fmean(each) if len(each) > 1 else each[0] for unit, each in units.items()}
-    return found
+    units: dict[str, dict[str, list[float]]] = {name: {} for name in where}
+    for participant, condition, value in values:
+        if value is not None:
+            unit = groups.get(participant, participant)
+            units[condition if condition in units else ALL].setdefault(unit, []).append(value)
+    return {
+        name: {unit: fmean(each) if len(each) > 1 else each[0] for unit, each in own.items()}
+        for name, own in units.items()
+    }
 
 
 def _attempts(tables: Tables) -> dict[tuple[str, str], list[Row]]:
@@ -136,7 +149,7 @@ def scored(questionnaire: Questionnaire, tables: Tables) -> Iterator[tuple[str, 
 def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
     """Return all numbers of the report as JSON data."""
     tables = tables.analysed()
-    names = [one.name for one in study.conditions]
+    names = _names(study)
     found = list(measures(study, tables))
     smallest = [min(len(found[0].values[name]), len(found[0].values[study.reference])) for name in names]
     return {
@@ -318,16 +331,20 @@ def _compared_by_ranks(study: UserStudy, own: dict[str, float], reference: dict[
 
 def _worst_rank(study: UserStudy, name: str, tables: Tables) -> Iterator[Row]:
     """Yield comparisons of a measure in which participants who did not finish have the worst rank."""
-    values: dict[str, dict[str, float]] = {one.name: {} for one in study.conditions}
+    found = []
     for (participant, condition), rows in _attempts(tables).items():
         value = _of_tasks(name, rows) if _has_finished(study, rows) else None
-        values[condition][participant] = math.inf if value is None else value
-    values = _of_units(tables, values)
+        found.append((participant, condition, math.inf if value is None else value))
+    yield from _ranked_rows(study, {"measure": name}, _by_condition(_names(study), found, tables))
+
+
+def _ranked_rows(study: UserStudy, what: Row, values: dict[str, dict[str, float]]) -> Iterator[Row]:
+    """Yield the comparison of each condition with the reference by ranks, as far as there are data."""
     for condition, own in values.items():
         if condition != study.reference and (found := _ranked(study, own, values[study.reference])):
-            yield {
-                "measure": name, "condition": condition, "n": _compared_by_ranks(study, own, values[study.reference]),
-                "p": finite(found.p), "effect": found.effect,
+            yield what | {
+                "condition": condition, "n": _compared_by_ranks(study, own, values[study.reference]),
+                "p": finite(found.p), "effect": finite(found.effect),
             }  # fmt: skip
 
 
@@ -337,18 +354,9 @@ def _likert(study: UserStudy, one: Questionnaire, tables: Tables) -> Iterator[Ro
         return
     rows = list(scored(one, tables))
     for item in one.scale:
-        values: dict[str, dict[str, float]] = {condition.name: {} for condition in study.conditions}
-        for participant, condition, scores in rows:
-            if item.name in scores:
-                values[condition][participant] = scores[item.name]
-        values = _of_units(tables, values)
-        for condition, own in values.items():
-            if condition != study.reference and (found := _ranked(study, own, values[study.reference])):
-                yield {
-                    "questionnaire": one.name, "item": item.name, "condition": condition,
-                    "n": _compared_by_ranks(study, own, values[study.reference]),
-                    "p": finite(found.p), "effect": finite(found.effect),
-                }  # fmt: skip
+        given = ((who, condition, scores.get(item.name)) for who, condition, scores in rows)
+        what = {"questionnaire": one.name, "item": item.name}
+        yield from _ranked_rows(study, what, _by_condition(_names(study), given, tables))
 
 
 def _cells(study: UserStudy, values: dict[str, dict[str, float]]) -> list[Row]:
@@ -368,14 +376,11 @@ def _cells(study: UserStudy, values: dict[str, dict[str, float]]) -> list[Row]:
 
 def _questionnaire(study: UserStudy, one: Questionnaire, tables: Tables) -> dict[str, Any]:
     rows = list(scored(one, tables))
-    where = [condition.name for condition in study.conditions] if study.is_by_condition(one) else [ALL]
+    where = _names(study) if study.is_by_condition(one) else [ALL]
     items = []
     for item in one.scale:
-        values: dict[str, dict[str, float]] = {name: {} for name in where}
-        for participant, condition, scores in rows:
-            if item.name in scores:
-                values[condition if condition in values else ALL][participant] = scores[item.name]
-        items += [{"item": item.name, **cell} for cell in _cells(study, _of_units(tables, values))]
+        given = ((who, condition, scores.get(item.name)) for who, condition, scores in rows)
+        items += [{"item": item.name, **cell} for cell in _cells(study, _by_condition(where, given, tables))]
     # Answers of one participant in several conditions are not independent, so that each condition has an alpha.
     alphas = {name: _alpha(one, [row for row in rows if name in (ALL, row[1])]) for name in where}
     repeated = study.is_within and len(where) > 1
@@ -396,11 +401,11 @@ def _asked(study: UserStudy, one: Questionnaire, item: Item, tables: Tables) -> 
     if item.form == TEXT or (item in one.scale):
         return
     own = [row for row in tables.answers if (row["questionnaire"], row["item"]) == (one.name, item.name)]
-    where = [condition.name for condition in study.conditions] if study.is_by_condition(one) else [ALL]
+    where = _names(study) if study.is_by_condition(one) else [ALL]
     answered = [row for row in own if row["answer"] is not None]
     rows = {name: [row for row in answered if name in (ALL, row["condition"])] for name in where}
-    scores = {name: {row["participant"]: row["score"] for row in given} for name, given in rows.items()}
-    cells = _cells(study, _of_units(tables, scores)) if item.is_scored else [{} for _ in where]
+    scores = ((row["participant"], row["condition"], row["score"]) for row in answered)
+    cells = _cells(study, _by_condition(where, scores, tables)) if item.is_scored else [{} for _ in where]
     for (name, given), cell in zip(rows.items(), cells, strict=True):
         counts = Counter(dict.fromkeys(item.options, 0))
         counts.update(row["option"] for row in given if item.form == CHOICES and row["answer"] in (True, "true"))

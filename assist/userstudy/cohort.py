@@ -116,7 +116,7 @@ class Cohort(Roll, History[StudyRecord]):
         to = self.stages[self.study.next_stage(person.at, person.condition)]
         condition = None
         if to.kind == "task" and person.condition is None:
-            condition = facts["condition"] = assign(self.places.by_condition(), self.study.seed, self.begun)
+            condition = facts["condition"] = assign(self.by_condition(), self.study.seed, self.begun)
         if to.kind in ("practice", "task"):
             new = (to.kind, to.period) not in person.groups
             try:
@@ -157,7 +157,7 @@ class Cohort(Roll, History[StudyRecord]):
         facts: Facts = {"group": person.group, "members": tuple(members), "period": period}
         if person.group is None:
             facts["group"] = f"G{len(self.groups.begun) + 1}"
-            facts["condition"] = assign(self.places.by_condition(), self.study.seed, self.begun)
+            facts["condition"] = assign(self.by_condition(), self.study.seed, self.begun)
         known = self.groups.begun.get(facts["group"])
         new = known is None or period not in known.teams
         team = self._form(StudyRecord(n=n, time=time, event=event, **facts))

@@ -17,7 +17,6 @@ from ..live.names import LONGEST_REASON
 from ..texts.refusals import InapplicableError, Refusal
 from .participant_team import ParticipantTeam, Subs, own_action
 from .participants import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
-from .places import Places
 from .plan import WAITING, Stage, UserStudy
 from .questionnaires import Item
 
@@ -43,10 +42,12 @@ class Cohort(Protocol):
     study: UserStudy
     stages: tuple[Stage, ...]
     participants: dict[str, Participant]
-    places: Places
 
     def known(self, person: str | None) -> Participant:
         """Return the participant with this code."""
+
+    def is_free_for(self, person: Participant | None = None) -> bool:
+        """Whether there is a free place, or the returning participant still has one."""
 
     def is_at_task(self, person: Participant) -> bool:
         """Whether a participant is at a task, or at practice."""
@@ -126,7 +127,7 @@ def back(cohort: Cohort, who: Participant) -> Facts:
     """
     if who.status != GONE:
         return {}
-    if not cohort.places.is_free_for(who):
+    if not cohort.is_free_for(who):
         raise InapplicableError("full")
     return {"returned": True}
 
@@ -153,7 +154,7 @@ class Visited(StudyEvent):
         """Admit the participant."""
         if self.person in cohort.participants:
             raise InapplicableError("other", why="this code is taken; try again")
-        if not cohort.places.is_free_for():
+        if not cohort.is_free_for():
             raise InapplicableError("full")
         return {"at": now()}
 
@@ -318,7 +319,7 @@ class Returned(StudyEvent):
         who = cohort.known(self.person)
         if who.status not in (GONE, FULL):
             raise self.refused(cohort, who) if who.status == HERE else InapplicableError("absent", person=who.code)
-        if not cohort.places.is_free_for(who):
+        if not cohort.is_free_for(who):
             return {"status": FULL}
         return {"status": HERE, "team": cohort.rejoin(who, n, time)}
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from .events import Erased, Excluded, Onward, Vacant, Visited
 from .groups import Group, Groups
 from .participants import DONE, HERE, Participant
-from .places import Places
 from .plan import Stage, UserStudy
 from .record import StudyRecord
 
@@ -24,7 +23,6 @@ class Roll:
     ----------
     participants : dict of str to Participant
         By code, in the order of arrival.
-    places : Places
     groups : Groups
     begun : int
         Number of conditions that were drawn.
@@ -37,13 +35,36 @@ class Roll:
     def __init__(self, study: UserStudy) -> None:
         self.study, self.stages = study, study.stages
         self.participants: dict[str, Participant] = {}
-        self.places, self.groups = Places(study, self.participants), Groups(study, self.participants)
+        self.groups = Groups(study, self.participants)
         self.begun = 0
         self.changed, self.entered = set[str](), list[str]()
 
     def stage(self, person: Participant) -> Stage:
         """Return the stage of a participant."""
         return self.stages[person.at]
+
+    @property
+    def taken(self) -> int:
+        """Number of places taken."""
+        return sum(map(self._takes_place, self.participants.values()))
+
+    def is_free_for(self, person: Participant | None = None) -> bool:
+        """Whether there is a free place, or the returning participant still has one."""
+        most = self.study.participants
+        return most is None or (person is not None and self._takes_place(person)) or self.taken < most
+
+    def by_condition(self) -> dict[str, int]:
+        """Return, for each condition or order, the number of its participants, or groups, that take a place."""
+        counts, groups = dict.fromkeys(self.study.orders, 0), set[str]()
+        for person in self.participants.values():
+            if person.condition is not None and person.group not in groups and self._takes_place(person):
+                counts[person.condition] += 1
+                groups |= set() if person.group is None else {person.group}
+        return counts
+
+    def _takes_place(self, person: Participant) -> bool:
+        """Whether a participant is here or done; or has begun a task, unless the study replaces dropouts."""
+        return person.status in (HERE, DONE) or (person.condition is not None and not self.study.replace)
 
     def note(self, record: StudyRecord) -> None:
         """Update the participants after an event."""

@@ -108,10 +108,8 @@ def _says_what_is_wrong(app: FastAPI) -> None:
     async def failed(request: Request, error: Exception) -> Response:
         return says(request, 500, None, "failed", error=type(error).__name__)
 
-    @app.exception_handler(ValueError)
-    async def wrong(request: Request, error: ValueError) -> Response:
-        return says(request, 422, why=str(error))
+    async def wrong(request: Request, error: Exception) -> Response:
+        return says(request, 503 if isinstance(error, LimitError) else 422, why=str(error))
 
-    @app.exception_handler(LimitError)
-    async def late(request: Request, error: LimitError) -> Response:
-        return says(request, 503, why=str(error))
+    for kind in (ValueError, LimitError):
+        app.add_exception_handler(kind, wrong)

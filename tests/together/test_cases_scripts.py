@@ -19,7 +19,7 @@ from test_userstudy_pages import PATIENCE
 from userstudies import PLAN, SCORES, Part, written
 
 from assist.drawing import Artist, plan_frames, save
-from assist.reports.html_page import html_page
+from assist.reports.report_files import html_page
 from assist.reports.study_report import Report
 from assist.reports.userstudy_report import write_report
 from assist.reports.wording import cell, table

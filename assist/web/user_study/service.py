@@ -74,25 +74,14 @@ class StudyService(Service):
     shown: ClassVar[Mapping[str, type[BaseModel]]] = {"person": Participant, "robot": Robot}
 
     def __init__(
-        self,
-        session: StudySession,
-        access: AccessTokens,
-        *,
-        ticks: bool = True,
-        rehearsal: bool = False,
-        look_every: float = 1.0,
-        connections: int = 64,
-        ping: float = 15.0,
-    ) -> None:
+        self, session: StudySession, access: AccessTokens, *, ticks: bool = True, rehearsal: bool = False,
+        look_every: float = 1.0, connections: int = 64, ping: float = 15.0,
+    ) -> None:  # fmt: skip
+        # The tick is effectively never: each team has a clock of its own.
         super().__init__(
-            session,
-            access,
-            tick=1e7,
-            connections=connections,
-            texts=session.study.catalogue,
-            ping=ping,
+            session, access, tick=1e7, connections=connections, texts=session.study.catalogue, ping=ping,
             check=look_every,
-        )  # effectively never: each team has a clock of its own
+        )  # fmt: skip
         self.study, self.folder, self.ticks, self.rehearsal = session.study, session.folder, ticks, rehearsal
         self._held: StudySession = session
         self._look_every = look_every
@@ -351,9 +340,9 @@ class StudyService(Service):
                 "steps": tasks[-1].seen(code)["steps"] if tasks else None, "simulated": person.simulated,
                 "erased": person.erased, "excluded": person.excluded, "group": person.group,
             })  # fmt: skip
-        counts, policies = cohort.places.by_condition(), {one.name: one.policy for one in study.conditions}
+        counts, policies = cohort.by_condition(), {one.name: one.policy for one in study.conditions}
         return {
-            "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.places.taken,
+            "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.taken,
             "stages": [stage.name for stage in cohort.stages], "participants": people, "events": cohort.count,
             "fault": cohort.fault, "problems": self.problems(), "design": study.design,
             "conditions": [

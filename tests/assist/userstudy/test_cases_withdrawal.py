@@ -16,7 +16,7 @@ from userstudies import PLAN, SCORES, Open, Part, opened, written
 
 from assist.cli.user_study import _report
 from assist.live.store import JournalError, stored
-from assist.reports.html_page import html_page
+from assist.reports.report_files import html_page
 from assist.reports.userstudy_report import write_report
 from assist.reports.userstudy_summary import summarise
 from assist.texts import AbsentError, InapplicableError

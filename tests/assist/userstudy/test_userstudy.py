@@ -428,7 +428,7 @@ def test_who_leaves_before_the_task_gives_the_place_free_and_may_come_back(opene
     assert ann.report("returned")["study"]["kind"] == "practice"
     ann.to("task tiny")
     ann.report("left")
-    assert session.cohort.places.taken == 1  # whose task has begun keeps it
+    assert session.cohort.taken == 1  # whose task has begun keeps it
     with pytest.raises(InapplicableError):
         Part(session, "cleo").come()
     ann.finish()  # finishing a task readmits her

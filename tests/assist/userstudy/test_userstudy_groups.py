@@ -60,7 +60,7 @@ def test_a_group_waits_for_its_members_and_shares_one_robot(opened: Open) -> Non
     assert changed == {"ann", "bob", "cyd"}
     who = session.cohort.participants
     assert len({who[name].condition for name in who}) == 1
-    assert session.cohort.places.by_condition()[who["ann"].condition or ""] == 1  # a group, not three people
+    assert session.cohort.by_condition()[who["ann"].condition or ""] == 1  # a group, not three people
     told = set()
     for _ in range(3):
         for part in (ann, bob, cyd):
@@ -213,7 +213,7 @@ def test_within_participants_a_group_waits_again_and_has_another_robot(opened: O
     who = session.cohort.participants
     assert {part.stage for part in parts} == {"task tiny 1"}
     order = session.study.orders[who["ann"].condition or ""]
-    assert session.cohort.places.by_condition()[" > ".join(order)] == 1
+    assert session.cohort.by_condition()[" > ".join(order)] == 1
     for part in parts:
         part.errs()
     ann.to("waiting 2")
