@@ -1,3 +1,4 @@
+from .action_names import UnmatchedError as UnmatchedError
 from .belief import Grid as Grid
 from .belief import ImpossibleObservationError as ImpossibleObservationError
 from .choice_model import ChoiceModel as ChoiceModel
@@ -22,7 +23,6 @@ from .real_people import advice_takers as advice_takers
 from .signals import ActionRecovery as ActionRecovery
 from .signals import FactChange as FactChange
 from .signals import Recovery as Recovery
-from .signals import UnknownFactError as UnknownFactError
 from .spread import Spread as Spread
 from .state_keys import keys_of as keys_of
 from .terms import NOTHING_YET as NOTHING_YET

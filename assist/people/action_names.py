@@ -24,7 +24,7 @@ FORMS = re.compile(r"\((?P<inner>[^()]*)\)|(?P<name>[^\s(),]+)\s*\((?P<arguments
 
 
 class UnmatchedError(ValueError):
-    """The words match no applicable action, or several."""
+    """Words match no applicable action, or several, or no fact that changes and is visible."""
 
 
 def words_of(action: str, renamed: Mapping[str, str] | None = None) -> Words:

@@ -25,10 +25,6 @@ ATOM = re.compile(r"Atom (?!new-axiom@)([^()]+)\(([^()]*)\)(?: = (.*))?")
 NEGATED = re.compile(r"\(\s*not\s*(?P<fact>\(.*\))\s*\)", re.I)
 
 
-class UnknownFactError(ValueError):
-    """The task has no such fact that changes."""
-
-
 class FactChange(NamedTuple):
     """A fact that has begun or ceased to hold.
 
@@ -142,7 +138,7 @@ class ActionRecovery:
         self._facts = [[_visible(fact, seen) for fact in variable.facts] for variable in known.task.variables]
         self.facts = frozenset(fact for facts in self._facts for fact in facts if fact is not None)
         if seen is not None and (unknown := seen - {fact[1:-1].split()[0] for fact in self.facts}):
-            raise UnknownFactError(f"{min(unknown)}: no fact of this predicate changes in the task")
+            raise UnmatchedError(f"{min(unknown)}: no fact of this predicate changes in the task")
         self._steps: dict[int, list[_Step]] = {}
 
     def recover(self, state: int, changes: Iterable[FactChange | str]) -> Recovery:
@@ -158,7 +154,7 @@ class ActionRecovery:
 
         Raises
         ------
-        UnknownFactError
+        UnmatchedError
             The task has no such fact that changes, or it is not of the visible predicates.
         """
         reported = Counter(map(self._named, changes))
@@ -184,11 +180,11 @@ class ActionRecovery:
         try:
             named = f"({' '.join(words_of(fact))})"
         except UnmatchedError as error:
-            raise UnknownFactError(str(error).replace("(name", "(predicate").replace("name(", "predicate(")) from None
+            raise UnmatchedError(str(error).replace("(name", "(predicate").replace("name(", "predicate(")) from None
         if named not in self.facts:
             near = difflib.get_close_matches(named, self.facts, n=1)
             meant = f"; did you mean {near[0]}?" if near else ""
-            raise UnknownFactError(f"{named} is no visible fact that changes in the task{meant}")
+            raise UnmatchedError(f"{named} is no visible fact that changes in the task{meant}")
         return named, bool(holds)
 
     def _explained(

@@ -21,10 +21,6 @@ DURATION = "?duration"
 OPERATIONS = ("+", "-", "*", "/")
 
 
-class NoValueError(ArithmeticError):
-    """An expression has no value: a function has none for its arguments."""
-
-
 def whole(value: Number) -> Number:
     """Return the number as an integer if it is one."""
     return int(value) if value.denominator == 1 else value
@@ -46,7 +42,7 @@ def value_of(expression: Expression, term: Callable[[Expression], Number]) -> Nu
     if expression.word:
         found = number(expression.word)
         if found is None:
-            raise NoValueError(expression.word)
+            raise ArithmeticError(expression.word)
         return found
     if expression.head not in OPERATIONS:
         return term(expression)

@@ -34,10 +34,6 @@ CHANGES = ("assign", "increase", "decrease", "scale-up", "scale-down")
 TIMES = (("at", "start"), ("over", "all"), ("at", "end"))
 
 
-class _UndefinedError(ArithmeticError):
-    """A number is read that has no value; the message names it."""
-
-
 @dataclass(frozen=True)
 class _State:
     """A state: the atoms that hold, derived ones included, and the values of functions."""
@@ -79,7 +75,7 @@ def execute(instance: Instance, plan: Sequence[str]) -> Executed:
     for step, action in enumerate(plan):
         try:
             state, duration = files.after(state, action)
-        except (_UndefinedError, ZeroDivisionError) as error:
+        except ArithmeticError as error:
             raise InvalidPlanError(f"step {step}: {action} reads {error or 'a quotient by zero'}") from None
         except InvalidPlanError as error:
             raise InvalidPlanError(f"step {step}: {action} {error}") from None
@@ -197,7 +193,7 @@ class _Files:
         if head not in ("+", "-", "*", "/"):
             term = _ground(expression, scope)
             if term not in state.values and (head in self.read or head not in self.priced):
-                raise _UndefinedError(f"({' '.join(term)}), which has no value")
+                raise ArithmeticError(f"({' '.join(term)}), which has no value")
             return state.values.get(term, Fraction(0))
         first, *others = (self.value(part, scope, state) for part in parts)
         if head == "-" and not others:
@@ -231,7 +227,9 @@ class _Files:
         if head in COMPARISONS and (head != "=" or any(self._is_number(part, scope) for part in parts)):
             try:
                 left, right = (self.value(part, scope, state) for part in parts)
-            except _UndefinedError:
+            except ZeroDivisionError:
+                raise
+            except ArithmeticError:  # a function has no value there
                 return False
             return bool(COMPARISONS[head](left, right)) != negated
         term = _ground(condition, scope)

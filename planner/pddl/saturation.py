@@ -21,7 +21,7 @@ from .conditions import COMPLEMENT, free_variables, variables_of
 from .durative import key
 from .formulas import listed, word
 from .instances import Expression
-from .numeric_expressions import NoValueError, Number, linear, terms_of, whole
+from .numeric_expressions import Number, linear, terms_of, whole
 from .numeric_schemas import Costed
 from .static_facts import Statics, literal_number
 from .value_sets import Fluent, GroundChange, Saturation, Value
@@ -122,7 +122,7 @@ def _limits(
             fluent = tuple(bound.get(each, each) for each in key(term))
             try:
                 threshold = whole(Fraction(-statics.value(rest, bound)) / factor)
-            except (NoValueError, ZeroDivisionError):
+            except ArithmeticError:
                 continue
             cut = (sign * threshold, 0 if closed else 1)
             best[fluent] = max(best.get(fluent, cut), cut)

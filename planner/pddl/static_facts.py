@@ -9,7 +9,7 @@ from math import prod
 from .conditions import COMPLEMENT, FALSE, TRUE, conjunction, conjuncts, disjunction, free_variables, variables_of
 from .formulas import listed
 from .instances import Expression
-from .numeric_expressions import OPERATIONS, NoValueError, Number, compared, number, terms_of, value_of, word_of
+from .numeric_expressions import OPERATIONS, Number, compared, number, terms_of, value_of, word_of
 from .reader import Reading
 
 LARGEST_JOIN = 300_000
@@ -64,21 +64,21 @@ class Statics:
         return all(term.head in self.values for term in terms_of(expression))
 
     def value(self, expression: Expression, bound: Mapping[str, str]) -> Number:
-        """Return the value of a static expression; raise `NoValueError` or `ZeroDivisionError` if it has none."""
+        """Return the value of a static expression; raise an `ArithmeticError` if it has none."""
 
         def term(each: Expression) -> Number:
             arguments = tuple(bound.get(part.word, part.word) for part in each.parts[1:])
             try:
                 return self.values[each.head][arguments]
             except KeyError:
-                raise NoValueError(str(each)) from None
+                raise ArithmeticError(str(each)) from None
 
         return value_of(expression, term)
 
     def evaluated(self, expression: Expression, bound: Mapping[str, str]) -> Expression:
         """Return an expression with objects for all its variables, and its static parts computed.
 
-        If one of these has no value, this raises a `NoValueError` or a `ZeroDivisionError`.
+        If one of these has no value, this raises an `ArithmeticError`.
         """
         if self.is_static(expression):
             return word_of(self.value(expression, bound))
@@ -209,7 +209,7 @@ class Statics:
                 left, right = (self.value(side, bound) for side in sides)
                 return TRUE if compared(comparison.head, left, right) else FALSE
             return comparison._replace(parts=(comparison.parts[0], *(self.evaluated(side, bound) for side in sides)))
-        except (NoValueError, ZeroDivisionError):
+        except ArithmeticError:
             return FALSE
 
     def expanded(self, condition: Expression) -> Expression:
@@ -278,5 +278,5 @@ def literal_number(expression: Expression) -> Number | None:
         return None
     try:
         return value_of(expression, lambda _: 0)
-    except (ZeroDivisionError, NoValueError):
+    except ArithmeticError:
         return None

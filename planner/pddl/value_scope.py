@@ -20,7 +20,7 @@ from .declarations import refuse, shown
 from .durative import key
 from .formulas import listed, word
 from .instances import Expression, Place
-from .numeric_expressions import OPERATIONS, NoValueError, Number, applied, compared, linear, terms_of
+from .numeric_expressions import OPERATIONS, Number, applied, compared, linear, terms_of
 from .static_facts import literal_number
 from .value_encoder import MOST_ROWS, MOST_TRIED, Encoder
 from .value_sets import Beyond, Fluent
@@ -102,10 +102,10 @@ class Scope:
         for bound in self.rows(variables, terms_of(expression)):
             try:
                 value = self.statics.value(expression, bound)
-            except NoValueError:
-                continue
             except ZeroDivisionError:
                 self._zero(expression, bound)
+                continue
+            except ArithmeticError:
                 continue
             found.append((tuple(bound[name] for name in variables), value))
         return variables, found

@@ -28,7 +28,7 @@ from .conditions import (
 )
 from .durative import Schema, key
 from .instances import Expression
-from .numeric_expressions import OPERATIONS, NoValueError, Number, number, terms_of, whole
+from .numeric_expressions import OPERATIONS, Number, number, terms_of, whole
 from .static_facts import Statics
 from .timed_schemas import Change
 
@@ -158,7 +158,7 @@ def ground_changes(statics: Statics, schema: Schema, kinds: Mapping[str, str]) -
             fluent = tuple(bound.get(word, word) for word in key(change.term))
             try:
                 amount = statics.evaluated(change.amount, bound)
-            except (NoValueError, ZeroDivisionError):
+            except ArithmeticError:
                 continue
             one = GroundChange(schema.name, fluent, amount, change.grows, guard)
             found.setdefault((fluent, str(amount), change.grows, str(guard)), one)
