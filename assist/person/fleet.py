@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from planner.system.arrays import frozen
 
+from ..declare.declared import names_of
 from ..people.decision import Floats
 from .robots import OfRobots, Robot
 
@@ -72,8 +73,7 @@ class Fleet:
     @property
     def best(self) -> Robot:
         """The best robot: it can do what any can, at the lowest cost and in the shortest time of any."""
-        costs = {name: self.least(name) for name in ("c_suggest", "c_execute", "c_move", "travel_time")}
-        return Robot(execute=self.executes, **costs)
+        return Robot(execute=self.executes, **{name: self.least(name) for name in names_of(Robot) if name != "execute"})
 
     @cached_property
     def extra(self) -> Floats:

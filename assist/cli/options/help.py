@@ -10,6 +10,7 @@ import click
 from rich_click import RichCommand, RichHelpConfiguration
 from rich_click.rich_panel import RichOptionPanel
 
+from ...declare.options import FieldOption
 from .config import named
 
 GROUPS = {
@@ -19,7 +20,7 @@ GROUPS = {
     "Log": ("--columns", "--drop", "--rename", "--strict", "--advice", "--rows"),
     "People": ("--humans", "--pool", "--population", "--simulate"),
     "Estimates": ("--misconception", "--terms", "--influence", "--folds", "--family"),
-    "Robot": ("--robots", "--policy", "--trust", "--c-suggest", "--c-move"),
+    "Robot": ("--policy",),
     "Setting": ("--setting", "--set"),
     "Service": (
         "--config", "--study", "--rehearse", "--links", "--port", "--host", "--public-url", "--trusted-proxy",
@@ -34,7 +35,7 @@ GROUPS = {
         "--json", "--help",
     ),
 }  # fmt: skip
-"""Options of all commands by topic, in the order in which the help shows them."""
+"""Options of all commands by topic, in the order of the help; other declared fields are the robot's."""
 
 LOOK = RichHelpConfiguration(
     theme="nu",
@@ -92,12 +93,16 @@ def command(example: str, name: str | None = None) -> Callable[[Callable[..., An
     """
 
     def decorated(function: Callable[..., Any]) -> click.Command:
+        placed = {option for group in GROUPS.values() for option in group}
+        fields = [option for option in getattr(function, "__click_params__", ()) if isinstance(option, FieldOption)]
+        of_robot = [option.opts[0] for option in reversed(fields) if option.opts[0] not in placed]
+        groups = GROUPS | {"Robot": (*GROUPS["Robot"], *of_robot)}
         first, _, rest = (function.__doc__ or "").partition("\n\n")
         made = click.command(
             name,
             cls=Command,
             help="\n\n".join(filter(None, (first, f"\b\nExample: kitassist {example}", rest))),
-            panels=[RichOptionPanel(title, options=list(options)) for title, options in GROUPS.items()],
+            panels=[RichOptionPanel(title, options=list(options)) for title, options in groups.items()],
             context_settings={"rich_help_config": LOOK},
         )(function)
         for option in made.params:

@@ -15,6 +15,7 @@ from conftest import DOMAINS, KITTING, ROOT, invoke, kitassist, understood, writ
 from assist.cli import main
 from assist.cli.command_group import COMMANDS
 from assist.cli.options.help import GROUPS
+from assist.declare.options import FieldOption
 from planner import Packing, Table, load
 from planner.batch.results_folder import SolveOptions
 from planner.batch.solve_instance import solve_instance
@@ -330,7 +331,7 @@ def test_the_help_shows_an_example_and_every_option_in_a_group(name: str) -> Non
     options = options_of(name)
     grouped = {option for group in GROUPS.values() for option in group}
     for option in options:
-        assert option.opts[0] in grouped
+        assert option.opts[0] in grouped or isinstance(option, FieldOption)
         assert option.help
         assert option.opts[0] in text
     assert text.count("\n") < 110
