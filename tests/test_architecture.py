@@ -38,7 +38,8 @@ ROOMS = {
         perceived_suggestions action_names signals""",
     "assist.person": """tie_kernels ties leaf_bounds evidence observation_model robots fleet travel settings pomdp
         assumptions visiting_robot problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics
-        joint_belief beliefs rounding action_values policy_iteration qmdp solution_cache alpha_vectors upper_hull
+        joint_belief beliefs rounding action_values krylov sparse_iteration policy_iteration qmdp
+        solution_cache alpha_vectors upper_hull
         convex_bound hsvi search memory_needed further_beliefs solver time_expansion subproblem_frontier
         attention_subproblem truncated_task state_cache growing_problem leaf_estimates backups compliance_relaxation
         truncated_bound truncated_policy person_problem""",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from .rounding import rounding
+from .rounding import compiled as rounding
 from .upper_hull import ABSENT, FAST, Program, new_program, solve
 
 PIVOTS = np.int64(5000)  # limit against cycling; rarely more than a hundred are needed, and any number gives a bound

@@ -11,7 +11,7 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from . import hsvi
-from .rounding import rounding
+from .rounding import compiled as rounding
 from .search import Search, relative_gap
 from .upper_hull import new_program
 

@@ -22,7 +22,7 @@ from ..people.decision import Floats
 from ..people.influence_kernels import influence_factors
 from ..people.type_kernels import leave_out_reached
 from .belief_filter import child, split
-from .rounding import rounding
+from .rounding import compiled as rounding
 from .upper_hull import new_program, solve
 
 FEW_VECTORS = 32  # length up to which the vector list of a state is not pruned; pruning takes time, long lists too

@@ -58,9 +58,12 @@ from planner.system.limits import processors
 from planner.system.progress import Progress
 
 from ..people.decision import Floats
+from . import krylov
 from .action_values import action_values
 from .problem_arrays import ProblemArrays, read_only
+from .rounding import compiled as compiled_rounding
 from .rounding import rounding
+from .sparse_iteration import improve_small, is_small
 
 Ints = NDArray[np.int64]
 
@@ -73,7 +76,7 @@ FEW_SWEEPS = 20  # over a region, after which equations are solved rarely; a doz
 PLAIN_SWEEPS = 12  # sweeps over equations before a Krylov method takes over: they converge fast, or slowly
 ONLY = np.int64(0)  # the place of the only type; numba would compile again for a literal
 NOWHERE = np.empty((0, 0, 0, 0))  # in the place of Q-values that are not wanted
-KRYLOV_STEPS = 200  # of two products each; 20 to 60 converge in all tasks that were tried
+ROUGH = 1e-4  # tolerance of values, in cost units, from which sweeps alone may be enough: those of leaves
 AT_ONCE = 20_000_000  # entries that are read before the clock is; they take about 0.02 s
 INEXACT = 0.05  # equations of a policy that will change are solved to this share of the last change
 FEW_CHANGES = 1e-3  # share of a policy; one that changes by less is nearly the best, and is solved precisely
@@ -141,6 +144,8 @@ def improve(
             last = now
             progress(SOLVING, swept, None)
 
+    if is_small(value.size) and limits.tolerance <= ROUGH:
+        return improve_small(value, robot, arrays, limits.tolerance, limits.sweeps, stop, count, below=below)
     of_goals = [_of_goal(arrays, goal) for goal in range(len(regions))]
 
     def one(h: int) -> bool:
@@ -348,6 +353,12 @@ class _Equations:
 def _solved(value: Floats, rows: _Rows, goal: float, stop: Callable[[], bool]) -> Floats:
     """Return an approximate solution of equations from a first one, as `_Equations.solve` describes."""
     together = max(1, AT_ONCE // (1 + len(rows.column)))  # sweeps without a look at the clock
+    without = rows._replace(constant=np.zeros_like(rows.constant))
+
+    def operate(image: Floats, step: Floats) -> None:
+        image[:] = step
+        _sweep_rows(image[0], without, 0.0, 1)
+
     for _ in range(3):
         for done in range(0, PLAIN_SWEEPS, together):
             if _sweep_rows(value, rows, goal, min(together, PLAIN_SWEEPS - done)) <= goal or stop():
@@ -357,52 +368,10 @@ def _solved(value: Floats, rows: _Rows, goal: float, stop: Callable[[], bool]) -
         residual -= value
         before = np.abs(residual).max()
         with np.errstate(over="ignore", invalid="ignore"):  # the method may fail
-            tried = value + _krylov(residual, rows._replace(constant=np.zeros_like(rows.constant)), 0.5 * goal, stop)
+            tried = value + krylov.solution(residual[None], operate, 0.5 * goal, stop)[0]
         if np.isfinite(tried).all() and _sweep_rows(tried, rows, goal, 1) < before:
             value = tried
     return value
-
-
-def _krylov(r: Floats, rows: _Rows, goal: float, stop: Callable[[], bool]) -> Floats:
-    """Return the solution of (I - G) v = r by BiCGSTAB, where v -> G v is a Gauss-Seidel sweep; constants are 0.
-
-    The method goes on, and changes `r`, until its largest residual is at most `goal`, or until it cannot go on.
-    """
-    solution, shadow, p = np.zeros_like(r), r.copy(), r.copy()
-    v, t, work = np.empty_like(r), np.empty_like(r), np.empty_like(r)  # new arrays take as long as the arithmetic
-
-    def operate(image: Floats, step: Floats) -> None:
-        image[:] = step
-        _sweep_rows(image, rows, 0.0, 1)
-        np.subtract(step, image, out=image)
-
-    def product(a: Floats, b: Floats) -> float:  # which is the same with any number of threads
-        return float(np.multiply(a, b, out=work).sum())
-
-    def add(to: Floats, factor: float, step: Floats) -> None:
-        to += np.multiply(step, factor, out=work)
-
-    along = product(shadow, r)
-    for _ in range(KRYLOV_STEPS):
-        operate(v, p)
-        bent = product(shadow, v)
-        if not math.isfinite(bent) or bent == 0.0 or along == 0.0:
-            break
-        alpha = along / bent
-        add(r, -alpha, v)
-        operate(t, r)
-        square = product(t, t)
-        omega = product(t, r) / square if square > 0.0 else 0.0
-        add(solution, alpha, p)
-        add(solution, omega, r)
-        add(r, -omega, t)
-        if np.abs(r, out=work).max() <= goal or omega == 0.0 or stop():
-            break
-        along, before = product(shadow, r), along
-        add(p, -omega, v)
-        p *= along / before * alpha / omega
-        p += r
-    return solution
 
 
 @njit(nogil=True, error_model="numpy")
@@ -418,7 +387,7 @@ def sweep(
     Return the largest rise and the largest fall of a value, and the number of changes of the policy. A negative entry
     of `robot` stands for the best action. Actions that are equal up to rounding do not change the policy.
     """
-    robots, thetas, least = m.suggested.shape[1], len(m.theta), rounding(m.targets.shape[1])
+    robots, thetas, least = m.suggested.shape[1], len(m.theta), compiled_rounding(m.targets.shape[1])
     row = np.empty((robots, thetas))
     expected, mean, declined = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     rise, fall, changed = 0.0, 0.0, 0

@@ -30,6 +30,7 @@ from .policy_iteration import SOLVING, Limits, improve, rounding_error, sweep
 from .policy_iteration import load_compiled as load_iteration
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
+from .sparse_iteration import is_small, q_table
 
 MOST_SWEEPS = 10_000  # default limit of sweeps over all states; a dozen are enough in all tasks that were tried
 
@@ -65,7 +66,10 @@ class QMDP(Policy):
         x : int array, shape (N,)
         belief : float array, shape (N, H, T)
         """
-        return expected(self.q_mdp, self.pomdp.robot_actions, x, self.pomdp.hidden.acting(belief))
+        acting = self.pomdp.hidden.acting(belief)
+        if is_small(self.value_mdp.size):
+            return _expected_of_few(self.q_mdp, self.pomdp.robot_actions, x, acting)
+        return expected(self.q_mdp, self.pomdp.robot_actions, x, acting)
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""
@@ -90,6 +94,15 @@ def expected(table: Floats, robot_actions: NDArray[np.int64], x: NDArray[np.int6
         read_only(robot_actions),
     )  # fmt: skip
     return q
+
+
+def _expected_of_few(table: Floats, robot_actions: NDArray[np.int64], x: NDArray[np.int64], belief: Floats) -> Floats:
+    """Return what `expected` does, in numpy, for small problems."""
+    found = np.full((len(x), table.shape[1]), -np.inf)
+    for r in range(table.shape[1]):
+        own = np.flatnonzero(robot_actions[x] > r)
+        found[own, r] = (table[x[own], r] * belief[own]).sum(axis=(1, 2))
+    return found
 
 
 @shows_progress
@@ -140,7 +153,8 @@ def qmdp(
 
 def load_compiled(pomdp: AssistPOMDP) -> None:
     """Load, or compile, the code that `qmdp` needs. Compilation takes seconds, once after an installation."""
-    load_iteration(ProblemArrays.of(pomdp))
+    if not is_small(pomdp.prior.size * len(pomdp.ends)):
+        load_iteration(ProblemArrays.of(pomdp))
 
 
 def initial_upper_bounds(pomdp: AssistPOMDP) -> Floats:
@@ -191,11 +205,13 @@ def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | No
     states : int array, optional
         States in which the policy will be used; all by default.
     """
-    # Rows of other states are never written to, so that they take neither time nor physical memory.
-    q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
     asked = read_only(np.arange(len(value)) if states is None else states, np.int64)
     best, policy = read_only(np.full(len(value), BEST)), np.zeros((len(value), value.shape[2]), dtype=np.int32)
     arrays = ProblemArrays.of(pomdp)
+    if is_small(value.size):
+        return QMDP(pomdp, value, q_table(value, asked, arrays))
+    # Rows of other states are never written to, so that they take neither time nor physical memory.
+    q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
     own = value if value.flags.writeable else value.copy()  # the same compiled code may also replace values
     for h in range(value.shape[1]):
         sweep(own, asked, np.int64(h), best, policy, q, arrays)

@@ -20,7 +20,10 @@ TERMS = 800
 """The largest number of terms for which `ROUNDING` is enough."""
 
 
-@njit()
 def rounding(terms: int) -> float:
     """Return the relative margin of a computed bound, given the number of terms of its largest sum."""
     return ROUNDING * max(1.0, terms / TERMS)
+
+
+compiled = njit()(rounding)
+"""`rounding` for compiled code."""

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import itertools
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import graph_task, kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_unknown_goals import TASKS
 
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
 from assist.people.trust_rules import Reliability, TrustRule, outcome
-from assist.person import AssistPOMDP, policy_iteration
+from assist.person import AssistPOMDP, policy_iteration, sparse_iteration
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.leaf_bounds import LeafBounds
 from assist.person.policy_iteration import rounding_error
@@ -126,12 +128,24 @@ def random_problem(draw: st.DataObject, gamma: float) -> AssistPOMDP:
     )  # fmt: skip
 
 
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let compiled code solve small problems, too."""
+    monkeypatch.setattr(sparse_iteration, "MOST_VALUES", 0)
+
+
+@pytest.mark.parametrize("most_values", [sparse_iteration.MOST_VALUES, 0])
 @pytest.mark.parametrize("gamma", [0.9, 0.99, 0.999])
 @given(draw=st.data())
 @settings(max_examples=5, deadline=None)
-def test_values_are_those_of_plain_policy_iteration(gamma: float, draw: st.DataObject) -> None:
-    """Also for a robot that visits, and for one that pays for its attention."""
-    alone = random_problem(draw, gamma)
+def test_values_are_those_of_plain_policy_iteration(gamma: float, most_values: int, draw: st.DataObject) -> None:
+    """Both in numpy and compiled; also for a robot that visits, and for one that pays for its attention."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sparse_iteration, "MOST_VALUES", most_values)
+        check_values(random_problem(draw, gamma), gamma)
+
+
+def check_values(alone: AssistPOMDP, gamma: float) -> None:
     problems = [alone, AttentionSubproblem.of(alone, 0.5).pomdp]
     if alone.frontier is None:
         problems.append(AttentionSubproblem.of(alone, 0.5, 1, [0.3, 0.1]).pomdp)
@@ -152,6 +166,27 @@ def test_values_are_those_of_plain_policy_iteration(gamma: float, draw: st.DataO
             rtol=0,
             atol=1e-8 + 2 * rtol * np.abs(least).max(initial=0.0),
         )
+
+
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("rule", [None, outcome(), Reliability(counts=2)])
+@pytest.mark.parametrize("lapse", [0.0, 0.05])
+def test_both_forms_have_the_same_values(several: bool, rule: TrustRule | None, lapse: float) -> None:
+    """They are held to 1e-9, with the Q-values, values of a given policy, and expected values of beliefs."""
+    choices = TASKS["tiny"].choices() if several else Choices.of(kit("tiny"))
+    pomdp = AssistPOMDP.of(
+        replace(HumanModel.exact(choices), lapse=lapse), gamma=0.99, c_suggest=0.3, trust=rule, suggestions="all"
+    )
+    robot, rng, found = pomdp.robot_actions - 1, np.random.default_rng(0), []
+    x, belief = rng.integers(0, len(choices), 50), rng.dirichlet(np.ones(pomdp.prior.size), 50)
+    for most_values in (0, 10**9):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sparse_iteration, "MOST_VALUES", most_values)
+            policy = qmdp(pomdp, tolerance=1e-9)
+            expected = policy.q_values(x, belief.reshape(50, *pomdp.prior.shape))
+            found.append((policy.value_mdp, policy.q_mdp, expected, evaluate(pomdp, robot, tolerance=1e-9)))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
 
 
 def test_a_whole_task_has_the_values_of_plain_value_iteration_from_zero(tiny_choices: Choices) -> None:
@@ -182,6 +217,7 @@ def sweeps_of(pomdp: AssistPOMDP, monkeypatch: pytest.MonkeyPatch) -> int:
     return len(done)
 
 
+@pytest.mark.usefixtures("compiled")
 @pytest.mark.parametrize("gamma", [0.99, 0.999])
 def test_dead_ends_cost_one_more_sweep_for_each_beta(gamma: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """They took 1,833 sweeps for each beta at .99, the horizon of a return that never ends."""
@@ -194,6 +230,7 @@ def test_dead_ends_cost_one_more_sweep_for_each_beta(gamma: float, monkeypatch: 
     assert number["with dead ends"] <= 2 * number["alive"]
 
 
+@pytest.mark.usefixtures("compiled")
 def test_people_who_rarely_arrive_need_few_sweeps(monkeypatch: pytest.MonkeyPatch) -> None:
     """A novice's way through a square is a random walk, and gamma is close to 1."""
     side = 30
@@ -222,6 +259,7 @@ def test_a_limit_leaves_bounds() -> None:
     assert (late == initial_upper_bounds(pomdp)).all()
 
 
+@pytest.mark.usefixtures("compiled")
 def test_a_matrix_that_would_be_too_large_is_not_built(monkeypatch: pytest.MonkeyPatch) -> None:
     pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(kit("tiny"))), grid=GRID, gamma=0.9)
     found = qmdp(pomdp, tolerance=1e-9).value_mdp

@@ -1,0 +1,264 @@
+"""Policy iteration on a small problem, in numpy and scipy: the readable form of `policy_iteration`.
+
+All Q-values are one sparse product, q = matrix @ value + reward. The rows of the best robot actions are the equations
+of a policy. Two steps alternate: a Bellman backup of all states, which also gives the next policy, and the solution of
+its equations. While the policy still changes much, its equations are solved roughly. The bounds and the stopping rule
+are those of `policy_iteration`, whose theorem holds for any values before a backup.
+
+A problem is small if it has few values: compiling `policy_iteration` would then take longer than it saves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.decision import Floats
+from . import krylov
+from .problem_arrays import ProblemArrays
+from .rounding import rounding
+
+Ints = NDArray[np.int64]
+
+MOST_VALUES = 100_000
+"""Values of a small problem, at most: these take 0.2 s here, and 0.05 s in code that takes 3 s to compile."""
+
+PRECISE = 1e-6
+"""Largest error of any value, in cost units. A smaller one takes few more steps."""
+
+INEXACT = 0.05
+"""Equations of a policy that will change are solved to this share of the last change."""
+
+FEW_CHANGES = 1e-3
+"""Share of a policy; one that changes by less is nearly the best, and is solved precisely."""
+
+FEW_BACKUPS = 50  # after which equations are solved rarely; ten are enough almost everywhere
+
+
+def is_small(values: int) -> bool:
+    """Return whether a problem with so many values, H * T for each state, is solved in numpy."""
+    return values <= MOST_VALUES
+
+
+@dataclass(frozen=True)
+class SparseBackup:
+    """The Q-values of all pairs of a state and a robot action, for each type and theta, as one sparse product.
+
+    Values of states have the shape (H, n, T) here, so that those of a type are together.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Shape of values (H, n, T).
+    x, robot : int array, shape (P,)
+        State and robot action of each pair, in ascending order.
+    first : int array, shape (n,)
+        The first pair of each state.
+    matrix : sparse array, shape (H * P * T, H * n * T)
+        Discounted probabilities of the next state and theta.
+    reward : float array, shape (H * P * T,)
+    ended : tuple of int arrays
+        Types and pairs where the task has ended before the robot acts.
+    """
+
+    shape: tuple[int, int, int]
+    x: Ints
+    robot: Ints
+    first: Ints
+    matrix: Any
+    reward: Floats
+    ended: tuple[Ints, Ints]
+
+    @classmethod
+    def of(cls, m: ProblemArrays) -> SparseBackup:
+        """Return the backup of a problem. A suggestion leads to a theta between two of the grid: two entries."""
+        from scipy.sparse import csr_array  # slow to import, and needed here only
+
+        types, n, thetas = shape = len(m.goal_of), len(m.counts), len(m.theta)
+        x, r = np.nonzero(np.arange(m.suggested.shape[1]) < m.robot_actions[:, None])
+        acting, suggested = m.afterstate[x, r], m.suggested[x, r]
+        over = m.final[m.goal_of[:, None], x]
+        goes_on = ~(over | m.goal[m.goal_of[:, None], acting])
+        # One entry for each choice of a pair; `pair` is its pair, `slot` its number.
+        counts, advised = m.counts[acting], suggested >= 0
+        pair = np.repeat(np.arange(len(x)), counts)
+        slot = np.arange(len(pair)) - np.repeat(np.cumsum(counts) - counts, counts)
+        state = acting[pair]
+        target, cost = m.targets[state, slot], m.costs[state, slot]
+        chosen = np.where(goes_on[:, pair], m.chosen[state, slot].T, 0.0)[:, :, None].repeat(thetas, axis=2)
+        told = np.flatnonzero(advised[pair])
+        own = slot[told] == suggested[pair[told]]
+        which = (np.cumsum(advised) - 1)[pair[told]]
+        followed, declined = _influence(m, x[advised], r[advised])
+        chosen[:, told] *= np.where(own[:, None], followed[:, which], declined[:, which])
+        if m.lapse > 0.0:
+            chosen *= 1.0 - m.lapse
+            chosen += np.where(goes_on[:, pair], m.lapse / counts[pair], 0.0)[:, :, None]
+        reward = np.zeros((types, len(x), thetas))
+        if len(pair):
+            some = np.flatnonzero(counts)
+            reward[:, some] = np.add.reduceat(chosen * -cost[:, None], (np.cumsum(counts) - counts)[some], axis=1)
+        reward -= np.where(over & (r == 0), 0.0, m.robot_costs[x, r])[:, :, None]
+        chosen *= m.gamma
+
+        # The row of pair p and theta t begins at entry `begin[h, p, t]`.
+        width = np.where(advised, 2, 1) * counts
+        size = int(width.sum()) * thetas
+        begin = (np.cumsum(width) - width)[:, None] * thetas + width[:, None] * np.arange(thetas)
+        begin = begin + size * np.arange(types)[:, None, None]
+        data, column = np.empty(types * size), np.empty(types * size, dtype=np.int32)
+        base = (np.arange(types)[:, None] * n + target)[:, :, None] * thetas
+        quiet, of = np.flatnonzero(~advised[pair]), pair[told]
+        place = begin[:, pair[quiet]] + slot[quiet, None]
+        data[place], column[place] = chosen[:, quiet], base[:, quiet] + np.arange(thetas)
+        low, up = (part[x[of], r[of]].swapaxes(0, 1)[m.goal_of] for part in (m.low, m.weight))
+        if m.uses_answer:
+            mine = x[of[own]], r[of[own]]
+            low[:, own], up[:, own] = (
+                part[mine].swapaxes(0, 1)[m.goal_of] for part in (m.followed_low, m.followed_weight)
+            )
+        place, chosen, base = begin[:, of] + 2 * slot[told, None], chosen[:, told], base[:, told]
+        data[place], column[place] = chosen * (1.0 - up), base + low
+        data[place + 1], column[place + 1] = chosen * up, base + np.minimum(low + 1, thetas - 1)
+        h, pair = np.nonzero(over)
+        rows = np.append(begin.ravel(), types * size)
+        matrix = csr_array((data, column, rows), shape=(reward.size, types * n * thetas))
+        return cls(shape, x, r, np.searchsorted(x, np.arange(n)), matrix, reward.ravel(), (h, pair))
+
+    def q_values(self, value: Floats) -> Floats:
+        """Return the Q-value of each pair, shape (H, P, T), from values of all states, shape (H, n, T)."""
+        q = self.matrix @ value.ravel()
+        q += self.reward
+        q = q.reshape(self.shape[0], -1, self.shape[2])
+        h, pair = self.ended
+        q[h, pair] += value[h, self.x[pair]]
+        return np.asarray(q)
+
+    def best_actions(self, q: Floats, best: Floats, where: NDArray[np.bool_]) -> Ints:
+        """Return the first robot action with the best Q-value in chosen states, types and thetas.
+
+        `q` has the shape (H, P, T), `best` and `where` (H, n, T).
+        """
+        h, x, t = np.nonzero(where)
+        found, wanted = np.full(len(x), -1), best[where]
+        for r in range(int(self.robot.max(initial=0)) + 1):
+            pair = np.minimum(self.first[x] + r, len(self.x) - 1)
+            found[(found < 0) & (self.x[pair] == x) & (q[h, pair, t] == wanted)] = r
+        return found
+
+    def rows(self, policy: Ints) -> Ints:
+        """Return the rows of the robot actions of a policy, shape (H, n, T)."""
+        types, _, thetas = self.shape
+        pair = self.first[:, None] + policy + (len(self.x) * np.arange(types))[:, None, None]
+        return np.asarray(pair * thetas + np.arange(thetas))
+
+
+def _influence(m: ProblemArrays, x: Ints, r: Ints) -> tuple[Floats, Floats]:
+    """Return by how much a suggestion multiplies the chance of the suggested choice, and of the others (equation 6).
+
+    Both have the shape (H, suggestions, T).
+    """
+    p, rest = m.chosen[m.afterstate[x, r], m.suggested[x, r]].T[:, :, None], m.unsuggested[x, r].T[:, :, None]
+    total = m.theta * p + (1.0 - m.theta) * rest
+    one, other = (
+        np.divide(share, total, out=np.ones_like(total), where=total > 0.0) for share in (m.theta, 1.0 - m.theta)
+    )
+    return one, other
+
+
+def q_table(value: Floats, states: Ints, m: ProblemArrays) -> Floats:
+    """Return the Q-values in some states, shape (n, R, H, T), from values, shape (n, H, T); minus infinity in padding.
+
+    Those in other states are 0.
+    """
+    backup = SparseBackup.of(m)
+    q = np.zeros((len(value), m.suggested.shape[1], *value.shape[1:]))
+    q[states] = -np.inf
+    asked = np.isin(backup.x, states)
+    q[backup.x[asked], backup.robot[asked]] = backup.q_values(value.swapaxes(0, 1)).swapaxes(0, 1)[asked]
+    return q
+
+
+def improve_small(
+    value: Floats,
+    robot: Ints,
+    m: ProblemArrays,
+    tolerance: float,
+    backups: int,
+    stop: Callable[[], bool],
+    count: Callable[[], None],
+    *,
+    below: bool,
+) -> bool:
+    """Replace values by those of the best policy or of a given one; arguments are as in `policy_iteration.improve`.
+
+    Values are never less precise than `PRECISE`, so that they hardly depend on the tolerance.
+    """
+    if stop():
+        return False
+    backup, least, tolerance = SparseBackup.of(m), rounding(m.targets.shape[1]), min(tolerance, PRECISE)
+    active = ~m.final[m.goal_of][:, :, None]
+    horizon = m.gamma / (1 - m.gamma)
+    outwards, better = (-horizon, np.maximum) if below else (horizon, np.minimum)
+    given = bool((robot >= 0).all())
+    allowed = (robot[backup.x] < 0) | (robot[backup.x] == backup.robot)
+    bounds = value.swapaxes(0, 1)
+    found, solved, settled = bounds.copy(), False, False
+    policy = np.where(active, np.maximum(robot, 0)[:, None], np.zeros(found.shape, dtype=np.int64))
+    for number in range(backups):
+        if stop():
+            return False
+        q = backup.q_values(found)
+        if not allowed.all():
+            q[:, ~allowed] = -np.inf
+        best = np.maximum.reduceat(q, backup.first, axis=1)
+        turns = active & (q.ravel()[backup.rows(policy)] < best - least * np.abs(best))
+        policy[turns] = backup.best_actions(q, best, turns)
+        np.copyto(best, found, where=~active)
+        change, found = best - found, best
+        count()
+        rise, fall = np.maximum(0.0, change.max(axis=(1, 2))), np.maximum(0.0, -change.min(axis=(1, 2)))
+        off, largest = (fall if below else rise) * solved, np.maximum(rise, fall)
+        bound = np.where(active, found + (outwards * off)[:, None, None], bounds)
+        better(bounds, bound, out=bounds)
+        scale = np.abs(bound).max(axis=(1, 2))
+        late = number >= FEW_BACKUPS
+        near = horizon * (100 * off + largest) <= tolerance  # bounds that move outwards by little are good values
+        error = np.maximum(tolerance, least * scale / (1 - m.gamma))
+        if (near | ((settled or late) & (horizon * (off + largest) <= error))).all():
+            bounds[:] = bound
+            return True
+        if not late or number.bit_count() == 1:
+            precise = max(1e-4 * tolerance * (1 - m.gamma), 1e-14 * float(scale.max()))
+            settled = int(turns.sum()) <= FEW_CHANGES * turns.size and (number > 0 or given)
+            goal = precise if settled else max(INEXACT * float(largest.max()), precise)
+            found, solved = _values(backup, policy, found, active, goal, stop), True
+    return False
+
+
+def _values(
+    backup: SparseBackup, policy: Ints, start: Floats, active: NDArray[np.bool_], goal: float, stop: Callable[[], bool]
+) -> Floats:
+    """Return the values of a policy up to a largest residual, from first values, shape (H, n, T).
+
+    Values of states that are not `active` are given. Where the method fails, the first values are returned.
+    """
+    rows = backup.rows(policy)
+    matrix, constant = backup.matrix[rows.ravel()], np.where(active, backup.reward[rows], start)
+
+    def residual(value: Floats) -> Floats:
+        return ((matrix @ value.ravel()).reshape(value.shape) + constant - value).reshape(len(value), -1)
+
+    def operate(image: Floats, step: Floats) -> None:
+        image[:] = (matrix @ step.ravel()).reshape(step.shape)
+
+    r = residual(start)
+    before = np.abs(r).max(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # the method may fail
+        tried = start + krylov.solution(r, operate, goal, stop).reshape(start.shape)
+        better = np.abs(residual(tried)).max(axis=1) < before  # not so if there are no numbers
+    return np.where(better[:, None, None], tried, start)
