@@ -27,11 +27,11 @@ live: $(VENV)/.live
 line: $(VENV)/.line
 	@$(BIN)/python docs/examples/line.py
 
-test: $(VENV)/.test $(VENV)/.warm
+test: $(VENV)/.test
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
 
 # The same with more examples of each law, and tests that take long: kills, a cluster, longer versions of others.
-test-all: $(VENV)/.test $(VENV)/.warm
+test-all: $(VENV)/.test
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal --hypothesis-profile=thorough
 
 # Before a release: all tests, and the smallest case of every benchmark (of the paper's study: the figures on record).
@@ -41,7 +41,7 @@ release-check:
 
 # Which lines and branches `make test` runs, subprocesses included; it takes longer.
 coverage: export COVERAGE_FILE = $(CURDIR)/.coverage/data
-coverage: $(VENV)/.test $(VENV)/.warm
+coverage: $(VENV)/.test
 	@rm -rf .coverage && mkdir .coverage
 	$(BIN)/python -m coverage run -m pytest --numprocesses auto --dist worksteal -m "not slow"
 	@$(BIN)/python -m coverage combine --quiet && $(BIN)/python -m coverage report --skip-covered
@@ -74,22 +74,6 @@ docs: $(VENV)/.docs
 # The wheel by itself, in an empty environment and outside the checkout.
 wheel-check:
 	@.ci/wheel $(PYTHON)
-
-# What takes long to compile is compiled once, two halves at a time, and not by every worker of the tests for itself. What
-# fails meanwhile is shown, and does not keep the tests from running.
-$(VENV)/.warm: $(VENV)/.test tests/warm.py $(wildcard planner/*.py planner/*/*.py planner/*/*/*.py assist/*/*.py assist/*/*/*.py)
-	@echo "Compiling ..."
-	@folder=$$(mktemp -d) && tiny=domains/kitting/tiny.pddl && run="env PYTHONPATH=bench $(BIN)/python tests/warm.py" && \
-		$(BIN)/kitassist solve $$tiny >$$folder/solved 2>$$folder/said && { \
-		{ $(BIN)/kitassist policy $$tiny --gap 0.1 && \
-		$(BIN)/kitassist bound $$tiny --humans 2 --policy none --episodes 20 --samples 2 && \
-		$$run people && \
-		$(BIN)/python -m pytest --collect-only --quiet --quiet; } >$$folder/people 2>&1 & half=$$!; \
-		{ $(BIN)/kitassist simulate $$tiny --humans 2 --policy priority --episodes 2 --trace $$folder/log.jsonl && \
-		$(BIN)/kitassist fit $$tiny $$folder/log.jsonl --misconception && \
-		$$run planner; } >$$folder/planner 2>&1; code=$$?; \
-		wait $$half || code=$$?; [ $$code = 0 ] || cat $$folder/people $$folder/planner; rm -rf $$folder; }
-	@touch $@
 
 clean:
 	rm -rf $(VENV) .coverage demo jupyter_execute site

@@ -56,6 +56,7 @@ LARGE = {
     "four-boxes", "five-items", "six-items", "eight-items", "nine-items", "day", "five-parts",
 }  # fmt: skip
 PROGRESS = re.compile(r"^.+, \d+ s(: [\d,]+(,| of) .+)?\n", re.M)
+COMPILING = re.compile(f"^{progress.COMPILING_LINE.format(purpose='.+')}\n", re.M)
 SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]
 
 
@@ -118,7 +119,7 @@ def pytest_testnodedown(node: Any) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Print which functions were compiled while tests ran, although `tests/warm.py` should have compiled them."""
+    """Print which functions were compiled while tests ran, in one process for all."""
     if compiled:
         terminalreporter.write_line(f"compiled while tests ran, {sum(compiled.values()):.0f} s of processor time:")
         terminalreporter.write_line(", ".join(f"{name} {seconds:.1f}" for name, seconds in compiled.most_common()))
@@ -151,7 +152,7 @@ def named(instance: Instance) -> str:
 def no_line_comes_between() -> None:
     """Make the output of commands in this process independent of their speed and of compiled code."""
     progress.BETWEEN_LINES = 1e6  # seconds
-    task.compiling_line = solve_progress.compiling_line = lambda: lambda: None
+    task.compiling_line = solve_progress.compiling_line = lambda: lambda _: None
 
 
 @pytest.fixture(scope="session")
@@ -260,7 +261,7 @@ def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subp
     """
     command = [str(Path(sys.executable).with_name("kitassist")), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=600, check=check)
-    done.stderr = PROGRESS.sub("", done.stderr.replace(f"{progress.COMPILING_LINE}\n", ""))
+    done.stderr = PROGRESS.sub("", COMPILING.sub("", done.stderr))
     return done
 
 

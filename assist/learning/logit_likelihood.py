@@ -29,6 +29,8 @@ from ..people.decision import NOTHING, Floats
 from .likelihood import SMALL, Method, largest_beta
 from .observations import Ints, Observations
 
+COMPILED_FOR = "estimates of terms: about ten seconds"
+
 BETA, THETA, FIRST_TERM = 0, 1, 2
 """Indices of the coordinates of beta, theta and the first term; those of other terms follow."""
 

@@ -21,6 +21,8 @@ from ..people.influence_kernels import influence_factors
 from ..people.type_kernels import exclude_reached, is_mistake
 from .problem_arrays import ProblemArrays
 
+COMPILED_FOR = "updates of beliefs: about five seconds"
+
 # Reassociation lets the compiler vectorise the sums of solvers, whose rounding need not be reproducible.
 FAST = {"reassoc", "contract"}
 

@@ -25,6 +25,8 @@ from .belief_filter import child, split
 from .rounding import compiled as rounding
 from .upper_hull import new_program, solve
 
+COMPILED_FOR = "bounds on a person's problem: half a minute"
+
 FEW_VECTORS = 32  # length up to which the vector list of a state is not pruned; pruning takes time, long lists too
 NONE = -1
 ZERO, NEITHER = map(np.int64, (0, NONE))  # numba would compile a function again for a literal argument

@@ -65,6 +65,8 @@ from .rounding import compiled as compiled_rounding
 from .rounding import rounding
 from .sparse_iteration import improve_small, is_small
 
+COMPILED_FOR = "values of a large problem: about four seconds"
+
 Ints = NDArray[np.int64]
 
 SOLVING = "solving a person's POMDP: sweeps"

@@ -32,6 +32,8 @@ from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 from .sparse_iteration import is_small, q_table
 
+COMPILED_FOR = "values of a large problem: about four seconds"
+
 MOST_SWEEPS = 10_000  # default limit of sweeps over all states; a dozen are enough in all tasks that were tried
 
 

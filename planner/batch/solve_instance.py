@@ -158,7 +158,7 @@ def solve_instance(
             second = None  # it would not know what a compilation stands for
             if not reading.numeric:
                 second = until_solved.enter_context(SecondReader(reading, phases.limits()))
-            until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
+            until_solved.enter_context(compiling(lambda _: phases.progress(COMPILING, 0, None)))
             task = _grounded(reading, options, phases)
             record = _solve(task, second, options, place, phases, use)
     except Exception as error:

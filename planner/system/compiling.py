@@ -11,12 +11,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-_listening: list[Callable[[], None]] = []
+_listening: list[Callable[[str], None]] = []
 
 
 @contextmanager
-def compiling(tell: Callable[[], None]) -> Iterator[None]:
-    """Call `tell` before each function that is compiled within the context because it is not in the cache."""
+def compiling(tell: Callable[[str], None]) -> Iterator[None]:
+    """Call `tell` before each function that is compiled within the context because it is not in the cache.
+
+    It receives what the function is for, and about how long compiling takes.
+    """
     _listening.append(tell)
     try:
         yield
@@ -24,10 +27,10 @@ def compiling(tell: Callable[[], None]) -> Iterator[None]:
         _listening.remove(tell)
 
 
-def announce() -> None:
-    """Tell all who listen that a function is going to be compiled."""
+def announce(purpose: str) -> None:
+    """Tell all who listen that a function is going to be compiled, and what it is for."""
     for tell in tuple(_listening):
-        tell()
+        tell(purpose)
 
 
 class ReadableFirst:

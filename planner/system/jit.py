@@ -6,6 +6,7 @@ then, too: that takes longer than most small work, which needs no compiled code.
 
 from __future__ import annotations
 
+import fcntl
 import functools
 import hashlib
 import linecache
@@ -13,10 +14,12 @@ import pickle
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, cached_property
 from importlib import import_module
+from pathlib import Path
 from types import FrameType, FunctionType, ModuleType
 from typing import Any
 
@@ -28,6 +31,12 @@ BLAS = "scipy.linalg.cython_blas"
 
 CONSTANTS = (bool, int, float, str, tuple, np.generic)
 """Types of the values that numba compiles into the code as constants."""
+
+COMPILED_FOR = "a part that saves time at large sizes: some seconds"
+"""What the functions of a module are compiled for, and about how long this takes, unless the module says it itself."""
+
+LONGEST_WAIT = 120.0
+"""Seconds for which a process waits while another one compiles the same function, before it compiles it, too."""
 
 _loading = threading.RLock()
 
@@ -45,8 +54,8 @@ def _numba() -> Any:
         cpu_target.target_context.refresh()
 
     class Listener(event.Listener):
-        def on_start(self, event: Any) -> None:  # noqa: ARG002
-            announce()
+        def on_start(self, event: Any) -> None:
+            announce(event.data["dispatcher"].py_func.__globals__.get("COMPILED_FOR", COMPILED_FOR))
 
         def on_end(self, event: Any) -> None:
             """Do nothing."""
@@ -100,6 +109,7 @@ class Compiled:
                 return vars(self)["_dispatcher"]
             dispatcher = _numba().njit(cache=True, **self._options)(self.__wrapped__)
             if not _numba().config.DISABLE_JIT:
+                _compile_once(dispatcher._cache)
                 files = dispatcher._cache._cache_file
                 files._source_stamp = stamp(self.__module__)
                 files._load_index = _readable(files._load_index)
@@ -152,6 +162,55 @@ def njit(*, fastmath: bool | set[str] = False, **options: Any) -> Callable[[Call
     constant that is compiled into this one from another file.
     """
     return lambda function: Compiled(function, {"fastmath": fastmath, **options})
+
+
+def _compile_once(stored: Any) -> None:
+    """Let one process compile a function, while others wait for its code and load it; `stored` is numba's cache of it.
+
+    Commands that start several processes, and tests, would otherwise compile the same function several times at once.
+    """
+    load, save, held = stored.load_overload, stored.save_overload, list[Any]()
+
+    def loaded(signature: Any, context: Any) -> Any:
+        code = load(signature, context)
+        if code is not None or held:
+            return code
+        lock = _locked(Path(stored.cache_path, f"{stored._cache_file._index_name}.lock"))
+        code = None if lock is None else load(signature, context)
+        if lock is not None:
+            if code is None:
+                held.append(lock)  # until the code is saved
+            else:
+                lock.close()
+        return code
+
+    def saved(signature: Any, code: Any) -> None:
+        try:
+            save(signature, code)
+        finally:
+            while held:
+                held.pop().close()
+
+    stored.load_overload, stored.save_overload = loaded, saved
+
+
+def _locked(path: Path) -> Any:
+    """Return an open file that no other process has locked; None if there is no such file within the longest wait."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("w")
+    except OSError:
+        return None
+    end = time.monotonic() + LONGEST_WAIT
+    while time.monotonic() < end:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            time.sleep(0.02)
+        else:
+            return file
+    file.close()
+    return None
 
 
 def _readable(load: Callable[[], dict[Any, str]]) -> Callable[[], dict[Any, str]]:

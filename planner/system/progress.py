@@ -39,7 +39,7 @@ AFTER = 2.0
 BETWEEN_LINES = 30.0
 """Seconds between two plain lines. Shorter is more current, and makes logs longer."""
 
-COMPILING_LINE = "compiling, once after an installation: it takes up to a minute, and is kept"
+COMPILING_LINE = "compiling {purpose}; once after an installation"
 
 
 class Stage(NamedTuple):
@@ -184,15 +184,14 @@ def _notebook() -> Callable[..., Any] | None:
     return ipython.display.display if ipython is not None and hasattr(shell, "kernel") else None
 
 
-def compiling_line() -> Callable[[], None]:
-    """Return a function that prints, on its first call only, a line on stderr about the compilation."""
-    said = False
+def compiling_line() -> Callable[[str], None]:
+    """Return a function that prints a line on stderr about what is compiled, once for each purpose."""
+    said: set[str] = set()
 
-    def say() -> None:
-        nonlocal said
-        if not said:
-            said = True
-            print(COMPILING_LINE, file=sys.stderr, flush=True)
+    def say(purpose: str) -> None:
+        if purpose not in said:
+            said.add(purpose)
+            print(COMPILING_LINE.format(purpose=purpose), file=sys.stderr, flush=True)
 
     return say
 

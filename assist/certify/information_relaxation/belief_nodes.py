@@ -32,6 +32,8 @@ from ...person.solver import Solution
 from ...person.truncated_bound import OuterRelaxation
 from ...person.upper_hull import new_program
 
+COMPILED_FOR = "bounds from sample paths: about twenty seconds"
+
 Ints = NDArray[np.int64]
 
 END = -1

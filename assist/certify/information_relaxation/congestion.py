@@ -43,6 +43,8 @@ from ...person.problem_arrays import ProblemArrays
 from .belief_nodes import LEFT, BeliefNodes, Ints, Known, NodeTable, SampleGraph, expand_node, state_of
 from .options import RelaxationOptions
 
+COMPILED_FOR = "bounds from sample paths: about twenty seconds"
+
 LEVELS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0])
 """Levels of G minus the price at which its distribution is known, in units of the cheapest action's cost.
 

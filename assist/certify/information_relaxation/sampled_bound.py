@@ -93,6 +93,8 @@ from .confidence import SampledBound
 from .congestion import AttentionDemand, Congestion, OutOfTimeError, Scale, lost
 from .options import RelaxationOptions
 
+COMPILED_FOR = "bounds from sample paths: about twenty seconds"
+
 S = TypeVar("S")
 T = TypeVar("T")
 

@@ -9,6 +9,8 @@ from planner import Instance
 from planner.batch.results_folder import COMPILING, SolveRecord
 from planner.system.progress import compiling_line, stages
 
+LARGE_SEARCH = "the search of large tasks: about ten seconds"
+
 
 @contextmanager
 def solving(
@@ -30,7 +32,7 @@ def solving(
 
         def stage(instance: Instance, what: str, done: int, total: int | None) -> None:
             if what == COMPILING:
-                say()
+                say(LARGE_SEARCH)
             show(what if count == 1 else f"{solved} of {count} solved; {instance}: {what}", done, total)
 
         yield advance, stage

@@ -127,6 +127,32 @@ def test_code_whose_types_were_renamed_or_are_gone_is_compiled_anew(
     assert started(TYPED.replace("Pair", "Couple")) == (7, False)
 
 
+TWICE = """
+from planner.system.jit import njit
+
+@njit()
+def inner(x):
+    return x + 1
+
+@njit()
+def outer(x):
+    return 2 * inner(x)
+
+print(outer(1), *(sum(one.stats.cache_misses.values()) for one in (outer, inner)))
+"""
+
+
+def test_processes_that_start_together_compile_a_function_once(tmp_path: Path) -> None:
+    (tmp_path / "twice.py").write_text(TWICE)
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{tmp_path}", "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    started = [
+        subprocess.Popen([sys.executable, "-c", "import twice"], env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    said = sorted(process.communicate()[0].split() for process in started)
+    assert said == [["4", "0", "0"], ["4", "1", "1"]]
+
+
 def test_numba_can_be_switched_off() -> None:
     code = "from assist.people.influence_kernels import update_trust; print(update_trust(0.5, 0.0, 1.0))"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}

@@ -20,7 +20,7 @@ from recorded import people_at_work
 
 from assist import Pool, fit, simulate
 from assist.certify import certify, upper_bound
-from assist.cli.output.solve_progress import solving
+from assist.cli.output.solve_progress import LARGE_SEARCH, solving
 from assist.learning import Log
 from assist.people.choices import Choices
 from assist.person import qmdp, solve
@@ -130,13 +130,14 @@ def test_on_a_terminal_there_is_a_bar_which_goes_away(monkeypatch) -> None:
     assert re.search(r"cost-to-go, \d+ s: 5 of 10", on_terminal(monkeypatch, work))
 
 
-def test_compiling_is_said_at_once_and_once(capsys) -> None:
+def test_compiling_is_said_at_once_and_once_with_its_purpose(capsys, monkeypatch) -> None:
     twice = jit._numba().njit(lambda number: 2 * number)
+    monkeypatch.setitem(globals(), "COMPILED_FOR", "doubled numbers: a second")
 
     with compiling(progress.compiling_line()):
         assert capsys.readouterr().err == ""
         twice(1)
-        assert capsys.readouterr().err == f"{progress.COMPILING_LINE}\n"
+        assert capsys.readouterr().err == "compiling doubled numbers: a second; once after an installation\n"
         twice(1.5)
     twice(1j)
     assert capsys.readouterr().err == ""
@@ -155,7 +156,7 @@ def test_instances_say_how_far_they_are(count, expected, monkeypatch, capsys) ->
         solved({})
         told(Instance(Path("q.pddl"), Path("domain.pddl")), "states", 5, None)
     assert shown == expected
-    assert capsys.readouterr().err == f"{progress.COMPILING_LINE}\n"
+    assert capsys.readouterr().err == f"{progress.COMPILING_LINE.format(purpose=LARGE_SEARCH)}\n"
 
 
 QUICK = {"window": 0, "gap": 0.5}
