@@ -88,6 +88,8 @@ class Simulated:
 
     Attributes
     ----------
+    team : tuple of int
+        Person at each place.
     parts : list of float arrays
         The returns of each portion, in cost units.
     count : int
@@ -102,7 +104,7 @@ class Simulated:
         gamma, self._end = pool.setting.gamma, horizon(pool.setting.gamma)
         self._pool = replace(pool, setting=replace(pool.setting, max_steps=self._end))
         self._policy = self._pool.policy(policy, travel) if isinstance(policy, str) else policy
-        self._team, self._travel, self._seed = team, travel, seed
+        self.team, self._travel, self._seed = team, travel, seed
         extra = pool.setting.fleet.extra
         most = float(travel.c_move.max()) * float(travel.distance.max()) + float(extra[np.isfinite(extra)].max())
         dearest = max(max(1.0, p.dearest) + float(p.pomdp.robot_costs.max()) for p in pool.policies) + most
@@ -112,14 +114,14 @@ class Simulated:
 
     def prepare(self, progress: Callable[[int, int], None]) -> None:
         """Compute now what the policy needs about the team's people; `progress` is called as by `policies.prepare`."""
-        models = np.unique(self._pool.model[list(self._team)]).tolist()
+        models = np.unique(self._pool.model[list(self.team)]).tolist()
         prepare(self._policy, [self._pool.policies[model] for model in models], progress=progress)
 
     def more(self, episodes: int) -> None:
         """Simulate so many further episodes."""
         begun = time.perf_counter()
         run = simulate(
-            self._pool, self._policy, humans=list(self._team), episodes=np.arange(self.count, self.count + episodes),
+            self._pool, self._policy, humans=list(self.team), episodes=np.arange(self.count, self.count + episodes),
             seed=self._seed, travel=self._travel, world="model",
         )  # fmt: skip
         self.seconds += time.perf_counter() - begun if self.parts else 0.0

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -18,7 +19,10 @@ from ..simulation.simulate import SOLVING
 from ..team.policies import by_name
 from ..team.state import TeamPolicy
 from .certificate import Certificate, Simulated, simulated_until
-from .team_bound import TeamBound, upper_bound
+from .team_bound import TeamBound, free_attention_bound, members_of, upper_bound
+
+FIRST_EPISODES = 1024
+"""Episodes of each policy for a first answer; they take a second for two people."""
 
 
 @dataclass(frozen=True)
@@ -44,41 +48,58 @@ class Comparison:
     @classmethod
     def of(
         cls, pool: Pool, policies: Mapping[str, TeamPolicy | str], *, episodes: int, seed: Seed,
-        time_limit: float | None, progress: Progress, **options: Any,
+        time_limit: float | None, progress: Progress, first: Callable[[list[Certificate]], None] | None = None,
+        **options: Any,
     ) -> Comparison:  # fmt: skip
-        """Compute the bound; the parameters are those of `certify`."""
+        """Compute the bound; the parameters are those of `certify`.
+
+        `first` receives certificates with a looser bound and few episodes, before the work that takes longer. There are
+        none for truncated tasks.
+        """
         start, seed_number = time.perf_counter(), entropy(seed)
         episodes = whole("episodes", episodes, 2)
         limit = None if time_limit is None else 0.8 * positive("time_limit", time_limit)
+        team = members_of(pool, options.get("team"))
+        travel = options.get("travel") or pool.setting.travel(len(team))
+        runs = {name: Simulated(pool, policy, team, travel, seed=seed_number) for name, policy in policies.items()}
+        if first is not None and all(math.isfinite(pool.policies[model].size) for model in pool.model[list(team)]):
+            upper = free_attention_bound(pool, team, travel)
+            _simulate(runs, min(episodes, FIRST_EPISODES), None, progress)
+            first(_certificates(runs, upper, math.nan))
         bound = upper_bound(pool, time_limit=limit, seed=seed_number, progress=progress, **options)
-        runs = {
-            name: Simulated(pool, policy, bound.team, bound.travel, seed=seed_number)
-            for name, policy in policies.items()
-        }
         return cls(bound, runs, episodes, None if time_limit is None else start + time_limit)
 
     def simulate(self, progress: Progress) -> None:
         """Simulate all policies, within the time that is left."""
-        for run in self.runs.values():
-            run.prepare(partial(progress, SOLVING))
-        done, total = 0, None if self.deadline is not None else self.episodes * len(self.runs)
-
-        def tell(added: int) -> None:
-            nonlocal done
-            done += added
-            progress("simulating policies", done, total)
-
-        tell(0)
-        simulated_until(list(self.runs.values()), self.episodes, self.deadline, tell)
+        _simulate(self.runs, self.episodes, self.deadline, progress)
 
     def certificates(self) -> list[Certificate]:
         """Return the certificate of each policy of which two or more episodes were simulated."""
-        bound, humans = self.bound, len(self.bound.team)
-        return [
-            Certificate.of(name, np.concatenate(run.parts), humans=humans, upper=bound.upper, slack=bound.slack)
-            for name, run in self.runs.items()
-            if run.count > 1
-        ]
+        return _certificates(self.runs, self.bound.upper, self.bound.slack)
+
+
+def _simulate(runs: dict[str, Simulated], episodes: int, deadline: float | None, progress: Progress) -> None:
+    """Simulate policies until each has so many episodes, within the time that is left."""
+    for run in runs.values():
+        run.prepare(partial(progress, SOLVING))
+    done, total = sum(run.count for run in runs.values()), None if deadline is not None else episodes * len(runs)
+
+    def tell(added: int) -> None:
+        nonlocal done
+        done += added
+        progress("simulating policies", done, total)
+
+    tell(0)
+    simulated_until(list(runs.values()), episodes, deadline, tell)
+
+
+def _certificates(runs: dict[str, Simulated], upper: float, slack: float) -> list[Certificate]:
+    """Return the certificate of each policy of which two or more episodes were simulated."""
+    return [
+        Certificate.of(name, np.concatenate(run.parts), humans=len(run.team), upper=upper, slack=slack)
+        for name, run in runs.items()
+        if run.count > 1
+    ]
 
 
 @shows_progress

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import click
 from rich.table import Column, Table
@@ -19,6 +20,9 @@ from .options.policies import policies_of, policy_errors, policy_option
 from .options.settings import TeamSetting
 from .options.team import team_of, team_options
 from .terminal.console import end_after_showing, kept_if_interrupted, print_json, print_table
+
+if TYPE_CHECKING:
+    from ..certify.certificate import Certificate
 
 
 @command("bound kitting/paper --humans 4 --policy priority")
@@ -65,7 +69,7 @@ def bound(
                     made.pool, {name: made.prepared(policy) for name, policy in policies.items()}, progress=show,
                     time_limit=max(1e-3, start + time_limit - time.perf_counter()), episodes=episodes,
                     seed=seed, travel=made.travel, gap=gap, paths=samples, jobs=jobs,
-                    memory_limit_mb=setting.memory_limit,
+                    memory_limit_mb=setting.memory_limit, first=_show_first,
                 )  # fmt: skip
                 with kept_if_interrupted(lambda: True):
                     compared.simulate(show)
@@ -107,6 +111,15 @@ def bound(
             )
     if samples and len(found.team) > len(made.pool.setting.robots):
         show_samples(found)
+
+
+def _show_first(certificates: list[Certificate]) -> None:
+    """Print certificates with a looser bound on stderr, as the others may take minutes."""
+    for c in certificates:
+        click.echo(
+            f"first, {c.policy}: value {c.value:.3f} ± {c.value_stderr:.3f}, upper bound {c.upper:.3f} with free "
+            f"attention and what is hidden known: gap at most {c.gap_percent:.2f} %", err=True,
+        )  # fmt: skip
 
 
 def _show_alone(upper: float, bounded: int, people: int, *, as_json: bool) -> None:

@@ -5,24 +5,33 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.system.compiling import ReadableFirst
+
 from ..people.decision import Floats
 
 NEAR = 1e-9
 """Cost units. Values of decisions that differ by at most as much are equal; sums in another order differ by less."""
 
-FEW = 256
-"""Rows up to which numpy takes less time than it takes to load the compiled form."""
-
 
 def first_best(values: Floats) -> NDArray[np.int64]:
     """Return the first number on the last axis whose value is the largest, or within `NEAR` of it; shape (...)."""
-    if values.size <= FEW * values.shape[-1]:
-        return np.asarray((values >= values.max(axis=-1, keepdims=True) - NEAR).argmax(axis=-1))
+    found: NDArray[np.int64] = _first_best(values)
+    return found
+
+
+def _readable_first_best(values: Floats) -> NDArray[np.int64]:
+    return np.asarray((values >= values.max(axis=-1, keepdims=True) - NEAR).argmax(axis=-1))
+
+
+def _compiled_first_best(values: Floats) -> NDArray[np.int64]:
     from .tie_kernels import first_best_of_rows  # slow to import
 
     found = np.empty(values.shape[:-1], dtype=np.int64)
     first_best_of_rows(np.ascontiguousarray(values).reshape(-1, values.shape[-1]), NEAR, found.reshape(-1))
     return found
+
+
+_first_best = ReadableFirst(_readable_first_best, _compiled_first_best, work=lambda values: 20_000 + 10 * values.size)
 
 
 def ranked(values: Floats) -> NDArray[np.int64]:
