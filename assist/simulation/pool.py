@@ -141,7 +141,8 @@ class Pool(Result):
             for one in given.ravel().tolist():
                 if one not in self.names:
                     raise ValueError(f"person {one!r}; {expected(one, self.names)}")
-            return np.vectorize(self.names.index, otypes=[np.int64])(given)
+            found = [self.names.index(one) for one in given.ravel().tolist()]
+            return np.array(found, dtype=np.int64).reshape(given.shape)
         if given.dtype.kind not in "iu" or not given.size or given.min() < 0 or given.max() >= len(self.people):
             most = len(self.people) - 1
             raise ValueError(f"team {given.tolist()}: expected names of people, or their numbers from 0 to {most}")
