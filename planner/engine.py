@@ -167,7 +167,7 @@ def _cheapest_plan(task: Task, left: Callable[[], Limits]) -> list[str] | None:
         return astar(task, limits=left())[1]
     except CostLimitError:
         seconds = left().seconds
-        table = sweep(task, deadline=None if seconds is None else time.monotonic() + seconds)
+        table = sweep(task, time_limit=seconds)
         return table.optimal_plan() if isfinite(table[table.initial]) else None
 
 

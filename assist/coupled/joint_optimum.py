@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.arrays import outline, read_only
-from planner.system.limits import LimitError
+from planner.system.limits import Deadline, LimitError
 
 from ..people.arguments import positive, whole
 from .agents import Agents, Floats, Ints
@@ -51,7 +51,12 @@ class JointOptimum:
 
 
 def joint_optimum(
-    agents: Agents, resources: float, *, tolerance: float = 1e-9, largest: int = 1_000_000
+    agents: Agents,
+    resources: float,
+    *,
+    tolerance: float = 1e-9,
+    largest: int = 1_000_000,
+    time_limit: float | None = None,
 ) -> JointOptimum:
     """Return the optimal value and policy of a few agents.
 
@@ -64,6 +69,8 @@ def joint_optimum(
         Largest distance from the exact values, as a share of the largest possible value.
     largest : int
         Largest number of joint states.
+    time_limit : float, optional
+        Seconds after which no further iteration begins. The values are then those so far, and `error` is larger.
 
     Raises
     ------
@@ -81,6 +88,7 @@ def joint_optimum(
     R, use, may = agents.R[agents.kind], agents.uses[agents.kind], agents.allowed[agents.kind]
     values, gamma = np.zeros((S,) * N), agents.gamma
     allowed = tolerance * max(1e-300, float(abs(agents.R).max()) * N)
+    ends = Deadline.after(time_limit)
     while True:
         best, chosen = np.full(values.shape, -np.inf), np.zeros(values.shape, dtype=np.int64)
         for number, reward, used, ahead in _joint(P, R, use, may, values, limit):
@@ -90,7 +98,7 @@ def joint_optimum(
         change = float(abs(best - values).max())
         values = best
         # The distance from the fixed point is at most gamma / (1 - gamma) times the last change.
-        if change * gamma <= allowed:
+        if change * gamma <= allowed or ends.passed:
             break
     digits = A ** np.arange(N - 1, -1, -1).reshape(-1, *[1] * N)
     weight = np.ones(())

@@ -31,12 +31,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from planner.system.arrays import outline, read_only
+from planner.system.limits import Deadline
 
 from ..people.arguments import positive, whole
 from .agents import Agents, Floats
@@ -131,7 +133,7 @@ def free_values(agents: Agents) -> Floats:
 
 def bound(
     agents: Agents, resources: float, *, window: int | None = None, prices: Floats | None = None,
-    options: BoundOptions = BoundOptions(),
+    options: BoundOptions = BoundOptions(), time_limit: float | None = None,
 ) -> PriceBound:  # fmt: skip
     """Return the Lagrangian bound at optimised prices, one per step.
 
@@ -148,6 +150,8 @@ def bound(
     prices : float array, shape (W,), optional
         Prices to use as they are, 0 or more.
     options : BoundOptions
+    time_limit : float, optional
+        Seconds after which prices are not improved any more. The bound is that at the best ones so far.
 
     Raises
     ------
@@ -155,7 +159,7 @@ def bound(
         An argument is invalid.
     """
     limit = resources if resources == 0 else positive("resources", resources)
-    tail = free_values(agents)
+    ends, tail = Deadline.after(time_limit), free_values(agents)
     if prices is not None:
         given = np.asarray(prices, dtype=float)
         if given.ndim != 1 or not np.isfinite(given).all() or (given < 0).any():
@@ -166,15 +170,17 @@ def bound(
     scale, heats = float(np.ptp(agents.R)) or 1.0, options.temperatures
     found = np.zeros(steps)
     while window is None:
-        found = _optimised(agents, limit, found, tail, options, heats[:1], scale)
-        if found[-max(1, len(found) // 8) :].max() <= 1e-3 * scale or len(found) >= longest:
+        found = _optimised(agents, limit, found, tail, options, heats[:1], scale, ends)
+        if ends.passed or found[-max(1, len(found) // 8) :].max() <= 1e-3 * scale or len(found) >= longest:
             break
         found = np.pad(found, (0, min(len(found), longest - len(found))))
-    found = _optimised(agents, limit, found, tail, options, heats if window else heats[1:], scale)
+    found = _optimised(agents, limit, found, tail, options, heats if window else heats[1:], scale, ends)
     return _bound_at(agents, limit, found, tail)
 
 
-def bound_for(agents: Agents, resources: float, given: PriceBound | None) -> PriceBound:
+def bound_for(
+    agents: Agents, resources: float, given: PriceBound | None, *, time_limit: float | None = None
+) -> PriceBound:
     """Return a given bound, or compute one.
 
     Raises
@@ -183,7 +189,7 @@ def bound_for(agents: Agents, resources: float, given: PriceBound | None) -> Pri
         The given one is for other units of the resource, for which its value and its prices may be too low.
     """
     if given is None:
-        return bound(agents, resources)
+        return bound(agents, resources, time_limit=time_limit)
     if given.resources != resources:
         raise ValueError(f"resources {resources:g}: expected {given.resources:g}, as the given bound is for")
     return given
@@ -206,7 +212,7 @@ def _bound_at(agents: Agents, limit: float, prices: Floats, tail: Floats) -> Pri
 
 def _optimised(
     agents: Agents, limit: float, prices: Floats, tail: Floats, options: BoundOptions, heats: tuple[float, ...],
-    scale: float,
+    scale: float, ends: Deadline,
 ) -> Floats:  # fmt: skip
     """Return prices that minimise the smoothed bound, at each temperature from the result of the one before.
 
@@ -227,12 +233,18 @@ def _optimised(
         value = agents.weight @ values[0] + limit * (discount @ price)
         return float(value / scale), discount * (limit - uses)
 
+    def stop(_: Floats) -> None:
+        if ends.passed:
+            raise StopIteration  # which ends the search with the prices so far
+
     x = prices / scale
     # L-BFGS-B factorises matrices of at most 40 rows, on which several threads of the library take ten times as long.
     with threadpool_limits(1, user_api="blas"):
         for heat in heats:
+            if ends.passed:
+                break
             x = minimize(
-                smoothed, x, args=(heat,), jac=True, method="L-BFGS-B", bounds=[(0, None)] * len(x),
+                smoothed, x, args=(heat,), jac=True, method="L-BFGS-B", bounds=[(0, None)] * len(x), callback=cast(Any, stop),
                 options={"maxfun": min(400, updates), "maxcor": 20, "ftol": 1e-8, "gtol": 1e-5},
             ).x  # fmt: skip
     found: Floats = x * scale

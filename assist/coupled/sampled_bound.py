@@ -33,6 +33,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.system.jit import njit
+from planner.system.limits import Deadline
 
 from ..certify.information_relaxation.confidence import SampledBound
 from ..people.arguments import Seed, entropy, positive, whole
@@ -42,7 +43,7 @@ from .price_bound import PriceBound, bound_for
 
 def sampled_bound(
     agents: Agents, resources: float, *, paths: int = 100, seed: Seed = 0, prices: PriceBound | None = None,
-    largest: int = 5_000,
+    largest: int = 5_000, time_limit: float | None = None,
 ) -> SampledBound:  # fmt: skip
     """Return an upper bound on the value of every policy from sample paths; it holds with 95 % confidence.
 
@@ -59,6 +60,9 @@ def sampled_bound(
     largest : int
         Largest number of joint states up to which the best actions on a sample path are computed exactly. Three agents
         of 14 states, with two actions, take about 40 ms a path.
+    time_limit : float, optional
+        Seconds, half of which the prices may take. Then no further path begins, once there are two; with fewer than 30,
+        `enough` is false, and `upper` is no bound.
 
     Raises
     ------
@@ -67,7 +71,8 @@ def sampled_bound(
     """
     limit = float(resources if resources == 0 else positive("resources", resources))
     count, joint = whole("paths", paths, 2), whole("largest", largest, 1)
-    solved = bound_for(agents, limit, prices)
+    ends = Deadline.after(time_limit)
+    solved = bound_for(agents, limit, prices, time_limit=None if time_limit is None else time_limit / 2)
     W, (_, A, S) = len(solved.prices), agents.shape
     reward, use, may = agents.flat
     loss = np.empty((W, *reward.shape))
@@ -80,8 +85,10 @@ def sampled_bound(
     row = np.arange(A)[:, None, None] * reward.shape[1] + of
     begin = np.cumsum(agents.initial, axis=1)
     begin[:, -1] = np.inf
-    found, exact = [], S ** len(agents) <= joint
+    found, exact = list[float](), S ** len(agents) <= joint
     for rng in np.random.default_rng(entropy(seed)).spawn(count):
+        if len(found) >= 2 and ends.passed:
+            break
         start = (begin <= rng.random((len(agents), 1))).sum(axis=1)
         to = _successors(rng.random((W, len(agents))), row, chance, successor)
         if exact:
@@ -89,7 +96,7 @@ def sampled_bound(
         else:
             least = _least_at_prices(start, to, loss, use, solved.prices, limit, agents.gamma)
         found.append(solved.upper - least)
-    return SampledBound.of(found, count, 0.0)
+    return SampledBound.of(found, len(found), 0.0)
 
 
 def _ordered(agents: Agents, worth: Floats) -> tuple[Floats, Ints]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.system.arrays import outline, read_only
+from planner.system.limits import Deadline
 
 from ..people.arguments import Seed, entropy, whole
 from .agents import Agents, Floats, Ints
@@ -88,7 +89,7 @@ class CoupledCertificate:
 
 def simulate(
     agents: Agents, act: CoupledPolicy | str, resources: float, *, runs: int = 500, seed: Seed = 0,
-    steps: int | None = None, control: PriceBound | None = None,
+    steps: int | None = None, control: PriceBound | None = None, time_limit: float | None = None,
 ) -> CoupledRuns:  # fmt: skip
     """Simulate a policy.
 
@@ -111,6 +112,8 @@ def simulate(
     control : PriceBound, optional
         Bound whose values are a control variate: the discounted differences between the value of each next state and
         its expectation are subtracted. Their mean is 0, and they explain most of the variance.
+    time_limit : float, optional
+        Seconds after which no further block of runs begins; those that were simulated by then are returned.
 
     Raises
     ------
@@ -122,10 +125,12 @@ def simulate(
     last = horizon(agents.gamma) if steps is None else whole("steps", steps, 1)
     act = policy(agents, act, resources, prices=control)
     size = max(1, BLOCK // len(agents))
-    parts = [
-        _block(agents, act, resources, np.arange(begin, min(begin + size, number)), key, last, control)
-        for begin in range(0, number, size)
-    ]
+    ends, parts = Deadline.after(time_limit), list[tuple[Floats, Floats, int, float]]()
+    for begin in range(0, number, size):
+        if parts and ends.passed:
+            break
+        numbers = np.arange(begin, min(begin + size, number))
+        parts.append(_block(agents, act, resources, numbers, key, last, control))
     taken = max(part[2] for part in parts)
     rest = max(part[3] for part in parts)
     return CoupledRuns(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]), taken, rest)
@@ -133,7 +138,7 @@ def simulate(
 
 def certify(
     agents: Agents, act: CoupledPolicy | str, resources: float, *, runs: int = 500, seed: Seed = 0,
-    solved: PriceBound | None = None,
+    solved: PriceBound | None = None, time_limit: float | None = None,
 ) -> CoupledCertificate:  # fmt: skip
     """Simulate a policy and compare it with the bound, whose values are the control variate.
 
@@ -149,14 +154,18 @@ def certify(
     seed : int or numpy.random.Generator
     solved : PriceBound, optional
         The bound. Default: it is computed.
+    time_limit : float, optional
+        Seconds, half of which the bound may take; as in `bound` and `simulate`.
 
     Raises
     ------
     ValueError
         As from `simulate`, or the bound is for other units of the resource.
     """
-    upper = bound_for(agents, resources, solved)
-    return CoupledCertificate(simulate(agents, act, resources, runs=runs, seed=seed, control=upper), upper)
+    half = None if time_limit is None else time_limit / 2
+    upper = bound_for(agents, resources, solved, time_limit=half)
+    found = simulate(agents, act, resources, runs=runs, seed=seed, control=upper, time_limit=half)
+    return CoupledCertificate(found, upper)
 
 
 def _successors(agents: Agents) -> tuple[Floats, Ints]:

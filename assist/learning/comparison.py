@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.system.arrays import read_only
+from planner.system.limits import Deadline
 from planner.system.results import Result
 
 from ..people.decision import Floats
@@ -90,18 +91,23 @@ class Comparison(Result):
         Level of the intervals.
     scores : tuple of Score
         The first is that of the reference.
+    left_out : tuple of str
+        Models for which the time was up.
     """
 
     people: tuple[str, ...]
     choices: NDArray[np.int64]
     level: float
     scores: tuple[Score, ...]
+    left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         read_only(self)
 
     def __repr__(self) -> str:
-        return f"<Comparison of {len(self.scores)} models for {len(self.people)} people: best {self.best.model}>"
+        without = f"; no time for {', '.join(self.left_out)}" if self.left_out else ""
+        of = f"{len(self.scores)} models for {len(self.people)} people"
+        return f"<Comparison of {of}: best {self.best.model}{without}>"
 
     def records(self) -> list[dict[str, Any]]:
         """Return a row for each model, as `Score.records` does."""
@@ -195,7 +201,8 @@ FitTo = Callable[[NDArray[np.bool_], Sequence[F]], F]
 
 def compared(
     models: Mapping[str, FitTo[Any]], people: Sequence[str], choices: NDArray[np.int64], reference: str, *,
-    fold: NDArray[np.int64], level: float, progress: Callable[[int], None] | None = None,
+    fold: NDArray[np.int64], level: float, time_limit: float | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> Comparison:  # fmt: skip
     """Compare models on held-out people.
 
@@ -207,11 +214,15 @@ def compared(
         As in `Comparison.of`.
     fold : int array, shape (K,)
         The fold of each person.
+    time_limit : float, optional
+        Seconds after which no further model is begun; those are in `Comparison.left_out`. The reference is the first.
     progress : callable, optional
         Called with the number of models that have been finished since the last call.
     """
-    logs, parameters = {}, {}
-    for name, fit_to in models.items():
+    ends, logs, parameters = Deadline.after(time_limit), dict[str, Floats](), dict[str, dict[str, float]]()
+    for name, fit_to in sorted(models.items(), key=lambda model: model[0] != reference):
+        if logs and ends.passed:
+            break
         fits = [fit_to(np.ones(len(people), dtype=bool), [])]
         parameters[name], logs[name] = fits[0].parameters, np.empty(len(people))
         for each in np.unique(fold).tolist():
@@ -220,7 +231,9 @@ def compared(
             logs[name][inside] = fits[-1].log_probability(inside)
         if progress is not None:
             progress(1)
-    return Comparison.of(people, choices, logs, parameters, reference, level)
+    ordered = {name: logs[name] for name in models if name in logs}
+    found = Comparison.of(people, choices, ordered, parameters, reference, level)
+    return replace(found, left_out=tuple(name for name in models if name not in logs))
 
 
 def folds_of(people: int, folds: int) -> NDArray[np.int64]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias, Unpack
@@ -12,10 +10,10 @@ import numpy as np
 
 from planner import CostToGo, Table
 from planner.system.errors import expected
+from planner.system.limits import Deadline
 from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.results import Result
 
-from ..people.arguments import positive
 from ..people.choice_model import ChoiceModel, boltzmann
 from ..people.human import Human
 from ..people.misconception import Misconception
@@ -241,7 +239,7 @@ def fit(
     assert callable(progress)
     if not isinstance(task, Evidence):
         progress("evaluating states", 0, None)
-    ends = math.inf if time_limit is None else time.monotonic() + positive("time_limit", time_limit)
+    ends = Deadline.after(time_limit)
     seen, method = evidence(task, log, reading), method or Method()
     if seen.goals and model is not None:
         raise ValueError("several goals, and misconceptions, terms or a choice model: expected one of them")
@@ -266,7 +264,7 @@ def fit(
     rng, records, unknown = np.random.default_rng(seed), list[PersonEstimate](), _unknown(seen)
     for one in map(_with_likeliest, fits) if seen.goals else fits:
         person = one.observations.person
-        if misconceptions and time.monotonic() > ends:
+        if misconceptions and ends.passed:
             unknown[person] = nothing_known(person, "not estimated within the time limit", len(one.observations))
             continue
         misconception = fit_misconception(one) if misconceptions else None

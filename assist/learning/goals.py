@@ -158,6 +158,9 @@ def infer_goals(
 ) -> InferredGoals:  # fmt: skip
     """Return the exact posterior over goals after each recorded action.
 
+    It has no limit of time of its own: what takes long is cost-to-go, and tables that `sweep_goals` computed within a
+    limit can be given as goals.
+
     Parameters
     ----------
     goals, log, **reading

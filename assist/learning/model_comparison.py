@@ -27,7 +27,7 @@ ALL_TERMS = "terms"
 
 def compare_models(
     people: Evidence | Sequence[Observations], method: Method | None = None, *, folds: int = FOLDS,
-    progress: Callable[[int], None] | None = None,
+    time_limit: float | None = None, progress: Callable[[int], None] | None = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of choice models by their predictions for people to whom they were not fitted.
 
@@ -39,6 +39,8 @@ def compare_models(
     method : Method, optional
     folds : int
         Number of groups of people, each of which is held out once.
+    time_limit : float, optional
+        Seconds after which no further model is begun; those without a result are in `Comparison.left_out`.
     progress : callable, optional
         Called with the number of models that have been finished since the last call.
 
@@ -56,7 +58,7 @@ def compare_models(
     fits = {model: partial(_fit_to, likelihood.with_terms(chosen), known) for model, chosen in sets.items()}
     return compared(
         fits, steps.people, np.bincount(steps.person), BOLTZMANN, fold=folds_of(len(steps.people), folds),
-        level=method.level, progress=progress,
+        level=method.level, time_limit=time_limit, progress=progress,
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import logit, ndtr
 
+from planner.system.limits import Deadline
 from planner.system.results import Result
 
 from ..declare.declared import DeclarationError, plain, spelt
@@ -272,6 +273,7 @@ def fit_population(
     method: Method | None = None,
     *,
     family: str | None = None,
+    time_limit: float | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> PopulationFit:
     """Return the estimated distribution of beta and theta over people.
@@ -284,10 +286,12 @@ def fit_population(
         If its eta is None, one rate for all people is estimated.
     family : str, optional
         "histogram", or one of beta's families; by default the family with the largest likelihood.
+    time_limit : float, optional
+        Seconds after which no further rate or family is tried, and a `LimitError` says how far the search came.
     progress : callable, optional
         Called with the number of the `ETAS` rates that have been tried since the last call.
     """
-    method, observations = method or Method(), observations_of(observations)
+    method, observations, ends = method or Method(), observations_of(observations), Deadline.after(time_limit)
     if not observations:
         raise ValueError("a population needs people; there are no observations")
     if family not in (None, "histogram", *BETA_FAMILIES):
@@ -311,8 +315,9 @@ def fit_population(
     known = told
     if eta is None:
         rates = np.linspace(0.0, 1.0, ETAS)
-        scores = []
+        scores = list[float]()
         for rate in rates:
+            ends.check(f"{len(scores)} of {ETAS} rates of trust")
             table, top = likelihoods(float(rate))
             scores.append(_free(table, 30)[1] + top)
             if progress is not None:
@@ -324,12 +329,15 @@ def fit_population(
         shares, score = _free(table, 2000)
         names, values = ("histogram", "histogram"), np.empty(0)
     else:
-        families = BETA_FAMILIES if family is None else (family,)
-        found = [
-            _families(table, (one, other), (edges_beta, edges_theta))
-            for one in families
+        pairs = [
+            (one, other)
+            for one in (BETA_FAMILIES if family is None else (family,))
             for other in (("uniform", "normal") if told else ("none",))
         ]
+        found = list[Any]()
+        for pair in pairs:
+            ends.check(f"{len(found)} of {len(pairs)} families of distributions")
+            found.append(_families(table, pair, (edges_beta, edges_theta)))
         score, names, values = max(found, key=lambda result: result[0])
         parts = [_cells(names[0], values[:2], edges_beta), _cells(names[1], values[2:], edges_theta)]
         shares = np.outer(parts[0], parts[1] if told else [1.0])

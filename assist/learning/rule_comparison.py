@@ -32,7 +32,7 @@ Rules: TypeAlias = Mapping[str, Any]
 def compare_rules(
     people: Evidence | Sequence[Observations] | AdviceLog, method: Method | None = None, *,
     rules: Rules | None = None, folds: int = FOLDS, carry: bool = True,
-    progress: Callable[[int], None] | None = None,
+    time_limit: float | None = None, progress: Callable[[int], None] | None = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of trust rules by the log probability of the choices of held-out people.
 
@@ -51,6 +51,8 @@ def compare_rules(
         Groups of people that are left out in turn.
     carry : bool
         As for `fit_influence`.
+    time_limit : float, optional
+        Seconds after which no further model is begun; those without a result are in `Comparison.left_out`.
     progress : callable, optional
         Called with how many rules have been finished since the last call.
 
@@ -79,7 +81,9 @@ def compare_rules(
         log = LikelihoodTable.of_advised(people, method, carry=carry)
         names, choices = log.people, log.counts
         fits = {name: partial(_fit_to, log, family, carry) for name, family in rules.items()}
-    return compared(fits, names, choices, REFERENCE, fold=fold, level=method.level, progress=progress)
+    return compared(
+        fits, names, choices, REFERENCE, fold=fold, level=method.level, time_limit=time_limit, progress=progress
+    )
 
 
 def rules_of(people: Sequence[Observations] | AdviceLog, method: Method) -> Rules:

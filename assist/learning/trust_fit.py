@@ -136,6 +136,8 @@ def fit_influence(
 ) -> InfluenceFit:  # fmt: skip
     """Return each person's influence under a trust rule.
 
+    It has no limit of time, as an unfinished search has no estimates; `fit_population` and `compare_rules` have one.
+
     Parameters
     ----------
     observations : Evidence, or sequence of Observations

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from planner.system.arrays import outline
 from planner.system.jit import njit
+from planner.system.limits import Deadline
 from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
@@ -114,7 +115,7 @@ def qmdp(
     above: Floats | None = None,
     tolerance: float = 1e-6,
     max_sweeps: int = MOST_SWEEPS,
-    deadline: float = math.inf,
+    time_limit: float | None = None,
     progress: Wanted = None,
 ) -> QMDP:
     """Compute the QMDP policy by policy iteration.
@@ -129,9 +130,8 @@ def qmdp(
         count.
     max_sweeps : int
         Largest number of sweeps over all states.
-    deadline : float
-        Time on the clock of `time.perf_counter()` after which no sweep begins. The values at the deadline are upper
-        bounds, too.
+    time_limit : float, optional
+        Seconds after which no sweep begins. The policy is then that of the values so far, which are upper bounds, too.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes: the number of sweeps.
 
@@ -142,6 +142,8 @@ def qmdp(
     """
     assert callable(progress)
     progress(SOLVING, 0, None)
+    ends = Deadline.after(time_limit)
+    deadline = time.perf_counter() + ends.at - time.monotonic()
     value = initial_upper_bounds(pomdp)
     if above is not None:
         value = np.minimum(value, above)

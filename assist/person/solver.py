@@ -253,7 +253,8 @@ def solve(
     progress(SOLVING, 0, None)
     start = time.perf_counter()
     until = math.inf if time_limit is None else start + time_limit
-    best = best or qmdp(pomdp, deadline=until)
+    left = None if time_limit is None else max(1e-9, until - time.perf_counter())
+    best = best or qmdp(pomdp, time_limit=left)
     work = Search(pomdp, best, options)
     never, always = work.first_policies(best, until)
     start += work.load()

@@ -113,6 +113,8 @@ def watch(
 ) -> WatchedEpisode:  # fmt: skip
     """Simulate one episode, and return what the robot expected, did and gave as reasons.
 
+    It has no limit of time, as an episode ends after `max_steps` steps, and a part of one would mislead.
+
     Parameters
     ----------
     pool : Pool

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner import CostToGo, known_costs
 from planner.system.arrays import frozen
 from planner.system.errors import expected
+from planner.system.limits import Deadline
 from planner.system.progress import Progress, Wanted, adding, shows_progress
 from planner.system.results import Result, same
 
@@ -200,6 +201,7 @@ class Pool(Result):
         memory_limit_mb: float = MEMORY_LIMIT_MB,
         states: int = WHOLE,
         region: int | None = None,
+        time_limit: float | None = None,
         progress: Wanted = None,
     ) -> Pool:
         """Draw people from a population, and build the POMDP of each.
@@ -234,6 +236,8 @@ class Pool(Result):
         region : int, optional
             Number of states of a policy's truncated task, for each goal; by default
             `assist.person.truncated_policy.default_size`, or fewer for many goals, by the memory limit.
+        time_limit : float, optional
+            Seconds after which no further POMDP is built, and a `LimitError` says for how many people it was.
         progress : callable or bool, optional
             Receives progress reports, as `planner.system.progress` describes: the number of POMDPs that have been
             built.
@@ -243,14 +247,14 @@ class Pool(Result):
         ValueError
             A parameter is out of its range, the goal is unreachable, or a task must be enumerated and is too large.
         LimitError
-            The policies would exceed the memory limit.
+            The policies would exceed the memory limit, or the time is up.
         """
         population = population or Population()
         size = whole("size", size, 1)
         return cls._at(
             table, partial(_drawn, population, size, entropy(seed)), size, tuple(population.weights), setting,
             prior=prior or population, solver=solver, memory_limit_mb=memory_limit_mb, states=states, region=region,
-            progress=progress,
+            time_limit=time_limit, progress=progress,
         )  # fmt: skip
 
     @classmethod
@@ -266,6 +270,7 @@ class Pool(Result):
         memory_limit_mb: float = MEMORY_LIMIT_MB,
         states: int = WHOLE,
         region: int | None = None,
+        time_limit: float | None = None,
         progress: Wanted = None,
     ) -> Pool:
         """Return certain people at a task, such as those of a log, and build the POMDP of each.
@@ -279,7 +284,7 @@ class Pool(Result):
             estimates are then taken for the truth (`FittedPeople.humans`).
         prior : Population, optional
             The robot's prior; by default the paper's, or the population of fitted people.
-        setting, solver, memory_limit_mb, states, region, progress
+        setting, solver, memory_limit_mb, states, region, time_limit, progress
             As in `sample`.
 
         Raises
@@ -299,17 +304,19 @@ class Pool(Result):
         return cls._at(
             table, partial(_given, them), whole("number of people", len(them), 1), terms, setting,
             prior=prior or Population(), solver=solver, memory_limit_mb=memory_limit_mb, states=states, region=region,
-            progress=progress,
+            time_limit=time_limit, progress=progress,
         )  # fmt: skip
 
     @classmethod
     @shows_progress
     def _at(
         cls, table: CostToGo | Choices | Goals | AnyTask, drawn: Callable[[Choices | None], Sequence[Human]], size: int,
-        weights: tuple[str, ...], setting: Setting | None, *, prior: Population, progress: Wanted = None, **how: Any,
+        weights: tuple[str, ...], setting: Setting | None, *, prior: Population, time_limit: float | None = None,
+        progress: Wanted = None, **how: Any,
     ) -> Pool:  # fmt: skip
         """Return people at a task; `drawn` returns them for its choices, or for any part of it."""
         assert callable(progress)
+        ends = Deadline.after(time_limit)
         table = table if isinstance(table, Choices | Goals) else known_costs(table)
         setting = setting or Setting()
         again = partial(cls._at, table, drawn, size, weights, prior=prior, **how)
@@ -331,7 +338,7 @@ class Pool(Result):
             choices = affordable_choices(table, setting, terms, size, limit, required=any(needed.values()))
         if choices is not None:
             people = drawn(choices)
-            policies = _enumerated(choices, people, setting, prior, solver, progress)
+            policies = _enumerated(choices, people, setting, prior, solver, ends, progress)
         else:
             assert not isinstance(table, Choices)
             for name, given in needed.items():
@@ -411,13 +418,14 @@ def _given(people: list[Human], choices: Choices | None) -> list[Human]:
 
 def _enumerated(
     choices: Choices, people: Sequence[Human], setting: Setting, prior: Population,
-    solver: Callable[[AssistPOMDP], Policy], progress: Progress,
+    solver: Callable[[AssistPOMDP], Policy], ends: Deadline, progress: Progress,
 ) -> list[Policy]:  # fmt: skip
     """Return a policy for each model of people on an enumerated task, solved on first use."""
     known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
     advance = adding(progress, "setting up people's POMDPs", len(known))
     policies: list[Policy] = []
     for human in known:
+        ends.check(f"setting up {len(policies)} of {len(known)} people's POMDPs; expected fewer people, or more time")
         policies.append(LazyPolicy(Assumptions.of(setting, human, prior).problem(choices), solver))
         advance(1)
     return policies

@@ -10,7 +10,6 @@ depend on how episodes are divided among processes.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -20,10 +19,11 @@ from threading import Event
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.system.limits import Deadline
 from planner.system.progress import Wanted, adding, parts_shown, shows_progress
 from planner.system.threads import on_threads
 
-from ..people.arguments import Seed, entropy, positive, whole, wholes
+from ..people.arguments import Seed, entropy, whole, wholes
 from ..person.memory_needed import MEMORY_LIMIT_MB
 from ..person.travel import Travel
 from ..team.attention import AttentionSwitching
@@ -168,10 +168,10 @@ def simulate(
 
     advance = adding(progress, f"simulating {called}" + " and explaining its suggestions" * explained, count)
     done, size, found = 0, 1 if explained else BLOCK, list[Episodes]()
-    ends = math.inf if time_limit is None else time.monotonic() + positive("time_limit", time_limit)
+    ends = Deadline.after(time_limit)
     # A function of the user may solve people's problems in its first step; only the function knows.
     with nullcontext() if hasattr(policy, "prepare") else parts_shown(progress, lambda: advance(0)):
-        while done < count and (not done or time.monotonic() < ends):
+        while done < count and not (done and ends.passed):
             threads = 1 if explained else jobs
             each = min(size, together, math.ceil((count - done) / threads))
             first = range(done, min(count, done + threads * each), each)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import DamagedFileError, InputFileError, MissingExtraError
 from planner.system.files import ResumableFolder, each_record, read_records, write_text
+from planner.system.limits import Deadline, LimitError
 from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.workers import outcomes
 
@@ -41,6 +42,7 @@ def run_study(
     jobs: int = 1,
     scheduler: str | None = None,
     resume: bool = False,
+    time_limit: float | None = None,
     progress: Wanted = None,
     warn: Callable[[str], None] | None = None,
 ) -> list[tuple[Cell, Exception]]:
@@ -59,6 +61,9 @@ def run_study(
         one thread each.
     resume : bool
         Keep the complete cells in the folder, and run the remaining ones. A cell with a damaged line is run again.
+    time_limit : float, optional
+        Seconds after which no further cell is waited for. The folder has the finished ones; the others are returned
+        with a `LimitError`, and `resume` continues with them.
     progress : callable or bool, optional
         Receives the number of finished episodes, as in `planner.system.progress`.
     warn : callable, optional
@@ -74,6 +79,7 @@ def run_study(
         `study.json` does not identify the study of the results.
     """
     assert callable(progress)
+    ends = Deadline.after(time_limit)
     study = study_of(study)
     out = Path(out)
     order = {cell: number for number, cell in enumerate(study.cells())}
@@ -90,7 +96,12 @@ def run_study(
             else:
                 failed.append((cell, outcome))
             advance(study.episodes(cell))
+            if ends.passed:
+                break
     results.finish(order)
+    ended = {*results.lines, *(cell for cell, _ in failed)}
+    late = LimitError("out of time; `resume` continues with this cell")
+    failed += [(cell, late) for cell in order if cell not in ended]
     return sorted(failed, key=lambda pair: order[pair[0]])
 
 

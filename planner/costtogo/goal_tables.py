@@ -17,7 +17,7 @@ from ..pddl.instances import PDDLError
 from ..search.numbering import SweepOptions
 from ..search.search_space import distances
 from ..search.state_space import StateSpace
-from ..system.limits import Budget, processors
+from ..system.limits import Budget, Deadline, processors
 from ..system.progress import Wanted, shows_progress
 from .load import task_of
 from .table import Table, explored, require_sweepable
@@ -34,6 +34,7 @@ def sweep_goals(
     tasks: Sequence[AnyTask],
     *,
     max_states: int | None = None,
+    time_limit: float | None = None,
     threads: int | None = None,
     progress: Wanted = None,
 ) -> list[Table]:
@@ -45,8 +46,8 @@ def sweep_goals(
     ----------
     tasks : sequence of Task, or of whatever `load` takes
         One task for each goal.
-    max_states, threads, progress
-        As in `sweep`; the limit of states holds for each enumeration.
+    max_states, time_limit, threads, progress
+        As in `sweep`; the limit of states holds for each enumeration, that of time for all.
 
     Raises
     ------
@@ -60,7 +61,7 @@ def sweep_goals(
         raise TypeError(f"tasks {tasks!r}: expected a list of tasks, one for each goal")
     loaded = [task_of(task) for task in tasks]
     require_same_states(loaded)
-    budget = Budget.within(max_states)
+    budget = Budget.within(max_states, deadline=Deadline.after(time_limit).at)
     threads = threads or processors()
     enumerated: list[tuple[Task, list[tuple[int, Task]]]] = []  # first task of each enumeration, and its members
     for place, task in enumerate(loaded):

@@ -30,7 +30,7 @@ from ..search.search_space import SearchSpace, distances, explore
 from ..search.sorted_space import SortedSpace, TooLargeError
 from ..search.state_space import UNREACHED, StateSpace, Transitions, as_floats, is_dead_end, plan_lengths, state_numbers
 from ..system.arrays import Ints
-from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError, processors
+from ..system.limits import Budget, CostLimitError, Deadline, LimitError, MemoryLimitError, processors
 from ..system.progress import Progress, Wanted, shows_progress
 from ..system.results import Result
 from .cost_to_go import Plan, State, optimal_choices, optimal_plan
@@ -205,6 +205,7 @@ def sweep(
     max_states: int | None = None,
     memory_limit_mb: float | None = None,
     deadline: float | None = None,
+    time_limit: float | None = None,
     threads: int | None = None,
     stop: threading.Event | None = None,
     progress: Wanted = None,
@@ -222,6 +223,8 @@ def sweep(
         Memory of the sweep in MB, in addition to what the process uses already; by default, the available memory.
     deadline : float, optional
         Time on the clock of `time.monotonic()`.
+    time_limit : float, optional
+        Seconds after which the sweep ends with a `LimitError`; a part of a table would be of no use.
     threads : int, optional
         Number of threads; by default one per processor. The result does not depend on it.
     stop : threading.Event, optional
@@ -241,6 +244,8 @@ def sweep(
     assert callable(progress)
     task = task_of(task)
     require_sweepable(task)
+    ends = Deadline.after(time_limit).at
+    deadline = ends if deadline is None else min(deadline, ends)
     budget = Budget.within(max_states, memory_limit_mb, deadline, stop, reserved_bytes)
     threads = threads or processors()
     space, note = explored(task, budget, threads, progress, options or SweepOptions())

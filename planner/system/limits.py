@@ -152,6 +152,45 @@ class StopSignal(Protocol):
 
 
 @dataclass(frozen=True)
+class Deadline:
+    """When a call with the argument `time_limit` ends.
+
+    Attributes
+    ----------
+    at : float
+        Time on the clock of `time.monotonic()`; infinite without a limit.
+    """
+
+    at: float = math.inf
+
+    @classmethod
+    def after(cls, time_limit: float | None) -> Deadline:
+        """Return the deadline that is so many seconds from now.
+
+        Raises
+        ------
+        ValueError
+            It is not a number above 0.
+        """
+        if time_limit is None:
+            return cls()
+        is_number = isinstance(time_limit, int | float) and not isinstance(time_limit, bool)
+        if not (is_number and time_limit > 0):
+            raise ValueError(f"time_limit {time_limit!r}: expected a number of seconds above 0")
+        return cls(time.monotonic() + time_limit)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the time is up."""
+        return time.monotonic() >= self.at
+
+    def check(self, done: str) -> None:
+        """Raise a `LimitError` if the time is up; `done` says what had been done by then."""
+        if self.passed:
+            raise LimitError(f"out of time after {done}")
+
+
+@dataclass(frozen=True)
 class Budget:
     """The states, memory and time that a search may use.
 
