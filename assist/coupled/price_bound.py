@@ -244,7 +244,8 @@ def _optimised(
             if ends.passed:
                 break
             x = minimize(
-                smoothed, x, args=(heat,), jac=True, method="L-BFGS-B", bounds=[(0, None)] * len(x), callback=cast(Any, stop),
+                smoothed, x, args=(heat,), jac=True, method="L-BFGS-B", bounds=[(0, None)] * len(x),
+                callback=cast(Any, stop),
                 options={"maxfun": min(400, updates), "maxcor": 20, "ftol": 1e-8, "gtol": 1e-5},
             ).x  # fmt: skip
     found: Floats = x * scale

@@ -1,0 +1,45 @@
+"""Every cell of the tutorials runs, each notebook by itself, and each ends with a picture."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import ROOT
+
+pytest.importorskip("matplotlib")
+
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+SLOW = {"cluster", "timed", "userstudy"}  # other processes, or larger tasks
+CELL = re.compile(r"^```\{code-cell\}\n(?::tags: [^\n]*\n)?\n?(.*?)^```$", re.M | re.S)
+
+
+def shown(cell: str, names: dict[str, Any], where: str) -> Any:
+    """Run a cell, and return the value of its last expression; None if it has none."""
+    tree = ast.parse(cell)
+    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, where, "exec"), names)
+    return None if last is None else eval(compile(ast.Expression(last.value), where, "eval"), names)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.stem in SLOW else []) for page in TUTORIALS],
+)
+def test_a_tutorial_runs_and_ends_with_a_picture(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    (place := tmp_path / "docs" / "tutorials").mkdir(parents=True)
+    (tmp_path / "domains").symlink_to(ROOT / "domains")
+    (tmp_path / "docs" / "examples").symlink_to(ROOT / "docs" / "examples")
+    monkeypatch.chdir(place)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    values = []
+    for number, cell in enumerate(CELL.findall(page.read_text()), 1):
+        value = shown(cell, names, f"{page.name}, cell {number}")
+        if not cell.lstrip().startswith("assert"):
+            values.append(value)
+    looks = ("_repr_svg_", "_repr_png_", "savefig", "_repr_html_")
+    assert any(hasattr(values[-1], look) for look in looks), f"{page.name} ends with {values[-1]!r}"
