@@ -266,12 +266,11 @@ class Teams:
         action : TeamAction
             The actions of all teams; those of the others send nobody.
         """
-        self.engine.over[:] = True
-        self.engine.over[rows] = False
-        self.engine.changed()
+        waits = np.ones(len(self.x), dtype=bool)
+        waits[rows] = False
+        self.engine.leave_out(waits)
         taken = self.engine.step(action)
-        self.engine.over[:] = False
-        self.engine.changed()
+        self.engine.leave_out(np.zeros_like(waits))
         return taken
 
 

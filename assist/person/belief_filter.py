@@ -29,7 +29,7 @@ FAST = {"reassoc", "contract"}
 
 # A session has the same beliefs after a restart, bit for bit, so sums have one order here. With reassociation, it would
 # depend on where the arrays are in memory: compiled code adds otherwise if they might overlap.
-@njit()
+@njit(forceinline=True)
 def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> float:
     """Fill in the unnormalised posterior after one choice; return its mass, the probability of the choice.
 
@@ -49,48 +49,48 @@ def posterior(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: P
         for h in range(len(belief) // thetas):
             likelihood = steady * m.chosen[acting, slot, h] + uniform
             part = 0.0  # sums of different types are computed at the same time
-            for cell in range(h * thetas, (h + 1) * thetas):
-                after[cell] = likelihood * belief[cell]
-                part += after[cell]
+            for t in range(thetas):
+                joint = likelihood * belief[h * thetas + t]
+                after[h * thetas + t] = joint
+                part += joint
             mass += part
         return mass
     for cell in range(len(belief)):
         after[cell] = 0.0
     for h in range(len(belief) // thetas):
-        p, others, g = m.chosen[x, suggested, h], m.unsuggested[x, robot, h], m.goal_of[h]
+        p, others, g, first = m.chosen[x, suggested, h], m.unsuggested[x, robot, h], m.goal_of[h], h * thetas
         plain = steady * m.chosen[x, slot, h]
         for t in range(thetas):
-            joint = belief[h * thetas + t]
+            joint = belief[first + t]
             if joint == 0.0:
                 continue
             follow_factor, decline_factor = influence_factors(m.theta[t], p, others)
             if slot == suggested:
                 joint *= plain * follow_factor + uniform
-                at, up = h * thetas + m.followed_low[x, robot, g, t], m.followed_weight[x, robot, g, t]
+                at, up = first + m.followed_low[x, robot, g, t], m.followed_weight[x, robot, g, t]
             else:
                 joint *= plain * decline_factor + uniform
-                at, up = h * thetas + m.low[x, robot, g, t], m.weight[x, robot, g, t]
+                at, up = first + m.low[x, robot, g, t], m.weight[x, robot, g, t]
             mass += joint
             after[at] += joint * (1.0 - up)
             after[at + 1] += joint * up
     return mass
 
 
-@njit()
+@njit(forceinline=True)
 def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> None:
-    """Replace a belief, shape (H, T), by its posterior after one choice; other arguments as in `posterior`.
+    """Replace a belief by its posterior after one choice; arguments as in `posterior`.
 
-    `after` is a work array of the same shape. A choice of probability 0 raises an `ImpossibleObservationError`.
+    `after` is a work array. A choice of probability 0 raises an `ImpossibleObservationError`.
     """
-    old, new = belief.reshape(belief.size), after.reshape(after.size)
-    mass = posterior(old, new, x, robot, slot, m)
+    mass = posterior(belief, after, x, robot, slot, m)
     if not mass > 0.0:
         raise ImpossibleObservationError(
             "an action has probability 0 under the belief; a lapse rate above 0 in the model rules this out"
         )
     scale = 1.0 / mass
-    for h in range(len(old)):
-        old[h] = new[h] * scale
+    for cell in range(len(belief)):
+        belief[cell] = after[cell] * scale
 
 
 @njit(nogil=True)
@@ -113,7 +113,8 @@ def update_seen(
         As in `beliefs.PersonModel`.
     m : ProblemArrays
     """
-    after = np.empty(belief.shape[1:])
+    flat = belief.reshape(len(belief), belief.shape[1] * belief.shape[2])
+    after = np.empty(flat.shape[1])
     for n, i in enumerate(rows):
         erred[i] = False
         if slot[n] < 0:
@@ -122,7 +123,7 @@ def update_seen(
         known = belief[i] if len(belief) > 0 else possible
         erred[i] = is_mistake(optimal[acting, slot[n]], known, acting, m.goal, m.goal_of)
         if len(belief) > 0:
-            update(belief[i], after, x[n], robot[n], slot[n], m)
+            update(flat[i], after, x[n], robot[n], slot[n], m)
             if goes_on[n]:
                 exclude_reached(belief[i], m.targets[acting, slot[n]], m.goal, m.goal_of)
 

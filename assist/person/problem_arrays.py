@@ -17,6 +17,8 @@ def read_only(array: NDArray[Any], dtype: type | None = None) -> NDArray[Any]:
     numba compiles a function separately for every combination of writable and read-only arguments. Arrays that were
     sent by another process may be writable, even if they were read-only there.
     """
+    if array.flags.c_contiguous and not array.flags.writeable and dtype in (None, array.dtype):
+        return array
     view = np.ascontiguousarray(array, dtype=dtype).view()
     view.flags.writeable = False
     return view

@@ -55,6 +55,8 @@ class TaskView:
         active : int array
             Active people, as indices of the flattened `places`.
         """
+        if not self._growing.any():
+            return places
         found = places.reshape(-1).copy()
         found[self._growing] = 0
         some = active[self._growing[active]]

@@ -233,6 +233,12 @@ class Engine:
         """Tell that somebody else has changed the people, so that `now` is another one."""
         self._now = None
 
+    def leave_out(self, teams: Bools) -> None:
+        """Leave these teams out, shape (N,), until others are named."""
+        if (teams != self.over).any():
+            self.over = teams
+            self.changed()
+
     def deciding(self) -> Ints:
         """Return the teams in which a robot may be sent, and somebody is at work."""
         now = self.now

@@ -68,7 +68,10 @@ def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> 
     if models == 1:  # no sorting is necessary
         return [(0, rows)] if len(rows) else []
     own = model[rows]
-    return [(number, rows[own == number]) for number in np.unique(own).tolist()]
+    order = own.astype(np.uint16 if models <= 2**16 else np.int64).argsort(kind="stable")  # fast for small numbers
+    ends, grouped = np.bincount(own, minlength=models).cumsum().tolist(), rows[order]
+    starts = [0, *ends[:-1]]
+    return [(number, grouped[at:end]) for number, (at, end) in enumerate(zip(starts, ends, strict=True)) if at < end]
 
 
 @dataclass(frozen=True)

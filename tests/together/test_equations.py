@@ -103,9 +103,9 @@ def test_every_step_of_a_problem_is_that_of_the_equations(
                 if joint.sum() > 1e-250:
                     updated = problem.update(belief[None], state, robot, action)[0]
                     np.testing.assert_allclose(updated, joint / joint.sum(), rtol=1e-11, atol=1e-200)
-                    own = belief.copy()
+                    own = belief.reshape(-1).copy()
                     belief_filter.update(own, np.empty(own.shape), x, r, a, arrays)
-                    np.testing.assert_allclose(own, joint / joint.sum(), rtol=1e-11, atol=1e-200)
+                    np.testing.assert_allclose(own.reshape(joint.shape), joint / joint.sum(), rtol=1e-11, atol=1e-200)
                 future = best.value_mdp[y] @ theta.T if not choices.goal[y] else np.zeros(problem.grid.shape)
                 expected += chance[:, :, a] * (problem.gamma * future - choices.costs[x, a])
                 gained += problem.gamma * (joint * vectors[y]).sum() - choices.costs[x, a] * joint.sum()

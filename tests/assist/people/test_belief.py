@@ -420,9 +420,9 @@ def test_compiled_filters_are_the_equations(
         if mass > 0:
             expected = pomdp.update(belief.reshape(1, *pomdp.grid.shape), *at)[0]
             np.testing.assert_allclose(one / mass, expected.ravel(), atol=1e-12)
-            now = belief.reshape(pomdp.grid.shape).copy()
+            now = belief.copy()
             compiled_update(now, np.empty_like(now), x, robot, slot, m)
-            np.testing.assert_allclose(now, expected, atol=1e-12)
+            np.testing.assert_allclose(now, expected.ravel(), atol=1e-12)
 
 
 def test_a_belief_does_not_depend_on_where_it_is_in_memory(tiny: Table) -> None:
@@ -436,8 +436,8 @@ def test_a_belief_does_not_depend_on_where_it_is_in_memory(tiny: Table) -> None:
     for gap in range(80):
         for first in (0, prior.size + gap):  # the belief is before the work array, or behind it
             at = prior.size + gap - first
-            belief, after = (memory[begin : begin + prior.size].reshape(prior.shape) for begin in (first, at))
-            belief[:] = before
+            belief, after = (memory[begin : begin + prior.size] for begin in (first, at))
+            belief[:] = before.ravel()
             compiled_update(belief, after, 0, 0, 0, arrays._replace(suggested=silent))
             found.add(belief.tobytes())
     assert len(found) == 1

@@ -155,11 +155,11 @@ def test_the_filter_is_the_sum_over_all_hidden_paths(rule: TrustRule, seed: int)
                 t = int(low[x, robot, 0, t]) + up
             total[b, t] += weight
     total /= total.sum()
-    belief, plain = pomdp.prior.copy(), pomdp.prior[None].copy()
+    belief, plain = pomdp.prior.ravel().copy(), pomdp.prior[None].copy()
     for x, robot, slot in walk:
         update(belief, np.empty_like(belief), x, robot, slot, arrays)
         plain = pomdp.update(plain, *(np.array([each]) for each in (x, robot, slot)))
-    np.testing.assert_allclose(belief, total, atol=1e-12)
+    np.testing.assert_allclose(belief, total.ravel(), atol=1e-12)
     np.testing.assert_allclose(plain[0], total, atol=1e-12)
 
 

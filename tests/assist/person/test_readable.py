@@ -108,10 +108,10 @@ def test_a_belief_after_a_choice(seed: int, goals: int, answers: bool, lapse: fl
     before, x = beliefs(rng, people, m), rng.integers(0, len(m.counts), people)
     robot = rng.integers(0, 3, people)
     slot = rng.integers(0, m.counts[m.afterstate[x, robot]])
-    single, work, impossible = before.copy(), np.empty(before.shape[1:]), 0
+    single, work, impossible = before.copy(), np.empty(before.shape[1] * before.shape[2]), 0
     for i in range(people):
         try:
-            update(single[i], work, int(x[i]), int(robot[i]), int(slot[i]), m)
+            update(single[i].reshape(-1), work, int(x[i]), int(robot[i]), int(slot[i]), m)
         except ImpossibleObservationError:
             impossible += 1
     if impossible:
