@@ -169,14 +169,6 @@ def _told_at(record: RosterEntry, steps: int) -> list[Told]:
     return [told for told in record.told if told.steps == steps]
 
 
-def goals_of(team: Roster, k: int) -> dict[str, float]:
-    """Return the probability of each goal of the person at a place; nothing if it is known."""
-    hidden = team.problems[k].policy.pomdp.hidden
-    if len(hidden.goals) == 1:
-        return {}
-    return dict(zip(hidden.goals, hidden.marginal(team.belief[k], "goal").tolist(), strict=True))
-
-
 def likeliest_cost_to_go(team: Roster, record: RosterEntry) -> float:
     """Return the cost-to-go of a person's present state, in cost units, for the most probable goal."""
     pomdp = record.problem.policy.pomdp
@@ -199,7 +191,7 @@ def reason_of(team: Roster, k: int, robot: int, moving: float, extra: float = 0.
     return Reason(
         saving, moving, saving - moving, beta.mean, (beta.low, beta.high), theta.mean, (theta.low, theta.high),
         len(answered), sum(step.suggestion == step.action for step in answered), follow.mean,
-        (follow.low, follow.high), goals_of(team, k),
+        (follow.low, follow.high), policy.pomdp.hidden.goals_shown(belief),
     )  # fmt: skip
 
 

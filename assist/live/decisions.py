@@ -14,7 +14,7 @@ from planner import CostToGo
 from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.ranges import Population
-from ..person.beliefs import Ask, Seen
+from ..person.beliefs import Ask
 from ..person.fleet import SUGGESTION
 from ..person.policy import Policy
 from ..person.settings import Setting
@@ -146,10 +146,8 @@ class Decisions:
 
     def _as_policies_see_it(self, active: NDArray[np.bool_], step: int) -> TeamState:
         t = self._team
-        # A policy that reads arrays takes the most probable states; the answers of `of_each` are expected over all.
-        known = Seen(t.x, t.belief, t.erred)
         return _LiveTeam(
-            step, active[None], np.array([self._places.at]), t.model[None], known,
+            step, active[None], np.array([self._places.at]), t.model[None], t.beliefs,
             [task.policy for task in t.tasks], self._places.travel, t,
             free=~np.array([self._places.under_way]), fleet=self._setting.fleet,
         )  # fmt: skip

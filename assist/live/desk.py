@@ -19,7 +19,6 @@ from ..team.state import BASE
 from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .advice import Advice, PersonState, Question
 from .beliefs import (
-    goals_of,
     likeliest_cost_to_go,
     worth_of_asking,
 )  # fmt: skip
@@ -227,14 +226,14 @@ class Desk(Knowledge):
         """Return the state of a person, present or not, and the belief about the person."""
         record = self.entry(person)
         k, row, problem = record.place, self.roster.row(record), record.problem
-        choices, pomdp = problem.choices, problem.policy.pomdp
+        choices, pomdp, belief = problem.choices, problem.policy.pomdp, self.roster.belief[k].copy()
         names = () if self.roster.stopped(record) else tuple(
             choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))
         )  # fmt: skip
         return PersonState(
             person, bool(self.roster.present[k]), bool(self.roster.ended[k]), problem.state(row), names,
             self.roster.suggestion(record), self.cost_to_go(person), len(record.steps), pomdp.grid,
-            pomdp.hidden, self.roster.belief[k].copy(), goals_of(self.roster, k),
+            pomdp.hidden, belief, pomdp.hidden.goals_shown(belief),
             {} if record.joint is None else record.joint.states(choices), record.question,
             (record.told[-1].goal, record.told[-1].yes) if record.told else None,
         )  # fmt: skip

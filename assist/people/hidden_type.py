@@ -152,6 +152,12 @@ class HiddenType:
         """Return the distribution of a part, shape (..., V), under beliefs, shape (..., H, T)."""
         return np.asarray(self.with_theta(belief, part).sum(axis=-1))
 
+    def goals_shown(self, belief: Floats) -> dict[str, float]:
+        """Return the probability of each goal under a belief, shape (H, T); nothing if the goal is known."""
+        if len(self.goals) == 1:
+            return {}
+        return dict(zip(self.goals, self.marginal(belief, "goal").tolist(), strict=True))
+
     def of_people(self, belief: Floats) -> Floats:
         """Return the belief in what a person keeps in their next task: all parts but the goal, shape (H / G, T)."""
         return np.asarray(belief.reshape(len(self.goals), -1, belief.shape[-1]).sum(axis=0))

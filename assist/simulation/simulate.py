@@ -148,7 +148,7 @@ def simulate(
     models = np.unique(pool.model[drawn]).tolist()
     groups = {model: ModelGroup(pool, model, world) for model in models}
     questions: Questions | None = None
-    if pool.setting.c_ask is not None and pool.goals > 1:
+    if pool.setting.c_ask is not None:
         questions = Questions(pool.policies, pool.setting.c_ask, pool.setting.ask_error)
     if explained or hasattr(policy, "prepare"):
         needed = [pool.policies[model] for model in models]

@@ -89,7 +89,7 @@ class Tracer:
                 "cost_to_go_after": finite(choices.goals.h[goal, people.row[e, k]]),
                 "theta": float(taken.theta[e, k]),
                 "reward": float(taken.reward[e, k]),
-                **({} if self.pool.goals == 1 else {"goal": choices.goals.names[goal]}),
+                **({} if (name := choices.goals.shown(goal)) is None else {"goal": name}),
                 **self.said.get((e, k), {}),
             }
             self.traces[e].append(row)

@@ -1,9 +1,9 @@
 """A team policy by rollout: priority, with the next decision improved by simulation.
 
 At a decision, priority's action is compared with a few alternatives that its values rank close to it. Sample paths are
-simulated in the robot's model: everybody's type is drawn from the belief, and priority acts from the next step on. (D.
-P. Bertsekas, J. N. Tsitsiklis and C. Wu, "Rollout algorithms for combinatorial optimization", Journal of Heuristics 3,
-1997.)
+simulated in the robot's model: they begin in the most probable task states, everybody's type is drawn from the belief,
+and priority acts from the next step on. (D. P. Bertsekas, J. N. Tsitsiklis and C. Wu, "Rollout algorithms for
+combinatorial optimization", Journal of Heuristics 3, 1997.)
 
 An alternative is measured by advantages rather than by rewards. With V and Q of each person's problem with a robot that
 comes and goes (`assist.person.attention_subproblem`), in the sampled type,
@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from ..people.arguments import number, whole
 from ..people.decision import NOTHING, Floats
-from ..people.user_code import UserCodeError
 from ..person.beliefs import PersonModel, Seen
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
@@ -167,8 +166,6 @@ class Rollout:
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return priority's action in every team, or an alternative that is better by simulation."""
-        if not team.beliefs.sees_states:
-            raise UserCodeError("policy 'rollout': expected actions that are all seen as they are")
         actions, simulated = self._alternatives(team)
         best = np.zeros(len(team.x), dtype=np.int64)
         rows = np.flatnonzero(simulated.any(axis=1))
