@@ -160,9 +160,8 @@ class Computation:
         if not self.needs_prices(steps):
             return np.zeros(0)
         return search(
-            kinds, steps, rounds=self.options.price_rounds, episodes=self.options.price_episodes, seed=self.seed,
-            deadline=self.start + share * self.for_people, tell=self.tell, robots=len(self.pool.setting.robots),
-            extra=self.extra,
+            kinds, steps, self.options, seed=self.seed, deadline=self.start + share * self.for_people, tell=self.tell,
+            robots=len(self.pool.setting.robots), extra=self.extra,
         )  # fmt: skip
 
     def relaxed(

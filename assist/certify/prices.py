@@ -39,6 +39,7 @@ from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
 from ..team.state import TeamAction, TeamState
 from .action_prices import supply
+from .options import BoundOptions
 
 Ints = NDArray[np.int64]
 
@@ -221,26 +222,23 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5,
 def search(
     kinds: list[SubproblemKind],
     window: int,
+    options: BoundOptions,
     *,
-    rounds: int,
-    episodes: int,
     seed: int,
     deadline: float,
     tell: Progress,
     robots: int = 1,
     extra: Floats | None = None,
 ) -> Floats:
-    """Optimise prices by a stochastic subgradient method, until `rounds` rounds are done or the deadline has passed.
+    """Optimise prices by a stochastic subgradient method, until all rounds are done or the deadline has passed.
 
     Parameters
     ----------
     kinds : list of SubproblemKind
     window : int
         Number of steps with a price.
-    rounds : int
-        Number of subgradient steps.
-    episodes : int
-        Number of simulated episodes of each person's problem per round.
+    options : BoundOptions
+        Their numbers of rounds and of simulated episodes in each.
     seed : int
     deadline : float
         Time on the clock of `time.perf_counter()`.
@@ -256,7 +254,7 @@ def search(
     float array, shape (W,), or (3, W) if actions have prices
         Mean of the last half of the rounds, in cost units, up to the last price of at least 0.01.
     """
-    shape = (window,) if extra is None else (3, window)
+    rounds, shape = options.price_rounds, (window,) if extra is None else (3, window)
     price, past, later = np.zeros(shape), np.zeros(shape), list[Floats]()
     for round_ in range(rounds):
         tell("optimising prices", round_, rounds)
@@ -265,7 +263,7 @@ def search(
         for kind in kinds:
             if time.perf_counter() > deadline:
                 break
-            busy += kind.count * kind.simulated(price, window, episodes, seed + round_)[0]
+            busy += kind.count * kind.simulated(price, window, options.price_episodes, seed + round_)[0]
         else:
             # The length of each step is divided by the root of the sum of squared past gradients (AdaGrad: Duchi, Hazan
             # and Singer, 2011). So a price with small gradients, where two people rarely need the robot at once, moves

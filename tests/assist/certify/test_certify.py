@@ -177,7 +177,7 @@ def looked_for(*kinds: Attended, rounds: float = math.inf, most: int = 40, told:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prices, "time", clock)
         return search(
-            list(kinds), 2, rounds=most, episodes=100, seed=3, deadline=rounds - 0.5,  # type: ignore[arg-type]
+            list(kinds), 2, BoundOptions(most, 100), seed=3, deadline=rounds - 0.5,  # type: ignore[arg-type]
             tell=lambda _, done, __: tell.append(done),
         )  # fmt: skip
 
