@@ -18,7 +18,8 @@ What is about goals in particular stands here, or in `type_kernels` for compiled
   sharper probabilities of goals, or on the most probable goal alone (`HiddenType.acting`).
 - What is known for each goal is averaged over the goals (`mean_over_goals`).
 
-A further part, such as a workload, is one more entry of `HiddenType.parts`, with the effect on `expertise`.
+A further part, such as a workload, is one more entry of `HiddenType.parts`, with its effect on `expertise` and its
+probabilities in `prior`: in a class of one's own, which `person.Assumptions` takes, as `docs/contributing.md` shows.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
+from ..people.hidden_type import HiddenType
 from ..people.human import Human, HumanModel
 from ..people.ranges import Population
 from ..people.trust_rules import EquationSeven, TrustRule, counts_of
@@ -33,6 +34,8 @@ class Assumptions:
         As in `AssistPOMDP.of`.
     lapse, eta, utility_scale : float
         As in `HumanModel`.
+    types : type of HiddenType
+        What is hidden about the person: a class of one's own has further parts.
     """
 
     population: Population = field(default_factory=Population)
@@ -46,6 +49,7 @@ class Assumptions:
     lapse: float = 1e-3
     eta: float = 0.2
     utility_scale: float = 1.0
+    types: type[HiddenType] = HiddenType
 
     @classmethod
     def of(cls, setting: Setting, human: Human | None, population: Population) -> Assumptions:
@@ -90,5 +94,5 @@ class Assumptions:
         return AssistPOMDP.of(
             self.model(choices), chooses=self.chooses, grid=self.grid, population=self.population,
             gamma=self.gamma, c_suggest=self.c_suggest, suggestions=self.suggestions, execute=self.execute,
-            c_execute=self.c_execute, frontier=frontier, trust=self.trust,
+            c_execute=self.c_execute, frontier=frontier, trust=self.trust, types=self.types,
         )  # fmt: skip

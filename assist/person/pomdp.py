@@ -123,6 +123,7 @@ class AssistPOMDP:
         c_execute: float = 1.0,
         frontier: LeafBounds | None = None,
         trust: TrustRule | None = None,
+        types: type[HiddenType] = HiddenType,
     ) -> AssistPOMDP:
         """Build the problem for a person drawn from a population (by default, the paper's population).
 
@@ -145,6 +146,8 @@ class AssistPOMDP:
             Leaf bounds of a truncated problem. A truncated problem has no executions.
         trust : TrustRule, optional
             How theta moves; by default equation (7) with the model's rate and unit of utility.
+        types : type of HiddenType
+            What is hidden about the person.
 
         Raises
         ------
@@ -164,7 +167,7 @@ class AssistPOMDP:
         rule = EquationSeven(model.eta, model.utility_scale) if trust is None else trust
         grid = (grid or Grid.regular(population)).with_counts(counts_of(rule))
         goals = model.choices.goals
-        hidden = HiddenType(goals.prior, grid.beta, goals.assume_likeliest, goals.sharpness)
+        hidden = types(goals.prior, grid.beta, goals.assume_likeliest, goals.sharpness)
         chosen, unsuggested = _choice_probabilities(model, chooses, hidden, robots.suggested)
         low, weight = _trust_shares(model, chooses, grid, rule, frontier, robots.suggested, followed=False)
         followed_low = followed_weight = None
