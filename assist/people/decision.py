@@ -53,7 +53,7 @@ def perceived_value(choices: Choices, q: Floats) -> Floats:
 
 
 def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike, bias: Floats | None = None) -> Floats:
-    """Return the Boltzmann policy of equation 5: P(a | x) proportional to exp(-beta Q(x, a) + bias(x, a)).
+    """Return the Boltzmann policy of equation (5): P(a | x) proportional to exp(-beta Q(x, a) + bias(x, a)).
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike, bias: Floa
 
 
 def influence(p: Floats, suggestion: ArrayLike, theta: ArrayLike) -> Floats:
-    """Return choice probabilities after a suggestion (equation 6): weight theta for its action, 1 - theta for others.
+    """Return choice probabilities after a suggestion, equation (6): weight theta for its action, 1 - theta for others.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def lapse(p: Floats, applicable: NDArray[np.bool_], rate: float) -> Floats:
 
 
 def trust(theta: ArrayLike, value: ArrayLike, expected: ArrayLike, eta: float, utility_scale: float = 1.0) -> Floats:
-    """Return theta after a suggestion (equation 7).
+    """Return theta after a suggestion, equation (7).
 
     theta' = clip(theta + eta (V(x_r) - V(x)) / utility_scale, 0, 1)
 

@@ -20,8 +20,8 @@ from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from math import inf
-from multiprocessing import get_context, resource_tracker
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from multiprocessing import Pipe, get_context, resource_tracker
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from . import processes
 from .errors import MissingExtraError
@@ -70,8 +70,10 @@ class Listener:
         self._thread = threading.Thread(target=self._listen, args=(hear,), daemon=True)
 
     def start(self) -> None:
-        """Start the thread that receives reports."""
-        self._thread.start()
+        """Start the thread that receives reports, unless it has begun. Ctrl-C is left to other threads."""
+        if self._thread.ident is None:
+            with _interrupts_left_to_this_process():
+                self._thread.start()
 
     def close(self) -> None:
         """Receive the reports that were sent, and stop.
@@ -106,17 +108,17 @@ def outcomes(
     is done by `jobs` processes of this machine, each a new interpreter, or by the workers of a Dask `scheduler` at an
     address. These must see the same files at the same paths, and run one thread each. After `timeout` seconds, a
     process of this machine is stopped, and its item is yielded with a `TimeoutError`. With `jobs=0`, a fork of this
-    process does the work, without a timeout: it starts at once, and this process survives it. Where a fork is not
-    safe, since this process has other threads or compiled code, it does the work itself.
+    process does the work: it starts at once, and this process survives it. Where a fork is not safe, since this process
+    has other threads or compiled code, this process does the work itself, without a timeout.
 
     `hear` is called in a thread with an item and the values that its work reports. The work then receives a `Reporter`
     as an additional last argument. Workers of a cluster do not report.
     """
     if scheduler is not None:
         return _on_cluster(work, items, arguments if hear is None else (*arguments, Reporter(None, 0)), scheduler)
-    if jobs == 0:
-        return (_in_a_fork if _may_fork() else _here)(work, items, arguments, hear)
-    return _in_a_pool(work, items, arguments, jobs, timeout, hear)
+    if jobs == 0 and not _may_fork():
+        return _here(work, items, arguments, hear)
+    return _in_processes(work, items, arguments, jobs, timeout, hear)
 
 
 def _here(
@@ -136,61 +138,7 @@ def _may_fork() -> bool:
     return sys.platform == "linux" and threading.active_count() == 1 and "numba" not in sys.modules
 
 
-def _in_a_fork(
-    work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], hear: Callable[..., None] | None
-) -> Generator[tuple[Item, Result | Exception]]:
-    from multiprocessing import Pipe
-
-    listener = Listener(lambda number, *report: None if hear is None else hear(items[number], *report))
-    receiving, sending = Pipe(duplex=False)
-    group = processes.guarded_group()
-    with closing(listener), receiving:
-        child = os.fork()
-        if child == 0:
-            reports = [] if hear is None else [partial(Reporter, listener.pipe)]
-            _work_in_fork(work, items, arguments, reports, group, sending)
-        code = None
-        try:
-            sending.close()
-            with _interrupts_left_to_this_process():
-                listener.start()
-            for item in items:
-                outcome: Any
-                try:
-                    outcome = receiving.recv()
-                except (EOFError, ConnectionResetError):
-                    if code is None:
-                        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-                    outcome = _died(code)
-                yield item, outcome
-        finally:
-            if code is None:
-                os.kill(child, signal.SIGKILL)
-                os.waitpid(child, 0)
-
-
-def _work_in_fork(
-    work: Callable[..., Any],
-    items: Sequence[Any],
-    arguments: Sequence[Any],
-    reports: Sequence[Callable[[int], Reporter]],
-    group: int,
-    sending: Connection,
-) -> NoReturn:
-    """Do all the work in a fork, which ends with the process that it was made of, and leaves interrupts to it."""
-    try:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        processes.join(group)
-        os.environ[UNSHOWN] = "0"
-        for number, item in enumerate(items):
-            sending.send(_outcome(work, item, *arguments, *(report(number) for report in reports)))
-    finally:
-        os._exit(1)
-
-
-def _in_a_pool(
+def _in_processes(
     work: Callable[..., Result],
     items: Sequence[Item],
     arguments: Sequence[Any],
@@ -208,16 +156,14 @@ def _in_a_pool(
         nullcontext() if listener is None else Connection(os.dup(listener.pipe), readable=False) as pipe,
         processes.safe_path(),
     ):
-        # Otherwise the first worker starts it, and unblocks Ctrl-C.
-        resource_tracker.ensure_running()
         begin = (work, arguments, processes.guarded_group(), pipe)
-        with _interrupts_left_to_this_process():
-            if listener is not None:
-                listener.start()
         try:
             while waiting or workers:
-                while waiting and len(workers) < jobs:
-                    workers.append(_Worker(begin, waiting.popleft(), items, timeout))
+                while waiting and len(workers) < max(1, jobs):
+                    forked = jobs == 0 and _may_fork()
+                    workers.append(_Worker(begin, waiting.popleft(), items, timeout, forked=forked))
+                if listener is not None:
+                    listener.start()  # after a fork, which has no other threads
                 left = min(worker.deadline for worker in workers) - time.monotonic()
                 heard = wait([worker.connection for worker in workers], None if left == inf else max(0.0, left))
                 for worker in list(workers):
@@ -238,18 +184,22 @@ def _in_a_pool(
 
 
 class _Worker:
-    """A process of this machine that works on one item at a time, in a new interpreter; `number` is that of its item.
+    """A process of this machine that works on one item at a time; `number` is that of its item.
 
     It sends an empty tuple when it has started, and then a tuple of one outcome for each item that it is given.
     """
 
-    def __init__(self, begin: tuple[Any, ...], number: int, items: Sequence[Any], timeout: float | None) -> None:
-        context = get_context("spawn")
+    def __init__(
+        self, begin: tuple[Any, ...], number: int, items: Sequence[Any], timeout: float | None, *, forked: bool
+    ) -> None:
+        if not forked:
+            resource_tracker.ensure_running()  # otherwise the first worker starts it, and unblocks Ctrl-C
         self.number, self.deadline, self.ended = number, inf, False
         self._items, self._timeout = items, timeout
-        self.connection, other = context.Pipe()
+        self.connection, other = Pipe()
+        context: Any = get_context("fork" if forked else "spawn")
+        self._process = context.Process(target=_serve, args=(other, forked, *begin), daemon=True)
         with other, _interrupts_left_to_this_process():
-            self._process = context.Process(target=_serve, args=(other, *begin), daemon=True)
             self._process.start()
 
     def give(self, number: int) -> None:
@@ -292,6 +242,7 @@ class _Worker:
 
 def _serve(
     connection: Connection,
+    forked: bool,
     work: Callable[..., Any],
     arguments: Sequence[Any],
     group: int,
@@ -300,6 +251,9 @@ def _serve(
     """Work on items in a process that shares the terminal, and shows no progress of its own."""
     os.environ[UNSHOWN] = "0"
     processes.join(group)
+    if forked:  # it has the other process's ways to end
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
     for given in (connection, pipe):
         if given is not None:
             os.set_inheritable(given.fileno(), False)  # its end is seen when this process ends
