@@ -45,7 +45,7 @@ Place = tuple[str | int, ...]
 MOST = 1e15
 """Largest cost, rate or size: sums of larger numbers are not exact in floating point, and products overflow."""
 
-CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False)
+CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, populate_by_name=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -261,18 +261,24 @@ def is_declared(kind: Any) -> bool:
 
 def names_of(kind: Any) -> list[str]:
     """Return the names of the fields of a declared class, or of those in a union."""
-    return [name for one in _members(kind) if is_declared(one) for name in one.__pydantic_fields__]
+    return [name for one in _members(kind) if is_declared(one) for name in _fields(one)]
+
+
+def _fields(kind: Any) -> dict[str, Any]:
+    """Return the fields of a declared class by their names in files: a field that is a word of Python has an alias."""
+    return {field.alias or name: field for name, field in kind.__pydantic_fields__.items()}
 
 
 def annotation_of(kind: Any, name: str) -> Any:
     """Return the annotation of a field of a declared class, with all that is declared of it."""
-    field = kind.__pydantic_fields__[name]
+    field = _fields(kind)[name]
     return Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
 
 
 def default_of(kind: Any, name: str) -> Any:
     """Return the default of a field of a declared class; `dataclasses.MISSING` if it has none."""
-    field = kind.__dataclass_fields__[name]
+    names = dict(zip(_fields(kind), kind.__pydantic_fields__, strict=True))
+    field = kind.__dataclass_fields__[names[name]]
     if field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
     return field.default
@@ -280,7 +286,7 @@ def default_of(kind: Any, name: str) -> Any:
 
 def sentences(kind: Any) -> dict[str, str]:
     """Return the sentence about each field of a declared class."""
-    return {name: field.description or "" for name, field in kind.__pydantic_fields__.items()}
+    return {name: field.description or "" for name, field in _fields(kind).items()}
 
 
 def marks(kind: Any) -> Iterator[Any]:
@@ -369,7 +375,7 @@ def _inner(kind: Any, part: str | int) -> Any:
     for one in _members(kind):
         one = _members(one)[0] if get_origin(one) is Annotated else one
         arguments = get_args(one)
-        if is_declared(one) and part in one.__pydantic_fields__:
+        if is_declared(one) and part in _fields(one):
             return annotation_of(one, str(part))
         if isinstance(part, int) and get_origin(one) in (tuple, list):
             return arguments[0] if get_origin(one) is list or arguments[-1] is Ellipsis else arguments[part]
@@ -417,7 +423,8 @@ def plain(value: Any) -> Any:
         A value is a user's own object, which is not saved.
     """
     if is_declared(type(value)):
-        every = ((one.name, getattr(value, one.name)) for one in dataclasses.fields(value))
+        named = zip(names_of(type(value)), type(value).__pydantic_fields__, strict=True)
+        every = ((shown_as, getattr(value, name)) for shown_as, name in named)
         return getattr(value, "tag", {}) | {name: plain(own) for name, own in every if own not in NOTHING}
     if isinstance(value, Mapping):
         return {str(name): plain(own) for name, own in value.items()}

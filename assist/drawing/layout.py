@@ -25,6 +25,7 @@ LEAST = 64.0  # smallest width of a box
 BESIDE = 240.0  # largest width of a title with marks beside it; with more, marks are below it
 ICONS = frozenset({"person", "robot", "van", "tray", "locker", "parcel"})
 FIXED = frozenset({"chip", "ball", "parcel"})
+TOWER = "##tower"  # ends the key of a node that is a tower of boxes
 """Shapes that are as wide as their text."""
 PASSES = 12
 """Times that scenes are laid out until their reserved sizes are large enough; each level of nesting needs one."""
@@ -78,7 +79,7 @@ class Box:
     @property
     def is_tower(self) -> bool:
         """Whether it is a frameless box around a node and what is stacked on it."""
-        return self.node.look.shape == "tower"
+        return self.node.key.endswith(TOWER)
 
 
 @dataclass(frozen=True)
@@ -257,7 +258,7 @@ class _Frames:
         high = max(one.height for one in above)
         for one in above:
             one.y = high - one.height
-        whole = Box(Node(f"{node.key}##tower", "", replace(node.look, shape="tower")), max(base.width, across), 0.0)
+        whole = Box(Node(node.key + TOWER, "", replace(node.look, shape="block")), max(base.width, across), 0.0)
         base.y, whole.height = high + 2, high + 2 + base.height
         whole.boxes = [*above, base]
         return whole
@@ -378,7 +379,7 @@ def _reached(place: str, within: Mapping[str, set[str]]) -> set[str]:
 
 def _own(box: Box) -> str:
     """Return the key of the node that a box shows, or that a tower stands on."""
-    return box.node.key.removesuffix("##tower")
+    return box.node.key.removesuffix(TOWER)
 
 
 def _top(node: Node) -> str:

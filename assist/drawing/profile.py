@@ -30,66 +30,64 @@ object, the first of their predicates in the file decides.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from planner.system.errors import InputFileError
+from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
+from ..declare.declared import Count, Expected, Text, Truth, declared
+from ..declare.tables import convert, fault, load, located
 from ..texts.catalogue import FIRST, TAG, Catalogue, catalogue, languages
 from .subject import Atom, Subject, atom, is_number
 
 FILE = "drawing.toml"
-SHAPES = (
-    "chip",
-    "crate",
-    "slot",
-    "panel",
-    "block",
-    "ball",
-    "person",
-    "robot",
-    "van",
-    "tray",
-    "locker",
-    "parcel",
-    "part",
-)
-"""The shapes of objects."""
+Shape = Literal[
+    "chip", "crate", "slot", "panel", "block", "ball", "person", "robot", "van", "tray", "locker", "parcel", "part",
+]  # fmt: skip
+SHAPE = Field(description="Its shape: a part unless given, a thing's is a panel, and that of a type's objects a chip.")
 
 
-@dataclass(frozen=True)
+@declared
 class Look:
-    """The appearance of the objects of a type, or of a thing that is not an object.
+    """The appearance of a named place within an object."""
 
-    Attributes
-    ----------
-    shape : str
-        One of `SHAPES`.
-    title : str or None
-        The text on it; the name of the object unless given.
-    inside : str or None
-        Its location if no fact places it.
-    holds : int or None
-        The number of objects for which space is reserved.
-    high : int
-        The number of stacked objects for which space is reserved.
-    parts : tuple of pair of str and Look
-        Named places within each object.
-    hidden : bool
-        Whether it is not drawn.
-    """
+    shape: Annotated[Shape, SHAPE] = "part"
+    title: Annotated[Text | None, Field(description="The text on it; its name unless given.")] = None
+    inside: Annotated[Text | None, Field(alias="in", description="Its location if no fact places it.")] = None
+    holds: Annotated[Count | None, Field(description="Number of objects for which space is reserved.")] = None
+    high: Annotated[Count, Field(description="Number of stacked objects for which space is reserved.")] = 1
+    parts: Annotated[dict[str, Look], Field(description="Named places within it.")] = field(
+        default_factory=dict, hash=False
+    )
+    hidden: Annotated[Truth, Field(description="Whether it is not drawn.")] = False
 
-    shape: str = "chip"
-    title: str | None = None
-    inside: str | None = None
-    holds: int | None = None
-    high: int = 1
-    parts: tuple[tuple[str, Look], ...] = ()
-    hidden: bool = False
+
+@declared
+class ThingLook(Look):
+    """The appearance of a thing that is not an object."""
+
+    shape: Annotated[Shape, SHAPE] = "panel"
+
+
+def _listed(given: Any) -> Any:
+    return [given] if isinstance(given, str) else given
+
+
+@declared
+class TypeLook(Look):
+    """The appearance of the objects of a type."""
+
+    shape: Annotated[Shape, SHAPE] = "chip"
+    of: Annotated[
+        tuple[Annotated[Text, Field(pattern=r"^[\w-]+ \?\d$")], ...],
+        BeforeValidator(_listed),
+        Expected("something like 'holds ?1', or a list of such"),
+        Field(description="Without PDDL types: the objects that are this argument of a constant fact."),
+    ] = ()
 
 
 @dataclass(frozen=True)
@@ -180,146 +178,12 @@ class Profile:
         """Return the appearance of an object."""
         if name in self.own:
             return self.own[name]
-        return next((self.types[kind] for kind in subject.types(name) if kind in self.types), Look())
+        return next((self.types[kind] for kind in subject.types(name) if kind in self.types), TypeLook())
 
     def name(self, key: str) -> str:
         """Return the name of a node in sentences."""
         owner, _, part = key.partition("#")
         return f"{owner} {self.names.get(part, part)}".strip()
-
-
-def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profile:
-    """Return the profile in a `drawing.toml`, checked against the domain; the language as in `Profile.of`.
-
-    Raises
-    ------
-    InputFileError
-        The file is not TOML, or has an entry that is unknown, malformed or not of the domain.
-    """
-    try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputFileError(f"{file}: {error}") from None
-    tables = ("types", "things", "places", "marks", "links", "colours", "words", "hide", "texts")
-    texts, language = texts or catalogue(), content.pop("language", FIRST)
-    if not isinstance(language, str) or not TAG.fullmatch(language):
-        raise InputFileError(f"{file}: language = {language!r}; expected a language's tag, such as 'de'")
-    for name, table in content.items():
-        if name not in tables or not isinstance(table, dict):
-            raise InputFileError(f"{file}: [{name}] is not expected; there are {', '.join(f'[{t}]' for t in tables)}")
-    things = {name: _look(file, f"things.{name}", value) for name, value in content.get("things", {}).items()}
-    arities = {fact[0]: len(fact) - 1 for fact in (*subject.constant, *subject.changing)}
-    rules: dict[str, dict[str, Rule]] = {}
-    for table, pattern in PATTERNS.items():
-        rules[table] = {}
-        for predicate, text in content.get(table, {}).items():
-            found = re.fullmatch(pattern, text) if isinstance(text, str) else None
-            if found is None:
-                raise InputFileError(
-                    f"{file}: {table}.{predicate}: {text!r}; expected something like {EXAMPLES[table]!r}"
-                )
-            what, how, where, part = (found.groupdict().get(group) for group in ("what", "how", "where", "part"))
-            assert what is not None
-            rule = Rule(_end(what), how or "", _end(where or ""), part)
-            within = [int(end) for end in re.findall(r"\?(\d)", where or "")] if table == "marks" else []
-            for end in (rule.what, {"places": rule.where, "marks": rule.what}.get(table, 1), *within):
-                if isinstance(end, str) and end not in things:
-                    raise InputFileError(f"{file}: {table}.{predicate}: '{end}' is not among [things]")
-                if isinstance(end, int) and end > arities.get(predicate, end):
-                    raise InputFileError(
-                        f"{file}: {table}.{predicate}: ?{end}; the predicate has {arities[predicate]} arguments"
-                    )
-            rules[table][predicate] = rule
-    types = {name: _look(file, f"types.{name}", value) for name, value in content.get("types", {}).items()}
-    own: dict[str, Look] = {}
-    for kind, table in content.get("types", {}).items():
-        for name in _known_by(file, f"types.{kind}", table.get("of", []), subject):
-            own.setdefault(name, types[kind])
-    for name, text in content.get("words", {}).items():
-        if not isinstance(text, str):
-            raise InputFileError(f"{file}: words.{name}: {text!r}; expected a text")
-    for name, listed in content.get("hide", {}).items():
-        if name != "predicates" or not isinstance(listed, list) or not all(isinstance(one, str) for one in listed):
-            raise InputFileError(f"{file}: hide: '{name} = {listed!r}' is not expected; there is a list, predicates")
-    profile = Profile(
-        types=types,
-        own=own,
-        things=things,
-        words=content.get("words", {}),
-        hidden=frozenset(content.get("hide", {}).get("predicates", ())),
-        places=rules["places"],
-        marks=rules["marks"],
-        links=rules["links"],
-        colours=rules["colours"],
-    )
-    return _translated(file, content.get("texts", {}), profile, texts, language)
-
-
-def _translated(file: Path, tables: dict[str, Any], profile: Profile, texts: Catalogue, language: str) -> Profile:
-    """Return a profile in the language of `texts`, if the file has its texts in it, else in that of the file."""
-    named = dict(_names(profile.things)) | {
-        part: title for look in profile.types.values() for part, title in _names(dict(look.parts))
-    }
-    titles = {look.title for look in profile.types.values() if look.title}
-    marks = {str(rule.where) for rule in profile.marks.values()}
-    shown = sorted(
-        one for one in {*named.values(), *titles, *marks, *profile.words.values()} if re.search("[^?0-9: ]", one)
-    )
-    for tag, table in tables.items():
-        if not TAG.fullmatch(tag) or not isinstance(table, dict):
-            raise InputFileError(f"{file}: texts.{tag}: expected a table of a language, such as [texts.de]")
-        for text in [*shown, *table]:
-            own = table.get(text)
-            if text not in shown and text not in profile.types:
-                raise InputFileError(f"{file}: texts.{tag}: {text!r} is none of this file's titles, marks and words")
-            if not isinstance(own, str) or _arguments(own) != _arguments(text):
-                with_all = " with ".join(["a text", " and ".join(_arguments(text))][: 1 + bool(_arguments(text))])
-                found = "there is none" if own is None else repr(own)
-                raise InputFileError(f"{file}: texts.{tag}: {text!r}: {found}; expected {with_all}")
-    spoken = next((tag for tag in (texts.tag, texts.tag.partition("-")[0]) if tag == language or tag in tables), None)
-    if spoken is None and shown:
-        return replace(profile, texts=catalogue(language if language in languages() else FIRST), language=language)
-    if spoken not in tables:
-        return replace(profile, texts=texts, language=texts.tag)
-    own = tables[spoken]
-
-    def look(name: str | None, one: Look) -> Look:
-        title = own.get(one.title or name, one.title)
-        return replace(one, title=title, parts=tuple((part, look(part, inner)) for part, inner in one.parts))
-
-    return replace(
-        profile,
-        types={name: look(None, one) for name, one in profile.types.items()},
-        own={name: look(None, one) for name, one in profile.own.items()},
-        things={name: look(name, one) for name, one in profile.things.items()},
-        marks={name: replace(rule, where=own.get(rule.where, rule.where)) for name, rule in profile.marks.items()},
-        words={action: own[text] for action, text in profile.words.items()},
-        names=own | {name: own[title] for name, title in named.items()},
-        texts=texts,
-        language=spoken,
-    )
-
-
-def _names(looks: Mapping[str, Look]) -> Iterator[tuple[str, str]]:
-    """Yield the names of things or parts, and of their parts, each with its title."""
-    for name, look in looks.items():
-        yield name, look.title or name
-        yield from _names(dict(look.parts))
-
-
-def _arguments(text: str) -> list[str]:
-    """Return the arguments in a text: `?1` in marks, and a word such as `?item` in words for an action."""
-    return sorted(set(re.findall(r"\?\d|(?<!\S)\?\S+", text)))
-
-
-def _known_by(file: Path, where: str, of: str | list[Any], subject: Subject) -> Iterator[str]:
-    """Yield the objects that are the given argument of a constant fact, such as `holds ?1`."""
-    for one in [of] if isinstance(of, str) else of:
-        found = re.fullmatch(r"([\w-]+) \?(\d)", one) if isinstance(one, str) else None
-        if found is None:
-            raise InputFileError(f"{file}: {where}: of = {one!r}; expected something like 'holds ?1'")
-        predicate, end = found[1], int(found[2])
-        yield from (fact[end] for fact in sorted(subject.constant) if fact[0] == predicate and 0 < end < len(fact))
 
 
 PATTERNS = {
@@ -331,33 +195,169 @@ PATTERNS = {
 EXAMPLES = {"places": "?1 in ?2", "marks": "?1 shut", "links": "?1 to ?2, length", "colours": "?1 as ?2"}
 
 
+def _rules(table: str) -> Any:
+    """Return the declaration of a table of rules."""
+    rule = Annotated[Text, Field(pattern=f"^(?:{PATTERNS[table]})$"), Expected(f"something like {EXAMPLES[table]!r}")]
+    return Annotated[dict[str, rule], Field(description=f"Rules by predicate, such as {EXAMPLES[table]!r}.")]
+
+
+def _tag(text: str) -> str:
+    if not TAG.fullmatch(text):
+        raise PydanticCustomError("kind", "a language's tag")
+    return text
+
+
+Tag = Annotated[Text, AfterValidator(_tag), Expected("a language's tag, such as 'de'")]
+
+
+@declared
+class HideTable:
+    """What is not shown."""
+
+    predicates: Annotated[
+        tuple[Text, ...], Expected("a list of predicates"), Field(description="Predicates that are not shown.")
+    ] = ()
+
+
+@declared
+class ProfileFile:
+    """A `drawing.toml`."""
+
+    language: Annotated[Tag, Field(description="Language of the file's own texts.")] = FIRST
+    types: Annotated[dict[str, TypeLook], Field(description="Looks of objects by their type.")] = field(
+        default_factory=dict
+    )
+    things: Annotated[dict[str, ThingLook], Field(description="Looks of things that are no objects.")] = field(
+        default_factory=dict
+    )
+    places: _rules("places") = field(default_factory=dict)  # type: ignore[valid-type]
+    marks: _rules("marks") = field(default_factory=dict)  # type: ignore[valid-type]
+    links: _rules("links") = field(default_factory=dict)  # type: ignore[valid-type]
+    colours: _rules("colours") = field(default_factory=dict)  # type: ignore[valid-type]
+    words: Annotated[dict[str, Text], Field(description="Each action in words; parameters have question marks.")] = (
+        field(default_factory=dict)
+    )
+    hide: Annotated[HideTable, Field(description="What is not shown.")] = HideTable()
+    texts: Annotated[
+        dict[Tag, dict[str, Text]], Field(description="Titles, marks and words in other languages, by their tags.")
+    ] = field(default_factory=dict)
+
+
+def read(file: Path, subject: Subject, texts: Catalogue | None = None) -> Profile:
+    """Return the profile in a `drawing.toml`, checked against the domain; the language as in `Profile.of`.
+
+    Raises
+    ------
+    InputFileError
+        The file is not TOML, or has an entry that is unknown, malformed or not of the domain.
+    """
+    with located(file):
+        content = convert(load(file), ProfileFile, file)
+        arities = {fact[0]: len(fact) - 1 for fact in (*subject.constant, *subject.changing)}
+        rules = {
+            table: {
+                predicate: _rule(file, table, predicate, text, content.things, arities)
+                for predicate, text in getattr(content, table).items()
+            }
+            for table in PATTERNS
+        }
+        own: dict[str, Look] = {}
+        for look in content.types.values():
+            for name in _known_by(look.of, subject):
+                own.setdefault(name, look)
+        profile = Profile(
+            types=dict(content.types), own=own, things=dict(content.things), words=content.words,
+            hidden=frozenset(content.hide.predicates), places=rules["places"], marks=rules["marks"],
+            links=rules["links"], colours=rules["colours"],
+        )  # fmt: skip
+        return _translated(file, content.texts, profile, texts or catalogue(), content.language)
+
+
+def _rule(
+    file: Path, table: str, predicate: str, text: str, things: Mapping[str, Look], arities: Mapping[str, int]
+) -> Rule:
+    """Return the rule of a predicate, after checking the objects and arguments that it names."""
+    found = re.fullmatch(PATTERNS[table], text)
+    assert found is not None
+    what, how, where, part = (found.groupdict().get(group) for group in ("what", "how", "where", "part"))
+    rule = Rule(_end(what or ""), how or "", _end(where or ""), part)
+    within = [int(end) for end in re.findall(r"\?(\d)", where or "")] if table == "marks" else []
+    for end in (rule.what, {"places": rule.where, "marks": rule.what}.get(table, 1), *within):
+        if isinstance(end, str) and end not in things:
+            raise fault(file, f"{table}.{predicate}", f"'{end}' is not among [things]")
+        if isinstance(end, int) and end > arities.get(predicate, end):
+            raise fault(file, f"{table}.{predicate}", f"?{end}; the predicate has {arities[predicate]} arguments")
+    return rule
+
+
+def _translated(
+    file: Path, tables: Mapping[str, Mapping[str, str]], profile: Profile, texts: Catalogue, language: str
+) -> Profile:
+    """Return a profile in the language of `texts`, if the file has its texts in it, else in that of the file."""
+    named = dict(_names(profile.things)) | {
+        part: title for look in profile.types.values() for part, title in _names(look.parts)
+    }
+    titles = {look.title for look in profile.types.values() if look.title}
+    marks = {str(rule.where) for rule in profile.marks.values()}
+    shown = sorted(
+        one for one in {*named.values(), *titles, *marks, *profile.words.values()} if re.search("[^?0-9: ]", one)
+    )
+    for tag, table in tables.items():
+        for text in [*shown, *table]:
+            said = table.get(text)
+            if text not in shown and text not in profile.types:
+                raise fault(file, f"texts.{tag}", f"{text!r} is none of this file's titles, marks and words")
+            if said is None or _arguments(said) != _arguments(text):
+                with_all = " with ".join(["a text", " and ".join(_arguments(text))][: 1 + bool(_arguments(text))])
+                found = "there is none" if said is None else repr(said)
+                raise fault(file, f"texts.{tag}", f"{text!r}: {found}; expected {with_all}")
+    spoken = next((tag for tag in (texts.tag, texts.tag.partition("-")[0]) if tag == language or tag in tables), None)
+    if spoken is None and shown:
+        return replace(profile, texts=catalogue(language if language in languages() else FIRST), language=language)
+    if spoken is None or spoken not in tables:
+        return replace(profile, texts=texts, language=texts.tag)
+    own = dict(tables[spoken])
+
+    def look(name: str | None, one: Look) -> Look:
+        title = own.get(one.title or name or "", one.title)
+        return replace(one, title=title, parts={part: look(part, inner) for part, inner in one.parts.items()})
+
+    return replace(
+        profile,
+        types={name: look(None, one) for name, one in profile.types.items()},
+        own={name: look(None, one) for name, one in profile.own.items()},
+        things={name: look(name, one) for name, one in profile.things.items()},
+        marks={name: replace(rule, where=own.get(str(rule.where), rule.where)) for name, rule in profile.marks.items()},
+        words={action: own[text] for action, text in profile.words.items()},
+        names=own | {name: own[title] for name, title in named.items()},
+        texts=texts,
+        language=spoken,
+    )
+
+
+def _names(looks: Mapping[str, Look]) -> Iterator[tuple[str, str]]:
+    """Yield the names of things or parts, and of their parts, each with its title."""
+    for name, look in looks.items():
+        yield name, look.title or name
+        yield from _names(look.parts)
+
+
+def _arguments(text: str) -> list[str]:
+    """Return the arguments in a text: `?1` in marks, and a word such as `?item` in words for an action."""
+    return sorted(set(re.findall(r"\?\d|(?<!\S)\?\S+", text)))
+
+
+def _known_by(of: Iterable[str], subject: Subject) -> Iterator[str]:
+    """Yield the objects that are the given argument of a constant fact, such as `holds ?1`."""
+    for one in of:
+        predicate, end = one.split(" ?")
+        yield from (
+            fact[int(end)] for fact in sorted(subject.constant) if fact[0] == predicate and 0 < int(end) < len(fact)
+        )
+
+
 def _end(text: str) -> int | str:
     return int(text[1:]) if re.fullmatch(r"\?\d", text) else text
-
-
-def _look(file: Path, where: str, value: Any) -> Look:
-    kinds: dict[str, Any] = {
-        "shape": str,
-        "title": str,
-        "in": str,
-        "holds": int,
-        "high": int,
-        "parts": dict,
-        "hidden": bool,
-    }
-    if where.startswith("types") and ".parts." not in where:
-        kinds["of"] = (str, list)
-    if not isinstance(value, dict):
-        raise InputFileError(f"{file}: {where}: expected a table such as {{shape = 'crate'}}")
-    for name, one in value.items():
-        if name not in kinds or not isinstance(one, kinds[name]):
-            raise InputFileError(f"{file}: {where}: '{name} = {one!r}' is not expected; there are {', '.join(kinds)}")
-    shape = value.get("shape", "part" if ".parts." in where else "panel" if where.startswith("things") else "chip")
-    if shape not in SHAPES:
-        raise InputFileError(f"{file}: {where}: shape {shape!r}; there are {', '.join(SHAPES)}")
-    parts = tuple((name, _look(file, f"{where}.parts.{name}", part)) for name, part in value.get("parts", {}).items())
-    high, hidden = value.get("high", 1), value.get("hidden", False)
-    return Look(shape, value.get("title"), value.get("in"), value.get("holds"), high, parts, hidden)
 
 
 def guess(subject: Subject, texts: Catalogue | None = None) -> Profile:
@@ -381,7 +381,7 @@ def guess(subject: Subject, texts: Catalogue | None = None) -> Profile:
     unary = sorted({fact[0] for fact in subject.changing if len(fact) == 2 and not is_number(fact)})
     ends = [places[fact[0]].of(fact) for fact in subject.changing | subject.constant if fact[0] in places]
     moving, places_of = ({subject.objects.get(pair[end]) for pair in ends} for end in (0, 1))
-    types = {kind: Look("crate" if kind in moving else "panel") for kind in sorted(filter(None, places_of))}
+    types = {kind: Look(shape="crate" if kind in moving else "panel") for kind in sorted(filter(None, places_of))}
     marks = {name: Rule(1, "", name) for name in unary}
     texts = texts or catalogue()
     return Profile(types=types, places=places, marks=marks, guessed=True, texts=texts, language=texts.tag)

@@ -168,7 +168,7 @@ def _nodes(subject: Subject, profile: Profile) -> dict[str, Node]:
         if look.hidden:
             continue
         nodes[name] = Node(name, look.title or name, look)
-        for part, of_part in look.parts:
+        for part, of_part in look.parts.items():
             key = f"{name}#{part}"
             nodes[key] = Node(key, of_part.title or part, of_part)
             nodes[name].inside.append(nodes[key])
