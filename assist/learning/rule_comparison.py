@@ -117,4 +117,4 @@ def _fit_to(
 ) -> FittedRule:
     search = RuleSearch(log.only(people), family, carry, fits[0].population if fits else None)
     values = search.best(fits[0].values if fits else None)
-    return FittedRule(log, family, carry, values, search.at(values)[1])
+    return FittedRule(log, family, carry, values, search.fitted(values)[0])

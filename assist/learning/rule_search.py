@@ -27,22 +27,29 @@ class RuleSearch:
     ) -> None:  # fmt: skip
         self.log, self.family, self.carry, self.near = log, family, carry, near
         self.ends = tuple(family.ranges.values())
+        self._fits: dict[tuple[float, ...], tuple[InfluencePopulation, float]] = {}
 
-    def at(self, values: Sequence[float]) -> tuple[float, InfluencePopulation, Floats]:
-        """Return the log likelihood, the population, and the table of `LikelihoodTable.log_likelihood`."""
-        logs = self.log.log_likelihood(self.family.rule(values), carry=self.carry)
-        self.near, value = InfluencePopulation.fit(self.log, logs, self.near)
-        return value, self.near, logs
+    def table(self, values: Sequence[float]) -> Floats:
+        """Return the table of `LikelihoodTable.log_likelihood` with these parameters."""
+        return self.log.log_likelihood(self.family.rule(values), carry=self.carry)
+
+    def fitted(self, values: Sequence[float]) -> tuple[InfluencePopulation, float]:
+        """Return the best population with these parameters, and the log likelihood; both are kept."""
+        known = tuple(values)
+        if known not in self._fits:
+            self._fits[known] = InfluencePopulation.fit(self.log, self.table(known), self.near)
+            self.near = self._fits[known][0]
+        return self._fits[known]
 
     def value(self, values: Floats) -> float:
         """Return the log likelihood; outside of the ranges, that of the nearest parameters."""
-        return self.at(np.clip(values, *np.array(self.ends).T).tolist())[0]
+        return self.fitted(np.clip(values, *np.array(self.ends).T).tolist())[1]
 
     def best(self, start: Sequence[float] | None = None) -> tuple[float, ...]:
         """Return the parameters of largest likelihood, from a start or the best of those tried."""
         if not self.family.ranges:
             return ()
-        start = start or max(self.family.tried, key=lambda values: self.at(values)[0])
+        start = start or max(self.family.tried, key=lambda values: self.fitted(values)[1])
         return tuple(self._climbed(np.array(start), self.ends)[0].tolist())
 
     def _climbed(self, start: Floats, ends: Sequence[Interval], flat: float = 1e-3) -> tuple[Floats, float]:
@@ -53,14 +60,13 @@ class RuleSearch:
         """
 
         def loss(point: Floats) -> tuple[float, Floats]:
-            value, population, _ = self.at(point.tolist())
+            population, value = self.fitted(point.tolist())
             slopes = np.zeros(len(point))
             for j, (low, high) in enumerate(ends):
                 step = DIFFERENCE if point[j] + DIFFERENCE <= self.ends[j][1] else -DIFFERENCE
                 if low < high:
                     moved = np.where(np.arange(len(point)) == j, point + step, point).tolist()
-                    logs = self.log.log_likelihood(self.family.rule(moved), carry=self.carry)
-                    slopes[j] = (float(population.marginal(self.log, logs).sum()) - value) / step
+                    slopes[j] = (float(population.marginal(self.log, self.table(moved)).sum()) - value) / step
             return -value, -slopes
 
         found = minimize(

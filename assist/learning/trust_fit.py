@@ -173,7 +173,7 @@ def fit_influence(
         intervals = {name: (family.parameter(name, low), family.parameter(name, high)) for name, (low, high) in ends}
         sample = search.sample(values, covariance)
         points, shares = sample.points, sample.shares
-    value, population, _ = search.at(values)
+    population, value = search.fitted(values)
     joint, last = _beliefs(log, search, points, shares)
     both = joint.sum(axis=0)
     beta, theta = both.sum(axis=2), both.sum(axis=1)
@@ -214,8 +214,8 @@ def _beliefs(log: LikelihoodTable, search: RuleSearch, points: Floats, shares: F
     """
     joint, last, logs = [], [], np.log(shares)
     for at, point in enumerate(points.tolist()):
-        best, population, table = search.at(point)
-        found, average = population.posteriors(log, table)
+        population, best = search.fitted(point)
+        found, average = population.posteriors(log, search.table(point))
         logs[at] += average - best
         joint.append(found)
         last.append(log.thetas(search.family.rule(point), carry=search.carry)[1])

@@ -6,7 +6,6 @@ import itertools
 import json
 import math
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -224,36 +223,6 @@ def test_a_goal_that_cannot_be_reached(tiny: Table) -> None:
     table = sweep(replace(tiny.task, goal=tuple(enumerate(never))))
     with pytest.raises(ValueError, match="goal 'never' cannot be reached from the initial state"):
         infer_goals({"kit": tiny, "never": table}, optimal_log(tiny))
-
-
-def test_the_baseline_compiles_observations_as_defined(tiny: Table) -> None:
-    """Costs of plans with and without the observations, against all action sequences of up to 8 actions."""
-    observed = import_module("goals").observed
-    names, longest = tiny.task.actions, 8
-    plans: list[tuple[str, ...]] = []
-    waiting = [(tiny.initial, tuple[str, ...]())]
-    while waiting:
-        state, done = waiting.pop()
-        if tiny.is_goal([state])[0]:
-            plans.append(done)
-        if len(done) < longest:
-            rows = tiny.choices([state])
-            after = zip(rows.actions, rows.targets, strict=True)
-            waiting += [(int(x), (*done, names[a])) for a, x in after if len(done) + 1 + tiny[int(x)] <= longest]
-
-    def contains(plan: tuple[str, ...], seen: tuple[str, ...]) -> bool:
-        rest = iter(plan)
-        return all(action in rest for action in seen)
-
-    some = min(plans, key=len)
-    for seen in (some[:1], some[:3], (some[0], some[0]), some, (*some[:2], "(remove hammer slot-1 box-a)")):
-        for complied in (True, False):
-            lengths = [len(plan) for plan in plans if contains(plan, seen) == complied]
-            table = sweep(observed(tiny.task, seen, complied=complied))
-            if lengths:
-                assert table[table.initial] == min(lengths), (seen, complied)
-            else:
-                assert table[table.initial] > longest, (seen, complied)
 
 
 @pytest.fixture
