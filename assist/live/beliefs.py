@@ -53,14 +53,14 @@ def believe(team: Roster, record: RosterEntry, step: Step, setting: Setting) -> 
     if step.seen is not None or is_uncertain(record, setting.observation):
         if record.joint is None:
             beliefs.x[k] = row
-        earlier = beliefs.joint(k)
+        earlier = beliefs.joint(k, policy)
         update_by(record, step, setting.observation)
         record.earlier = earlier
         return bool(beliefs.erred[k])
     acts = Acts(np.array([row]), np.array([step.robot]), np.array([step.slot]), np.array([False]))
     policy.hear(acts.x, acts.robot)
     with suppress(ImpossibleObservationError):  # in a model without lapses; the action says nothing about the person
-        beliefs.update(np.array([k]), acts, PersonModel.of(policy.pomdp, policy.arrays))
+        beliefs.update(np.array([k]), acts, PersonModel.of(policy))
     return bool(beliefs.erred[k])
 
 
@@ -78,7 +78,7 @@ def tell(team: Roster, record: RosterEntry, answers: Iterable[Told], setting: Se
         for told in answers:
             try:
                 question = GoalQuestion(goals.index(told.goal), hidden, setting.ask_error)
-                team.beliefs.told(record.place, question.likelihood(told.yes))
+                team.beliefs.told(record.place, question.likelihood(told.yes), record.problem.policy)
             except ImpossibleObservationError:
                 key = "impossible_yes" if told.yes else "impossible_no"
                 raise InapplicableError(key, person=record.name, goal=told.goal) from None
@@ -101,7 +101,7 @@ def hear(team: Roster, record: RosterEntry, answers: list[Told], setting: Settin
     k, robot = record.place, int(team.robot[record.place])
     tell(team, record, answers, setting)
     record.told += answers
-    team.put(record, team.beliefs.joint(k).likeliest, erred=bool(team.erred[k]), robot=robot)
+    team.put(record, team.row(record), erred=bool(team.erred[k]), robot=robot)
 
 
 def believe_again(team: Roster, record: RosterEntry, setting: Setting) -> bool:
@@ -157,7 +157,7 @@ def worth_of_asking(record: RosterEntry, setting: Setting) -> tuple[float, dict[
     if not found:
         return 0.0, {}
     joint = [record.joint, *found.values()]
-    likeliest = np.array([one.likeliest for one in joint])
+    likeliest = policy.rows(np.array([one.likeliest for one in joint]))
     value = expected_answers(worth_of_actions, policy, likeliest, joint).max(axis=1)
     share = np.array([after.evidence for after in found.values()])
     share /= share.sum()

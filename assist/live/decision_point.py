@@ -191,7 +191,7 @@ class DecisionPoint:
 
     def _certainly_ended(self, place: int) -> bool:
         """Return whether a person has certainly reached their goal."""
-        return is_certain(self.beliefs.finished(place, self._at(place)[1].arrays))
+        return is_certain(self.beliefs.finished(place, self._at(place)[1]))
 
     def nothing_at_all(self) -> Explanation:
         """Return why there is no suggestion."""
@@ -217,8 +217,9 @@ class DecisionPoint:
         return self._in_words(place, Explanation(nothing=nothing))
 
     def _in_words(self, place: int, explanation: Explanation) -> Explanation:
-        joint = self.beliefs.joint(place)
-        share = float(joint.probability[joint.x == self.beliefs.x[place]].sum())
+        _, policy, row = self._at(place)
+        joint = self.beliefs.joint(place, policy)
+        share = float(joint.probability[joint.rows(policy) == row].sum())
         said = explanation.in_words(self.problems[place].words(explanation.actions))
         return said.in_state(1.0 if is_certain(share) else share)
 

@@ -260,7 +260,6 @@ class Knowledge:
         if isinstance(answer, str):
             if not record.steps:
                 raise InapplicableError("nothing_to_ask", person=person)
-            record.problem.policy.require_enumerated("an uncertain action")
             correct(self.roster, record, record.problem.named(answer), self.setting)
         else:
             question = record.question
@@ -281,7 +280,7 @@ class Knowledge:
         erred = believe_again(self.roster, record, self.setting)
         record.close_questions()
         record.reason = None
-        self.roster.put(record, self.roster.beliefs.joint(record.place).likeliest, erred=erred)
+        self.roster.put(record, self.roster.row(record), erred=erred)
         return taken.yes
 
     def take_back_action(self, person: str) -> str | None:

@@ -66,11 +66,12 @@ class LiveQuestions:
         goals = record.problem.choices.goals
         if len(goals) == 1 or "goal" in record.asked:
             return None
-        goal, worth = self._goals.best_of(record.problem.policy, team.beliefs.joint(record.place), attention)
+        policy = record.problem.policy
+        goal, worth = self._goals.best_of(policy, team.beliefs.joint(record.place, policy), attention)
         return Question(record.name, goals.names[goal], (), worth) if worth > NEAR else None
 
     def _about_action(self, record: RosterEntry, *, least: float = 0.01) -> Question | None:
-        if record.joint is None or len(record.joint.x) == 1 or "action" in record.asked:
+        if record.joint is None or len(record.joint.places) == 1 or "action" in record.asked:
             return None
         if worth_of_knowing(record.problem.policy, record.joint) <= self._cost:
             return None  # an answer is worth no more than to know all

@@ -25,7 +25,7 @@ from ..people.goals import Goals, first_of
 from ..people.memory import choices_of
 from ..people.ranges import Population
 from ..person.assumptions import Assumptions
-from ..person.person_problem import WHOLE, is_whole, rows_within
+from ..person.person_problem import WHOLE, is_whole
 from ..person.policy import Policy
 from ..person.qmdp import qmdp
 from ..person.settings import Setting
@@ -65,7 +65,7 @@ class LiveTask:
     ) -> None:
         self.task, self.prior = task, prior
         if policy is None:
-            require_usable(task, setting, prior)
+            require_usable(task, prior)
         self.policy = policy or (task if isinstance(task, Policy) else _policy_for(task, setting, prior))
         self.initial = self.policy.task.initial
         require_goal(self.choices.h[self.row(self.initial)])
@@ -172,7 +172,7 @@ class LiveTask:
         return None if isinstance(task, Choices) else Artist(task.task)
 
 
-def require_usable(task: CostToGo | Goals | Policy, setting: Setting, prior: Population) -> None:
+def require_usable(task: CostToGo | Goals | Policy, prior: Population) -> None:
     """Check that people can work on a task, before anything is solved.
 
     Raises
@@ -180,18 +180,12 @@ def require_usable(task: CostToGo | Goals | Policy, setting: Setting, prior: Pop
     ValueError
         It is too large for what is asked of it.
     """
-    if isinstance(task, Policy):
-        if setting.observation is not None:
-            task.require_enumerated("observation")
-    elif isinstance(task, Goals) and prior.weights:
-        raise ValueError("people who remember what they did: expected one goal")
-    elif not is_whole(task):
-        for what, asked in (
-            ("people who remember what they did", prior.weights), ("missed or confused actions", setting.observation),
-        ):  # fmt: skip
-            if asked:
-                rows = f", and {rows_within(WHOLE):,} for all goals together" if isinstance(task, Goals) else ""
-                raise ValueError(f"{what}: expected a task of at most {WHOLE:,} states{rows}")
+    if isinstance(task, Policy) or not prior.weights:
+        return
+    several = isinstance(task, Goals)
+    if several or not is_whole(task):
+        expected = "one goal" if several else f"a task of at most {WHOLE:,} states"
+        raise ValueError(f"people who remember what they did: expected {expected}")
 
 
 def _policy_for(known: CostToGo | Goals, setting: Setting, prior: Population) -> Policy:

@@ -341,7 +341,7 @@ class Roster:
 
     def finished(self, record: RosterEntry) -> float:
         """Return the probability that a person has reached their goal, of which several may be possible."""
-        return self.beliefs.finished(record.place, record.problem.policy.arrays)
+        return self.beliefs.finished(record.place, record.problem.policy)
 
     def stopped(self, record: RosterEntry) -> bool:
         """Return whether a person has certainly reached their goal."""

@@ -66,7 +66,7 @@ class Team(History[TeamRecord]):
         self.tasks = dict(tasks)
         self.desk = Desk(self.tasks, policy=policy, setting=setting, population=population, distance=distance)
         for task in self.tasks.values():
-            require_usable(task, self.desk.setting, self.desk.population)
+            require_usable(task, self.desk.population)
         self._nothing = (IDLE,) * len(self.desk.setting.robots)
         self._advices = self._nothing
         self._known: dict[str, PersonState] = {}

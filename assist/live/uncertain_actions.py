@@ -55,7 +55,6 @@ def seen_of(
         raise Refusal("other", why=why)
     each: dict[str, float] = {}
     try:
-        problem.policy.require_enumerated("an uncertain action")
         if missed is not None:
             missed = number("missed", missed)
         for one, p in (likelihoods or {}).items():
@@ -105,7 +104,7 @@ def update_by(record: RosterEntry, step: Step, model: ObservationModel | None) -
     choices, said = problem.choices, NOTHING if step.suggestion is None else problem.ground(step.suggestion)
     glimpse = glimpse_of(problem, choices, step, model)
     try:
-        beliefs.update_by(place, np.array([said]), [glimpse], PersonModel.of(policy.pomdp, policy.arrays))
+        beliefs.update_by(place, np.array([said]), [glimpse], PersonModel.of(policy))
     except ImpossibleObservationError:
         names = [choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))]
         raise InapplicableError(
@@ -133,5 +132,5 @@ def after_answers(record: RosterEntry, model: ObservationModel | None) -> dict[s
     choices = problem.choices
     evidence, miss = _evidence(problem, choices, last, model), 0.0 if model is None else model.miss
     said = NOTHING if last.suggestion is None else problem.ground(last.suggestion)
-    each = earlier.after_each(evidence, said, choices, problem.policy.arrays, miss=miss)
+    each = earlier.after_each(evidence, said, problem.policy, miss=miss)
     return {choices.action_name(action): belief for action, belief in each.items()}

@@ -49,6 +49,8 @@ class PersonModel:
 
     Attributes
     ----------
+    policy : Policy
+        Their policy, whose problem on all rows so far is that of the other attributes.
     pomdp : AssistPOMDP
     arrays : ProblemArrays
         The problem, as compiled code reads it.
@@ -58,17 +60,18 @@ class PersonModel:
         Probability of each type at the beginning: what a robot without beliefs knows.
     """
 
+    policy: Policy
     pomdp: AssistPOMDP
     arrays: ProblemArrays
     optimal: Bools
     possible: Floats
 
     @classmethod
-    def of(cls, pomdp: AssistPOMDP, arrays: ProblemArrays | None = None) -> PersonModel:
-        """Return the model of a problem, whose arrays may be there already."""
+    def of(cls, policy: Policy) -> PersonModel:
+        """Return the model of a policy's person."""
+        pomdp, arrays = policy.pomdp, policy.arrays
         possible = read_only(pomdp.prior.sum(axis=1, keepdims=True))
-        optimal = read_only(pomdp.model.choices.goals.optimal)
-        return cls(pomdp, arrays or ProblemArrays.of(pomdp), optimal, possible)
+        return cls(policy, pomdp, arrays, read_only(pomdp.model.choices.goals.optimal), possible)
 
     @property
     def choices(self) -> Choices:
@@ -131,14 +134,15 @@ class Beliefs(Protocol):
         """Update the beliefs in some people of one model, shape (m,), by actions that were seen as they are."""
         ...
 
-    def told(self, person: int, likelihood: Floats) -> None:
-        """Update the belief in a person by an answer.
+    def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
+        """Update the belief in a person with a policy by an answer.
 
         Parameters
         ----------
         person : int
         likelihood : float array
             Likelihood of the answer, in a shape that broadcasts with (S, H, T), for S states.
+        policy : Policy
 
         Raises
         ------
@@ -159,16 +163,16 @@ class Beliefs(Protocol):
         """
         ...
 
-    def finished(self, person: int, arrays: ProblemArrays) -> float:
-        """Return the probability that a person has reached their goal."""
+    def finished(self, person: int, policy: Policy) -> float:
+        """Return the probability that a person with a policy has reached their goal."""
         ...
 
     def heard(self, robot: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
         """Return what people hear: robot actions in their states `x`, shape (P,), of those in the most probable one."""
         ...
 
-    def joint(self, person: int) -> JointBelief:
-        """Return the belief in a person over task states and types together."""
+    def joint(self, person: int, policy: Policy) -> JointBelief:
+        """Return the belief in a person with a policy, over places and types together."""
         ...
 
     @property
@@ -213,8 +217,9 @@ class Seen:
         """Update the beliefs by actions that were seen, as in `Beliefs`."""
         _update(rows, *acts, self.belief, self.erred, model.optimal, model.possible, model.arrays)
 
-    def told(self, person: int, likelihood: Floats) -> None:
+    def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
         """Update a belief by an answer, as in `Beliefs`."""
+        del policy
         joint = self.belief[person] * likelihood
         total = joint.sum()
         if not total > 0:
@@ -229,19 +234,19 @@ class Seen:
             return ask(policy, self.x, self.belief)
         return ask(policy, self.x[rows], self.belief.take(rows, axis=0))  # faster than by an index
 
-    def finished(self, person: int, arrays: ProblemArrays) -> float:
+    def finished(self, person: int, policy: Policy) -> float:
         """Return the probability that a person has reached their goal, as in `Beliefs`."""
-        reached = arrays.goal[:, self.x[person]]
-        return float(reached[0]) if reached.all() == reached.any() else self.joint(person).finished(arrays)
+        reached = policy.arrays.goal[:, self.x[person]]
+        return float(reached[0]) if reached.all() == reached.any() else self.joint(person, policy).finished(policy)
 
     def heard(self, robot: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
         """Return what people hear, as in `Beliefs`: the very actions."""
         del x, groups
         return robot
 
-    def joint(self, person: int) -> JointBelief:
-        """Return the belief in a person over task states and types, as in `Beliefs`."""
-        return JointBelief.at(int(self.x[person]), self.belief[person])
+    def joint(self, person: int, policy: Policy) -> JointBelief:
+        """Return the belief in a person over places and types, as in `Beliefs`."""
+        return JointBelief.at(int(policy.places(self.x[person : person + 1])[0]), self.belief[person])
 
     @property
     def pruned(self) -> Floats:
@@ -312,19 +317,19 @@ class Hidden(Seen):
             What was seen has probability 0.
         """
         for k, words, glimpse in zip(rows.tolist(), said.tolist(), evidence, strict=True):
-            self.put(k, glimpse.after(self.joint(k), words, model.choices, model.arrays))
+            self._put(k, glimpse.after(self.joint(k, model.policy), words, model.policy), model.policy)
 
-    def put(self, person: int, joint: JointBelief) -> None:
-        """Set the belief in a person over task states and types."""
-        self.joints[person] = joint
-        self.x[person], self.belief[person], self.erred[person] = joint.likeliest, joint.belief, joint.erred > 1 / 2
+    def _put(self, person: int, joint: JointBelief, policy: Policy) -> None:
+        """Set the belief in a person over places and types."""
+        self.joints[person], self.x[person] = joint, joint.rows(policy)[joint.probability.argmax()]
+        self.belief[person], self.erred[person] = joint.belief, joint.erred > 1 / 2
 
-    def told(self, person: int, likelihood: Floats) -> None:
+    def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
         """Update a belief by an answer, as in `Beliefs`."""
         if person not in self.joints:
-            super().told(person, likelihood)
+            super().told(person, likelihood, policy)
         else:
-            self.put(person, self.joints[person].told(likelihood))
+            self._put(person, self.joints[person].told(likelihood), policy)
 
     def expected(self, ask: Ask, policy: Policy, rows: Ints) -> Floats:
         """Return the answers about some people, as in `Beliefs`.
@@ -334,12 +339,12 @@ class Hidden(Seen):
         """
         if not self.joints or not any(k in self.joints for k in rows.tolist()):
             return super().expected(ask, policy, rows)
-        return expected_answers(ask, policy, self.x[rows], [self.joint(k) for k in rows.tolist()])
+        return expected_answers(ask, policy, self.x[rows], [self.joint(k, policy) for k in rows.tolist()])
 
-    def finished(self, person: int, arrays: ProblemArrays) -> float:
+    def finished(self, person: int, policy: Policy) -> float:
         """Return the probability that a person has reached their goal, as in `Beliefs`."""
         known = self.joints.get(person)
-        return super().finished(person, arrays) if known is None else known.finished(arrays)
+        return super().finished(person, policy) if known is None else known.finished(policy)
 
     def heard(self, robot: Ints, x: Ints, groups: Iterable[tuple[AssistPOMDP, Ints]]) -> Ints:
         """Return what people hear, as in `Beliefs`; nothing, where the suggested action is not applicable."""
@@ -349,9 +354,9 @@ class Hidden(Seen):
             there[rows] = np.take_along_axis(same, robot[rows, None], axis=1)[:, 0]
         return there
 
-    def joint(self, person: int) -> JointBelief:
-        """Return the belief in a person over task states and types, as in `Beliefs`."""
-        return self.joints.get(person) or super().joint(person)
+    def joint(self, person: int, policy: Policy) -> JointBelief:
+        """Return the belief in a person over places and types, as in `Beliefs`."""
+        return self.joints.get(person) or super().joint(person, policy)
 
     def of(self, people: Ints) -> Hidden:
         """Return the beliefs in some people, as in `Beliefs`."""
@@ -363,7 +368,7 @@ class Hidden(Seen):
 class Glimpse(Protocol):
     """What was seen of a person's action."""
 
-    def after(self, joint: JointBelief, said: int, choices: Choices, m: ProblemArrays) -> JointBelief:
+    def after(self, joint: JointBelief, said: int, policy: Policy) -> JointBelief:
         """Return the belief after the ground action `said` was suggested and this was seen.
 
         Raises
@@ -383,11 +388,11 @@ class InOneStep:
 
     evidence: Evidence
 
-    def after(self, joint: JointBelief, said: int, choices: Choices, m: ProblemArrays) -> JointBelief:
+    def after(self, joint: JointBelief, said: int, policy: Policy) -> JointBelief:
         """Return the belief after it, as in `Glimpse`."""
-        for evidence in (self.evidence, Evidence.none(choices)):
+        for evidence in (self.evidence, Evidence.none(policy.pomdp.model.choices)):
             try:
-                return joint.after(evidence, said, choices, m, works=True)
+                return joint.after(evidence, said, policy, works=True)
             except ImpossibleObservationError:
                 continue
         return joint
@@ -400,9 +405,9 @@ class Reported:
     evidence: Evidence
     miss: float = 0.0
 
-    def after(self, joint: JointBelief, said: int, choices: Choices, m: ProblemArrays) -> JointBelief:
+    def after(self, joint: JointBelief, said: int, policy: Policy) -> JointBelief:
         """Return the belief after it, as in `Glimpse`."""
-        return joint.after_some(self.evidence, said, choices, m, miss=self.miss)
+        return joint.after_some(self.evidence, said, policy, miss=self.miss)
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,9 +416,9 @@ class PerhapsMissed:
 
     probability: float
 
-    def after(self, joint: JointBelief, said: int, choices: Choices, m: ProblemArrays) -> JointBelief:
+    def after(self, joint: JointBelief, said: int, policy: Policy) -> JointBelief:
         """Return the belief after it, as in `Glimpse`."""
-        acted = joint.after(Evidence.none(choices), said, choices, m)
+        acted = joint.after(Evidence.none(policy.pomdp.model.choices), said, policy)
         return joint.mixed(acted, self.probability).without(1e-6)
 
 

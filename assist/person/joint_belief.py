@@ -1,7 +1,8 @@
 """The belief in a person whose actions are not all seen as they are: over the task state, the type and theta together.
 
-The states that are possible are few at first, and grow with each uncertain observation. A `JointBelief` has a row for
-each of them; improbable ones are left out, and their probability is reported.
+The states that are possible are few at first, and grow with each uncertain observation. A `JointBelief` has an entry
+for each of them; improbable ones are left out, and their probability is reported. It has places (`person.rows`): rows
+may come and go, and those of its places are held where it is used.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ class JointBelief:
 
     Attributes
     ----------
-    x : int array, shape (S,)
-        The possible states.
+    places : int array, shape (S,)
+        The possible states or, with terms, pairs of a state and a memory.
     joint : float array, shape (S, H, T)
         Probability of each state with each type and theta; the sum is 1.
     erred : float
@@ -48,16 +49,20 @@ class JointBelief:
         Probability of what was seen last, before it was seen.
     """
 
-    x: Ints
+    places: Ints
     joint: Floats
     erred: float = 0.0
     pruned: float = 0.0
     evidence: float = 1.0
 
     @classmethod
-    def at(cls, x: int, belief: Floats) -> JointBelief:
-        """Return the belief in a person whose state is known, with a belief, shape (H, T)."""
-        return cls(np.array([x]), belief[None].copy())
+    def at(cls, place: int, belief: Floats) -> JointBelief:
+        """Return the belief in a person whose place is known, with a belief, shape (H, T)."""
+        return cls(np.array([place]), belief[None].copy())
+
+    def rows(self, policy: Policy) -> Ints:
+        """Return the rows of the places in the person's problem, shape (S,), and hold them."""
+        return policy.rows(self.places, self)
 
     @cached_property
     def probability(self) -> Floats:
@@ -66,8 +71,8 @@ class JointBelief:
 
     @property
     def likeliest(self) -> int:
-        """The most probable state."""
-        return int(self.x[self.probability.argmax()])
+        """The most probable place."""
+        return int(self.places[self.probability.argmax()])
 
     @property
     def belief(self) -> Floats:
@@ -75,9 +80,8 @@ class JointBelief:
         return np.asarray(self.joint.sum(axis=0))
 
     def after(
-        self, evidence: Evidence, suggestion: int, choices: Choices, m: ProblemArrays, *, least: float = 1e-6,
-        works: bool = False,
-    ) -> JointBelief:  # fmt: skip
+        self, evidence: Evidence, suggestion: int, policy: Policy, *, least: float = 1e-6, works: bool = False
+    ) -> JointBelief:
         """Return the belief after the person has acted once.
 
         People who have reached their goal do nothing, so that nothing is seen of them.
@@ -89,9 +93,8 @@ class JointBelief:
         suggestion : int
             The ground action that was suggested before; `NOTHING` for none. In states in which it is not applicable,
             it has no effect.
-        choices : Choices
-        m : ProblemArrays
-            The person's problem, with these choices.
+        policy : Policy
+            The policy for the person, which has their problem.
         least : float
             States of a lower probability are left out. The default keeps some tens of states in a task of a thousand.
         works : bool
@@ -102,18 +105,23 @@ class JointBelief:
         ImpossibleObservationError
             What was seen has probability zero.
         """
-        x, joint, erred = _advance(
-            self.x, self.joint, suggestion, *evidence, choices.actions, choices.goals.optimal, m, works
+        x = self.rows(policy)
+        spoken = np.zeros(len(x), dtype=np.int64)
+        if suggestion >= 0:
+            spoken = _last(said_in(policy.pomdp, x) == suggestion)
+            policy.hear(x, spoken)
+        choices = policy.pomdp.model.choices
+        to, joint, erred = _advance(
+            x, self.joint, spoken, *evidence, choices.actions, choices.goals.optimal, policy.arrays, works
         )
         total = float(joint.sum())
         if not total > 0:
             raise ImpossibleObservationError("what was seen is impossible in all states that have been probable")
-        return JointBelief(x, joint / total, float(erred / total), self.pruned, total).without(least)
+        return JointBelief(policy.places(to), joint / total, float(erred / total), self.pruned, total).without(least)
 
     def after_some(
-        self, evidence: Evidence, suggestion: int, choices: Choices, m: ProblemArrays, *, miss: float,
-        least: float = 1e-6,
-    ) -> JointBelief:  # fmt: skip
+        self, evidence: Evidence, suggestion: int, policy: Policy, *, miss: float, least: float = 1e-6
+    ) -> JointBelief:
         """Return the belief after something was seen, before which the person may have acted unseen.
 
         Each action is missed with probability `miss`, so that the number of unseen ones is geometric. The first action
@@ -124,39 +132,39 @@ class JointBelief:
         ImpossibleObservationError
             What was seen has probability zero.
         """
-        return self._seen(self._unseen(suggestion, choices, m, miss, least), evidence, choices, m, miss, least)
+        return self._seen(self._unseen(suggestion, policy, miss, least), evidence, policy, miss, least)
 
     def after_each(
-        self, evidence: Evidence, suggestion: int, choices: Choices, m: ProblemArrays, *, miss: float,
-        least: float = 1e-6,
-    ) -> dict[int, JointBelief]:  # fmt: skip
+        self, evidence: Evidence, suggestion: int, policy: Policy, *, miss: float, least: float = 1e-6
+    ) -> dict[int, JointBelief]:
         """Return what `after_some` does for each ground action that may have been taken, if it was that one."""
-        before, found = self._unseen(suggestion, choices, m, miss, least), dict[int, JointBelief]()
-        rows = np.unique(np.concatenate([belief.x for _, belief, _ in before]))
+        before, found = self._unseen(suggestion, policy, miss, least), dict[int, JointBelief]()
+        rows = np.unique(np.concatenate([belief.rows(policy) for _, belief, _ in before]))
+        choices = policy.pomdp.model.choices
         for action in np.unique(choices.actions[rows][choices.applicable[rows]]).tolist():
             with suppress(ImpossibleObservationError):
-                found[action] = self._seen(before, evidence._replace(only=action), choices, m, miss, least)
+                found[action] = self._seen(before, evidence._replace(only=action), policy, miss, least)
         return found
 
     def _unseen(
-        self, suggestion: int, choices: Choices, m: ProblemArrays, miss: float, least: float
+        self, suggestion: int, policy: Policy, miss: float, least: float
     ) -> list[tuple[float, JointBelief, int]]:
         """Return the belief after each number of unseen actions, with its weight and the suggestion that is open."""
         found = [(1.0, self, suggestion)]
         while (share := found[-1][0] * miss) >= least:
             _, before, said = found[-1]
-            found.append((share, before.after(Evidence.none(choices), said, choices, m, least=least), NOTHING))
+            unseen = Evidence.none(policy.pomdp.model.choices)
+            found.append((share, before.after(unseen, said, policy, least=least), NOTHING))
         return found
 
     @staticmethod
     def _seen(
-        before: Sequence[tuple[float, JointBelief, int]], evidence: Evidence, choices: Choices, m: ProblemArrays,
-        miss: float, least: float,
-    ) -> JointBelief:  # fmt: skip
+        before: Sequence[tuple[float, JointBelief, int]], evidence: Evidence, policy: Policy, miss: float, least: float
+    ) -> JointBelief:
         found, total = list[JointBelief](), 0.0
         for share, belief, suggestion in before:
             with suppress(ImpossibleObservationError):
-                seen = belief.after(evidence, suggestion, choices, m, least=least)
+                seen = belief.after(evidence, suggestion, policy, least=least)
                 total += share * seen.evidence
                 found = [found[0].mixed(seen, share * seen.evidence / total)] if found else [seen]
         if not found:
@@ -183,28 +191,31 @@ class JointBelief:
         if keep.all():
             return self
         kept = self.probability[keep].sum()
-        return replace(self, x=self.x[keep], joint=self.joint[keep] / kept, pruned=self.pruned + float(1 - kept))
+        return replace(
+            self, places=self.places[keep], joint=self.joint[keep] / kept, pruned=self.pruned + float(1 - kept)
+        )
 
     def states(self, choices: Choices) -> dict[int, float]:
         """Return the probability of each possible task state."""
         found: dict[int, float] = {}
-        for x, probability in zip(self.x.tolist(), self.probability.tolist(), strict=True):
-            state = choices.task_state(x)
+        for place, probability in zip(self.places.tolist(), self.probability.tolist(), strict=True):
+            state = choices.task_state(place)
             found[state] = found.get(state, 0.0) + probability
         return found
 
-    def finished(self, m: ProblemArrays) -> float:
+    def finished(self, policy: Policy) -> float:
         """Return the probability that the person has reached their goal."""
-        reached = m.goal[:, self.x].T[:, m.goal_of]
+        x, m = self.rows(policy), policy.arrays
+        reached = m.goal[:, x].T[:, m.goal_of]
         return float(self.joint.sum(axis=2)[reached].sum())
 
     def mixed(self, other: JointBelief, share: float) -> JointBelief:
         """Return the mixture of this belief and another one of weight `share`."""
-        x, row = np.unique(np.concatenate([self.x, other.x]), return_inverse=True)
-        joint = np.zeros((len(x), *self.joint.shape[1:]))
+        places, row = np.unique(np.concatenate([self.places, other.places]), return_inverse=True)
+        joint = np.zeros((len(places), *self.joint.shape[1:]))
         np.add.at(joint, row, np.concatenate([(1 - share) * self.joint, share * other.joint]))
         pruned = (1 - share) * self.pruned + share * other.pruned
-        return JointBelief(x, joint, (1 - share) * self.erred + share * other.erred, pruned)
+        return JointBelief(places, joint, (1 - share) * self.erred + share * other.erred, pruned)
 
 
 def is_certain(probability: float, *, rounding: float = 1e-9) -> bool:
@@ -242,12 +253,13 @@ def expected_answers(ask: Any, policy: Policy, x: Ints, joint: Sequence[JointBel
         As in `beliefs.Ask`.
     policy : Policy
     x : int array, shape (N,)
-        A state of each person.
+        A row of each person.
     joint : sequence of JointBelief
     """
+    person = np.repeat(np.arange(len(x)), [len(one.places) for one in joint])
+    states = np.concatenate([one.rows(policy) for one in joint])
+    weight = np.concatenate([one.probability for one in joint])
     pomdp = policy.pomdp
-    person = np.repeat(np.arange(len(x)), [len(one.x) for one in joint])
-    states, weight = np.concatenate([one.x for one in joint]), np.concatenate([one.probability for one in joint])
     answers = ask(policy, states, np.concatenate([one.joint for one in joint]) / weight[:, None, None])
     suggestions = pomdp.suggested.shape[1] - 1
     head = answers.shape[1] - suggestions
@@ -260,6 +272,12 @@ def expected_answers(ask: Any, policy: Policy, x: Ints, joint: Sequence[JointBel
     values = np.zeros((len(x), answers.shape[1]))
     np.add.at(values, person, weight[:, None] * answers)
     return values
+
+
+def _last(which: NDArray[np.bool_]) -> Ints:
+    """Return the last column that is true in each row, shape (N,); 0 if there is none."""
+    last = which.shape[1] - 1 - which[:, ::-1].argmax(axis=1)
+    return np.where(which.any(axis=1), last, 0)
 
 
 @njit()
@@ -276,10 +294,10 @@ def _chance(likelihood: Floats, seen: int, rate: float, action: int, count: int,
 
 @njit(nogil=True)
 def _advance(
-    x: Ints, joint: Floats, suggestion: int, likelihood: Floats, seen: int, rate: float, unseen: bool, only: int,
+    x: Ints, joint: Floats, spoken: Ints, likelihood: Floats, seen: int, rate: float, unseen: bool, only: int,
     actions: Ints, optimal: NDArray[np.bool_], m: ProblemArrays, works: bool,
 ) -> tuple[Ints, Floats, float]:  # fmt: skip
-    """Return the possible states after an action, their unnormalised probabilities, and that of a mistake."""
+    """Return the possible rows after an action, their unnormalised probabilities, and that of a mistake."""
     types, thetas, number, found = joint.shape[1], joint.shape[2], 0, 0
     for s in range(len(x)):
         number += m.counts[x[s]] + 1
@@ -288,10 +306,7 @@ def _advance(
     moved, erred = np.zeros((len(to), types, thetas)), 0.0
     working, after = np.empty((types, thetas)), np.empty((types, thetas))
     for s in range(len(x)):
-        origin, spoken, applicable = x[s], 0, False
-        for r in range(1, m.robot_actions[origin] if suggestion >= 0 else 0):
-            if actions[origin, m.suggested[origin, r]] == suggestion:
-                spoken = r
+        origin, applicable = x[s], False
         for a in range(m.counts[origin]):
             applicable |= actions[origin, a] == seen
         working[:] = joint[s]
@@ -309,7 +324,7 @@ def _advance(
             if chance == 0.0 or (only != -2 and actions[origin, a] != only):
                 continue
             target = m.targets[origin, a]
-            mass = posterior(working.reshape(types * thetas), after.reshape(types * thetas), origin, spoken, a, m)
+            mass = posterior(working.reshape(types * thetas), after.reshape(types * thetas), origin, spoken[s], a, m)
             if works:
                 mass = leave_out_reached(after.reshape(types * thetas), mass, target, m.goal, m.goal_of)
             if mass == 0.0:

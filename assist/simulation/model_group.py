@@ -67,7 +67,7 @@ class ModelGroup:
         minds = len(self._minds.goal)
         self._stamps, self._value = np.full((minds, 0), -1), np.empty((minds, 0))
         self._p, self._perceived = np.empty((minds, 0, 0)), np.empty((minds, 0, 0))
-        self._model = PersonModel.of(pomdp, self.arrays)
+        self._model = PersonModel.of(self.policy)
         if self.policy.complete:
             rows = np.arange(len(pomdp.robot_actions))
             self._reserve(len(rows), self.arrays)
@@ -82,7 +82,7 @@ class ModelGroup:
     def model(self) -> PersonModel:
         """The problem as the robot knows it, on all rows so far."""
         if self._model.arrays is not self.arrays:
-            self._model = PersonModel.of(self.policy.pomdp, self.arrays)
+            self._model = PersonModel.of(self.policy)
         return self._model
 
     def mind(self, people: Ints, goal: Ints) -> Ints:

@@ -329,7 +329,6 @@ class Pool(Result):
             "weights": terms,
             "execute": setting.fleet.executes,
             "solver": solver != qmdp,
-            "observation": isinstance(table, Goals) and setting.observation is not None,
         }
         people: Sequence[Human]
         choices: Choices | None = None

@@ -164,8 +164,9 @@ class Simulation:
         """
         pool, place = self.pool, began.place.copy()
         tasks = TaskView(pool, self.groups, self.world, began.model, people, began.mind, began.goal)
+        row = np.ascontiguousarray(tasks.rows(place, np.arange(place.size)))
         them = PeopleAtWork(
-            people, draws, self.world == "model", place, place.copy(), began.goal, began.theta, np.zeros_like(place),
+            people, draws, self.world == "model", place, row, began.goal, began.theta, np.zeros_like(place),
             began.finished, self.presence.joins, self.presence.leaves,
         )  # fmt: skip
         hidden = pool.policies[0].pomdp.hidden
@@ -206,16 +207,9 @@ def known_at_first(pool: Pool, row: Ints, belief: Floats | None) -> Beliefs:
         Row of each person's state, which the robots know at first.
     belief : float array, shape (N, K, H, T), or None
         None if no beliefs are kept.
-
-    Raises
-    ------
-    ValueError
-        Actions are missed or confused on a task that is not enumerated.
     """
     sight, erred = pool.setting.observation, np.zeros(row.size, dtype=bool)
     flat = np.empty((0, 1, 1)) if belief is None else belief.reshape(-1, *belief.shape[2:])
     if sight is None:
         return Seen(row.reshape(-1), flat, erred)
-    for policy in pool.policies:
-        policy.require_enumerated("observation")
     return Hidden(row.reshape(-1).copy(), flat, erred, sight)

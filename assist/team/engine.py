@@ -271,7 +271,8 @@ class Engine:
             uniform[working] = self.people.draws.draw(7, working)
         for one in asked:
             yes = one.question.answer(int(self.people.goal[one.team, one.person]), uniform[one.team, one.person])
-            self.beliefs.told(one.team * K + one.person, one.question.likelihood(yes))
+            policy = self.tasks.policies[self.tasks.model[one.team, one.person]]
+            self.beliefs.told(one.team * K + one.person, one.question.likelihood(yes), policy)
             self._charged[one.team, one.person] += questions.cost
             found.append((one, yes))
         return found

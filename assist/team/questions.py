@@ -144,7 +144,7 @@ class Questions:
         attention : float
             As in `best`.
         """
-        each = policy.pomdp.hidden.marginal(joint.joint * self._benefit[policy](joint.x), "goal").sum(axis=0)
+        each = policy.pomdp.hidden.marginal(joint.joint * self._benefit[policy](joint.rows(policy)), "goal").sum(axis=0)
         goal, worth = self._best(each[None], np.array([attention]))
         return int(goal[0]), float(worth[0])
 
@@ -176,6 +176,7 @@ def worth_of_knowing(policy: Policy, joint: JointBelief) -> float:
     solved: Any = policy.prepare()
     if not hasattr(solved, "value_mdp"):
         return float("inf")
-    known = joint.joint.reshape(len(joint.x), -1) * solved.value_mdp[joint.x].reshape(len(joint.x), -1)
-    likeliest = np.array([joint.likeliest])
-    return float(known.sum() - expected_answers(worth_of_actions, policy, likeliest, [joint]).max())
+    rows = joint.rows(policy)
+    likeliest = rows[joint.probability.argmax()][None]
+    known = float((joint.joint * solved.value_mdp[rows]).sum())
+    return known - float(expected_answers(worth_of_actions, policy, likeliest, [joint]).max())

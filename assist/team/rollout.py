@@ -100,7 +100,7 @@ class ModelPeople:
     @classmethod
     def of(cls, policy: Policy) -> ModelPeople:
         """Return the people of a policy."""
-        return cls(PersonModel.of(policy.pomdp), Minds.of_model(policy.pomdp))
+        return cls(PersonModel.of(policy), Minds.of_model(policy.pomdp))
 
     @property
     def arrays(self) -> ProblemArrays:

@@ -18,7 +18,7 @@ from assist.person import QMDP, ObservationModel, Setting, qmdp
 from assist.person.assumptions import Assumptions
 from assist.person.truncated_policy import SharedTask, TruncatedPolicy
 from assist.texts import InapplicableError
-from planner import OnDemand, Table
+from planner import Table
 
 FETCH, OTHER = "(fetch box-a)", "(fetch box-b)"
 SURE = Setting(c_suggest=0.05, suggestions="all")
@@ -187,19 +187,25 @@ def test_what_is_no_observation_is_refused_and_changes_nothing() -> None:
     assert team.to_json() == before
 
 
-def test_a_task_that_is_too_large_is_refused_before_anybody_joins(
-    tmp_path: Path, tiny: Table, caplog: pytest.LogCaptureFixture
-) -> None:
-    """It is one error, and nothing is logged."""
-    large = OnDemand(tiny.task)
-    message = "missed or confused actions: expected a task of at most 20,000 states"
-    with pytest.raises(ValueError, match=message):
-        Session({"small": tiny, "large": large}, tmp_path / "journal.sqlite", setting=NOISY)
-    with pytest.raises(ValueError, match=message):
-        Assistant(large, ["ann"], setting=NOISY)
-    with pytest.raises(ValueError, match="observation: expected an enumerated task"):
-        Assistant(
-            TruncatedPolicy(SharedTask(large), Assumptions.of(SURE, None, advice_takers())), ["ann"], setting=NOISY
-        )
-    assert not caplog.records
-    Session({"large": large}, tmp_path / "journal.sqlite").close()
+def test_uncertain_actions_on_a_task_that_is_not_enumerated(tiny: Table) -> None:
+    """Beliefs, decisions and what answers are worth are those on the enumerated task."""
+    part = TruncatedPolicy(SharedTask(tiny, size=len(tiny)), Assumptions.of(NOISY, None, advice_takers()))
+    whole, some = (Assistant(task, ["ann", "bob"], setting=NOISY) for task in (tiny, part))
+    assert some.person("ann").states == {}
+    for team in (whole, some):
+        other = team.person("bob").applicable[-1]
+        team.observe("ann", FETCH)
+        team.observe("ann", missed=0.3)
+        team.observe("bob", likelihoods={FETCH: 0.8, other: 0.2})
+    assert some.worth_of_asking("bob") == pytest.approx(whole.worth_of_asking("bob"), abs=0.02)
+    one, same = whole.recommend(), some.recommend()
+    assert (one.person, one.suggestion) == (same.person, same.suggestion)
+    for team in (whole, some):
+        team.answer("bob", FETCH)
+        team.undo("ann")
+        team.observe("ann", OTHER)
+    for name in ("ann", "bob"):
+        expected, found = whole.person(name), some.person(name)
+        assert found.states == pytest.approx(expected.states, abs=1e-9)
+        np.testing.assert_allclose(found.belief, expected.belief, rtol=0, atol=1e-9)
+    assert len(found.states) >= 1

@@ -19,7 +19,7 @@ from assist.people.decision import choice, influence, lapse, perceived_value, tr
 from assist.person import AssistPOMDP, JointBelief, ObservationModel, Setting, qmdp
 from assist.person.evidence import Evidence
 from assist.person.joint_belief import expected_answers, said_in
-from assist.person.problem_arrays import ProblemArrays
+from assist.person.lazy_policy import LazyPolicy
 from assist.simulation import Episodes, Pool, simulate
 from assist.team.state import worth_of_actions
 
@@ -92,7 +92,7 @@ def by_enumeration(pomdp: AssistPOMDP, steps: Steps, *, works: bool = True) -> n
 @given(st.data(), st.booleans())
 def test_the_joint_belief_equals_the_enumeration_of_histories(data: st.DataObject, several: bool) -> None:
     pomdp = PROBLEMS[several]
-    c, m = pomdp.model.choices, ProblemArrays.of(pomdp)
+    c, policy = pomdp.model.choices, LazyPolicy(pomdp, qmdp)
     share = st.sampled_from([0.0, 0.05, 0.3])
     pairs = st.lists(st.sampled_from(c.names), min_size=2, max_size=2, unique=True)
     belief, x, steps = JointBelief.at(c.initial, pomdp.prior), c.initial, []
@@ -104,14 +104,14 @@ def test_the_joint_belief_equals_the_enumeration_of_histories(data: st.DataObjec
         uniform = data.draw(st.tuples(st.floats(0, 0.99), st.floats(0, 0.99)))
         seen = model.draw(c, x, slot, uniform)
         suggestion = data.draw(st.sampled_from([-1, *range(len(c.names))]))
-        belief = belief.after(model.evidence(c, seen), suggestion, c, m, least=0.0, works=True)
+        belief = belief.after(model.evidence(c, seen), suggestion, policy, least=0.0, works=True)
         said, name = c.names[suggestion] if suggestion >= 0 else None, None if seen is None else c.names[seen]
         steps.append((model, said, name))
         x = int(c.targets[x, slot])
     expected = by_enumeration(pomdp, steps)
     expected /= expected.sum()
     found = np.zeros_like(expected)
-    found[belief.x] = belief.joint.reshape(len(belief.x), *expected.shape[1:])
+    found[belief.places] = belief.joint.reshape(len(belief.places), *expected.shape[1:])
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
     assert belief.pruned == pytest.approx(0, abs=1e-12)
 
@@ -119,33 +119,33 @@ def test_the_joint_belief_equals_the_enumeration_of_histories(data: st.DataObjec
 def test_improbable_states_are_left_out_and_their_probability_is_reported() -> None:
     pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(kit("paper-fixed"))), grid=GRID)
     model = ObservationModel(0.05, 0.1)
-    c, m, rng = pomdp.model.choices, ProblemArrays.of(pomdp), np.random.default_rng(1)
+    c, policy, rng = pomdp.model.choices, LazyPolicy(pomdp, qmdp), np.random.default_rng(1)
     few = every = JointBelief.at(c.initial, pomdp.prior)
     x = c.initial
     for _ in range(12):
         slot = int(rng.choice([a for a in range(int(c.applicable[x].sum())) if not c.goal[c.targets[x, a]]]))
         evidence = model.evidence(c, model.draw(c, x, slot, (rng.random(), rng.random())))
         few, every = (
-            one.after(evidence, -1, c, m, works=True, least=least) for one, least in ((few, 1e-3), (every, 0))
+            one.after(evidence, -1, policy, works=True, least=least) for one, least in ((few, 1e-3), (every, 0))
         )
         x = int(c.targets[x, slot])
-    assert len(few.x) < len(every.x)
+    assert len(few.places) < len(every.places)
     assert 0 < few.pruned < 0.05
-    likely = dict(zip(every.x.tolist(), every.probability, strict=True))
-    assert all(abs(likely[x] - p) < 0.05 for x, p in zip(few.x.tolist(), few.probability, strict=True))
+    likely = dict(zip(every.places.tolist(), every.probability, strict=True))
+    assert all(abs(likely[x] - p) < 0.05 for x, p in zip(few.places.tolist(), few.probability, strict=True))
 
 
 def test_who_may_have_finished_does_nothing_more() -> None:
     pomdp = PROBLEMS[False]
-    c, m = pomdp.model.choices, ProblemArrays.of(pomdp)
+    c, policy = pomdp.model.choices, LazyPolicy(pomdp, qmdp)
     last = int(np.flatnonzero((c.h == 1) & c.applicable.any(axis=1))[0])
-    belief = JointBelief.at(last, pomdp.prior).after(Evidence.none(c), -1, c, m)
-    finished = belief.x[c.goal[belief.x]]
+    belief = JointBelief.at(last, pomdp.prior).after(Evidence.none(c), -1, policy)
+    finished = belief.places[c.goal[belief.places]]
     assert finished.size
-    again = belief.after(Evidence.none(c), -1, c, m)
-    assert again.probability[np.isin(again.x, finished)].sum() >= belief.probability[c.goal[belief.x]].sum()
+    again = belief.after(Evidence.none(c), -1, policy)
+    assert again.probability[np.isin(again.places, finished)].sum() >= belief.probability[c.goal[belief.places]].sum()
     with pytest.raises(ImpossibleObservationError, match="impossible in all states"):
-        JointBelief.at(int(finished[0]), pomdp.prior).after(Evidence(np.ones(len(c.names) + 1)), -1, c, m)
+        JointBelief.at(int(finished[0]), pomdp.prior).after(Evidence(np.ones(len(c.names) + 1)), -1, policy)
 
 
 def test_the_robot_acts_on_the_expected_advantage_over_states() -> None:

@@ -20,6 +20,7 @@ from assist.certify.team_bound import TeamBound, upper_bound
 from assist.live import Assistant, live_task
 from assist.people.ranges import Population
 from assist.person import truncated_bound, truncated_policy
+from assist.person.observation_model import ObservationModel
 from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.person.truncated_task import never_erring
@@ -32,6 +33,7 @@ from assist.team.state import TeamAction, TeamState
 from planner import CostToGo, Instance, OnDemand, Table
 
 EVERYTHING = 10**6  # states of a region
+SIGHT = Setting(c_suggest=0.2, observation=ObservationModel(0.1, 0.1))
 HASTY = BoundOptions(price_rounds=8)  # bounds hold at all prices
 
 
@@ -44,6 +46,8 @@ def episodes(known: CostToGo, policy: Any, *, states: int, world: Any = "people"
 def assert_same(one: Episodes, other: Episodes, number: int = 8) -> None:
     for name in ("people", "actions", "costs", "helped", "moves", "steps", "discounted_return"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
+    if one.pruned is not None or other.pruned is not None:
+        np.testing.assert_allclose(one.pruned, other.pruned, rtol=0, atol=1e-12)
     assert one.actions.sum() > number * 2  # people did something
 
 
@@ -63,10 +67,12 @@ WAYS: list[tuple[Any, dict[str, Any]]] = [
     ("attention", {"setting": Setting(c_suggest=0.2, suggestions="all"), "population": Population(noise="action")}),
     ("reactive", {"world": "model"}),
     ("priority", {"world": "model"}),
+    ("attention", {"setting": SIGHT}),
+    ("priority", {"setting": SIGHT}),
 ]
 CASES = [
     pytest.param(task, *way, marks=[] if way in quick else [pytest.mark.slow])
-    for task, quick in (("sealed", [WAYS[1], *WAYS[4:6], WAYS[8]]), ("costs/ways", [WAYS[2]]))
+    for task, quick in (("sealed", [WAYS[1], *WAYS[4:6], WAYS[8], WAYS[10]]), ("costs/ways", [WAYS[2], WAYS[11]]))
     for way in WAYS
 ]
 
@@ -107,7 +113,8 @@ def test_the_next_step_is_the_same_by_either_policy(tiny: Table) -> None:
 @pytest.mark.parametrize("policy", ["none", "reactive", "attention", "priority"])
 def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny: Table, monkeypatch: Any) -> None:
     monkeypatch.setattr(truncated_policy, "ROWS", 30)
-    setting = Setting(c_suggest=0.1, knowledge="exact", trust="outcome")
+    sight = ObservationModel(0.2, 0.0) if policy == "attention" else None
+    setting = Setting(c_suggest=0.1, knowledge="exact", trust="outcome", observation=sight)
     whole, part = (
         Pool.sample(tiny, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
     )

@@ -20,7 +20,9 @@ from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.person.beliefs import Acts, PersonModel, Seen
 from assist.person.dynamics import Minds, PeopleArrays, act
+from assist.person.lazy_policy import LazyPolicy
 from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
 from assist.person.travel import Travel
 from assist.simulation.common_random_numbers import BLOCK
@@ -245,7 +247,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
                 np.zeros(n, dtype=np.int64), rng.random((n, 2)), np.zeros(n, dtype=np.int64), np.zeros(n),
             )  # fmt: skip
             known = Seen(people.x, np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=bool))
-            modelled = PersonModel.of(pomdp)
+            modelled = PersonModel.of(LazyPolicy(pomdp, qmdp))
             alone = choice(model.q, tiny_choices.applicable, np.full(len(tiny_choices), beta))
             minds = Minds.of_model(pomdp)._replace(
                 goal=np.zeros(1, dtype=np.int64), p=alone[None], value=value[None], eta=model.eta, on_grid=False
