@@ -41,8 +41,8 @@ ROOMS = {
         joint_belief beliefs rounding action_values krylov sparse_iteration policy_iteration qmdp
         solution_cache alpha_vectors upper_hull
         convex_bound hsvi search memory_needed further_beliefs solver time_expansion subproblem_frontier
-        attention_subproblem truncated_task state_cache growing_problem leaf_estimates backups compliance_relaxation
-        truncated_bound truncated_policy person_problem""",
+        attention_subproblem truncated_task state_cache closed_problem growing_problem leaf_estimates backups
+        compliance_relaxation truncated_bound truncated_policy person_problem""",
     "assist.learning": """method statistics log_steps log_json log_files log comparison intervals advice_log
         advice_rules advice_model advice_fit replay observations joint_states evidence likelihood choosing
         likelihood_table person_estimate profiles maximum_likelihood logit_likelihood hierarchy misconception_fit

@@ -91,6 +91,7 @@ class GrowingProblem:
         most: int, ahead: bool,
     ) -> None:  # fmt: skip
         self._around, self._problem, self._most, self._ahead = around, problem, most, ahead
+        self._limit = most
         self._rows = Rows(OF_PLACES | OF_CHOICES)
         self._tables = set[str]()
         self._lock = threading.RLock()
@@ -113,9 +114,10 @@ class GrowingProblem:
             rows = self._rows.find(wanted)
             missing = rows < 0
             missing[~missing] = ~self._rows["known"][rows[~missing]]
+            if self._rows.used + missing.sum() > self._limit:
+                self._evict(np.union1d(self._rows.held(holder), rows[rows >= 0]))
+                self._limit = max(self._most, self._rows.used + self._most // 4)  # where many are held, not each time
             if missing.any():
-                if self._rows.used + missing.sum() > self._most:
-                    self._evict(np.union1d(self._rows.held(holder), rows[rows >= 0]))
                 self._learn(wanted[missing])
                 rows = self._rows.find(wanted)
             if holder is not None:

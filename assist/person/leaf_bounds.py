@@ -35,9 +35,9 @@ class LeafBounds:
     away : float array, shape (m, H, T), optional
         Upper bound on the value of every policy whose robot must first travel to the person. If it is given, the
         subproblem of a team ends at these states.
-    value : float array, shape (m,), optional
-        V(x) of equation 7, the value that the person expects at these states. The default is minus the exact
-        cost-to-go.
+    value : float array, shape (m, G), optional
+        V(x) of equation 7, the value that the person expects at these states, for each goal. The default is minus the
+        exact cost-to-go.
     """
 
     states: NDArray[np.int64]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeGuard, overload
+from functools import partial
+from typing import TYPE_CHECKING, TypeGuard, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,13 @@ from planner.system.arrays import outline
 
 from ..people.arguments import whole
 from ..people.goals import Goals, each_of, first_of
-from ..people.human import Human, HumanModel
+from ..people.human import Human
 from ..people.memory import choices_of
 from ..people.misconception import Misconception
 from ..people.ranges import Population
 from ..people.trust_rules import TrustRule, trust_rule
+from .assumptions import Assumptions
+from .closed_problem import closed_problem
 from .memory_needed import depth_within, first_bounds_bytes
 from .pomdp import AssistPOMDP
 from .robots import Suggestions
@@ -123,7 +126,7 @@ class PersonProblem:
         start : int, optional
             First state of a truncated task; by default the initial state.
         sigma : float
-            Standard deviation of a misconception, in cost units, that the robot knows; only for a whole task.
+            Standard deviation of a misconception, in cost units, that the robot knows.
         seed : int or Generator
             Random seed of the misconception.
         time_limit : float, optional
@@ -137,61 +140,36 @@ class PersonProblem:
         Raises
         ------
         ValueError
-            A parameter is out of its range, or a truncated task is combined with a misconception, executed actions,
-            terms or a choice model. Several goals are combined with executed actions or terms.
+            A parameter is out of its range, or a truncated task or several goals are combined with executed actions or
+            terms.
         """
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
         states = None if states is None else whole("states", states, 1)
         known = known if isinstance(known, Goals) else known_costs(known)
-        robot: dict[str, Any] = {
-            "gamma": gamma, "c_suggest": c_suggest, "suggestions": suggestions,
-            "trust": trust_rule(trust, eta, utility_scale),
-        }  # fmt: skip
-        person: dict[str, Any] = {"eta": eta, "lapse": lapse, "utility_scale": utility_scale}
+        people, human = population or Population(), None
+        if sigma:
+            human = Human(1.0, 0.5, sigma, Misconception.drawn(sigma, np.random.default_rng(seed)))
+        assumed = Assumptions(
+            people, human, trust_rule(trust, eta, utility_scale), gamma=gamma, c_suggest=c_suggest,
+            suggestions=suggestions, execute=execute, c_execute=c_execute, lapse=lapse, eta=eta,
+            utility_scale=utility_scale,
+        )  # fmt: skip
+        if isinstance(known, Goals) and people.weights:
+            raise ValueError("people with weights of terms: expected one goal")
         if is_whole(known, states):
-            model = _model(known, population or Population(), sigma, seed, **person)
-            pomdp = AssistPOMDP.of(
-                model, chooses=(population or Population()).typical, population=population, execute=execute,
-                c_execute=c_execute, **robot,
-            )  # fmt: skip
-            return cls(known, pomdp, model.choices.of_task(np.arange(model.choices.task_states)))
+            choices = known.choices() if isinstance(known, Goals) else choices_of(known, people.weights)
+            return cls(known, assumed.problem(choices), choices.of_task(np.arange(choices.task_states)))
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
-        _require_plain(states, sigma, execute, population)
-        region = TruncatedTask.of(
-            known, start=start, states=states, population=population, time_limit=time_limit, progress=progress
-        )
-        problem = region.problem(population=population, **person, **robot)
+        for name, given in (("execute", execute), ("people who remember what they did", people.weights)):
+            if given:
+                raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")
+        of = partial(TruncatedTask.of, known, start=start, population=people, human=human, time_limit=time_limit)
+        problem = closed_problem(region := of(states=states, progress=progress), assumed)
         while (states := states // 2) >= 20:
             needed = first_bounds_bytes(problem, depth_within(problem, memory_limit_mb))
             if needed <= 0.8e6 * memory_limit_mb:
                 break
-            region = TruncatedTask.of(known, start=start, states=states, population=population, time_limit=time_limit)
-            problem = region.problem(population=population, **person, **robot)
+            problem = closed_problem(region := of(states=states), assumed)
         return cls(known, problem, region.states)
-
-
-def _model(
-    known: Table | Goals, people: Population, sigma: float, seed: int | np.random.Generator, **person: float
-) -> HumanModel:
-    """Return the model of a person on an enumerated task, with a misconception that the robot knows."""
-    if isinstance(known, Goals) and people.weights:
-        raise ValueError("people with weights of terms: expected one goal")
-    choices = known.choices() if isinstance(known, Goals) else choices_of(known, people.weights)
-    if not sigma:
-        return HumanModel.exact(choices, **person)
-    mistaken = Misconception.drawn(sigma, np.random.default_rng(seed))
-    return HumanModel.own(choices, Human(1.0, 0.5, sigma, mistaken), **person)
-
-
-def _require_plain(states: int, sigma: float, execute: bool, population: Population | None) -> None:
-    """Raise a `ValueError` if a truncated task is combined with an option that needs an enumerated one."""
-    own = population is not None and (population.weights or population.chooses is not None)
-    for name, given in (
-        ("sigma", sigma > 0),
-        ("execute", execute),
-        ("people who do not choose by cost alone", own),
-    ):
-        if given:
-            raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")

@@ -344,11 +344,11 @@ def _trust_shares(
     """Return the grid's shares of theta after each robot action, for each goal, both of shape (n, R, G, T)."""
     slot, silent = np.maximum(suggested, 0), suggested[:, :, None] == NOTHING  # then theta does not move
     each = []
-    for choices, q in model.of_each_goal:
+    for goal, (choices, q) in enumerate(model.of_each_goal):
         v = value(chooses, choices, q)
         if frontier is not None:  # no choices are known at the leaves, hence no value of the next state
             leaves = frontier.states
-            v[leaves] = -choices.h[leaves] if frontier.value is None else frontier.value
+            v[leaves] = -choices.h[leaves] if frontier.value is None else frontier.value[:, goal]
         perceived = PerceivedSuggestions.of(
             np.take_along_axis(q, slot, axis=1)[:, :, None], q.min(axis=1)[:, None, None],
             v[:, None, None], v[np.take_along_axis(choices.targets, slot, axis=1)][:, :, None],

@@ -66,18 +66,18 @@ from numpy.typing import NDArray
 
 from planner import CostToGo, Table
 
-from ..people.choice_model import boltzmann, value
+from ..people.choice_model import boltzmann
 from ..people.decision import Floats
 from ..people.goals import Goals
 from .assumptions import Assumptions
 from .attention_subproblem import AttentionSubproblem
 from .backups import bellman_backup
+from .closed_problem import value_beyond
 from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
 from .leaf_bounds import LeafBounds
 from .memory_needed import first_bounds_bytes, require_room
 from .pomdp import AssistPOMDP
 from .qmdp import initial_upper_bounds, value_iteration
-from .state_cache import StateCache
 from .time_expansion import AWAY, HERE
 from .truncated_task import TruncatedTask
 
@@ -327,24 +327,7 @@ class _Person:
     def seen(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with `never_erring` and V(x) of the whole task at its frontier."""
         beyond = region.bounds_of_anybody(self.assumed.gamma, 1)
-        expected = -region.choices.h[region.frontier]
-        if self.assumed.human is not None or hasattr(
-            self.assumed.chooses, "value"
-        ):  # otherwise V(x) is minus the cost-to-go
-            choices = region.choices
-            best = choices.optimal if choices.offered is None else choices.offered
-            advised = best if self.assumed.suggestions == "optimal" else choices.applicable
-            at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
-            expected[at] = self.expected(region.states[region.frontier[at]])
-        return self.assumed.problem(region.choices, replace(beyond, value=expected))
-
-    def expected(self, states: NDArray[np.int64]) -> Floats:
-        """Return V(x) of equation 7 in some states, shape (N,), computed from their choices in the whole task."""
-        if not len(states):
-            return np.empty(0)
-        around = StateCache(self.known).around(states)
-        q = self.assumed.model(around.choices).q
-        return value(self.assumed.chooses, around.choices, q)[: len(states)]
+        return self.assumed.problem(region.choices, replace(beyond, value=value_beyond(region, self.assumed)))
 
     def within(self, region: TruncatedTask, problem: AssistPOMDP, outer: OuterRelaxation | None) -> AssistPOMDP:
         """Return the problem of a truncated task with the best known bounds at its frontier.

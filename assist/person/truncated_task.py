@@ -2,7 +2,7 @@
 
 A solver cannot keep vectors for the states of a task with millions of states, or of a task whose states are solved on
 demand. But few of them are likely to be visited. A `TruncatedTask` holds the most likely states and ends at the others,
-the frontier. There its problem has bounds that follow from the cost-to-go alone (`TruncatedTask.problem`). So the
+the frontier. There its problem has bounds that follow from the cost-to-go alone (`closed_problem`). So the
 bounds of a solver on the truncated task hold for the whole task:
 
 - Upper bound: every action lowers h* by at most its cost. So the discounted cost from h* on is at least that of the
@@ -36,19 +36,17 @@ from numpy.typing import ArrayLike, NDArray
 from planner import CostToGo, Table, Transitions
 from planner.system.arrays import outline
 
-from ..people.arguments import check_costs
 from ..people.belief import Grid
 from ..people.choices import WAIT, Choices
 from ..people.decision import Floats, choice
 from ..people.goals import Goals, costs_to_go, each_of, first_of, goals_reached, joined, optimal_for_each
-from ..people.human import Human, HumanModel
+from ..people.human import Human
 from ..people.misconception import Misconception
 from ..people.ranges import Population
 from ..people.state_keys import keys_of
-from ..people.trust_rules import EquationSeven, TrustRule, constant, counts_of
+from ..people.trust_rules import EquationSeven, constant
+from .assumptions import Assumptions
 from .leaf_bounds import LeafBounds
-from .pomdp import AssistPOMDP
-from .robots import Suggestions
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are expanded together, between two looks at the clock
 SURVEYED = 10_000_000  # states of a table up to which `_Survey` scans all transitions, to limit its time
@@ -142,29 +140,6 @@ class TruncatedTask:
         at = np.minimum(np.searchsorted(self.states, states, sorter=order), len(order) - 1)
         return np.where(self.states[order[at]] == states, order[at], -1)
 
-    def problem(
-        self,
-        *,
-        grid: Grid | None = None,
-        population: Population | None = None,
-        eta: float = 0.2,
-        lapse: float = 1e-3,
-        utility_scale: float = 1.0,
-        gamma: float = 0.99,
-        c_suggest: float = 1.0,
-        suggestions: Suggestions = "optimal",
-        trust: TrustRule | None = None,
-    ) -> AssistPOMDP:
-        """Return the problem of assisting one person within the truncated task; arguments as in `AssistPOMDP.of`."""
-        check_costs(gamma, c_suggest=c_suggest)
-        grid = grid or Grid.regular(population or Population())
-        grid = grid if trust is None else grid.with_counts(counts_of(trust))
-        model = HumanModel.exact(self.choices, eta=eta, lapse=lapse, utility_scale=utility_scale)
-        return AssistPOMDP.of(
-            model, grid=grid, population=population, gamma=gamma, c_suggest=c_suggest, suggestions=suggestions,
-            frontier=self.bounds(grid, model, gamma, c_suggest, trust), trust=trust,
-        )  # fmt: skip
-
     def bounds_of_anybody(self, gamma: float, thetas: int) -> LeafBounds:
         """Return bounds at the frontier that hold for every person, for `thetas` values of theta.
 
@@ -181,9 +156,7 @@ class TruncatedTask:
         reached = self.choices.goals.goal[:, self.frontier].T
         return np.where(reached[:, :, None], 0.0, np.full(thetas, value))
 
-    def bounds(
-        self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float, trust: TrustRule | None = None
-    ) -> LeafBounds:
+    def bounds(self, assumed: Assumptions) -> LeafBounds:
         """Return bounds at the frontier for a person without misconceptions, or whose misconceptions are unknown.
 
         The upper bound is `never_erring`, for each goal that the person may pursue: a robot that knows the goal is
@@ -193,21 +166,22 @@ class TruncatedTask:
         lower bound is that of the worst case, because computing every level would take too long. The worst case is also
         assumed for a trust rule that is neither equation 7 nor constant.
         """
+        gamma, trust, thetas = assumed.gamma, assumed.trust, len(assumed.grid.theta)
         levels = CostLevels.of(first_of(self.known))
         dear, several = float(levels.prices[-1]), len(self.choices.goals) > 1
-        anybody = self.bounds_of_anybody(gamma, len(grid.theta))
-        floor = -(dear + (0.0 if several else c_suggest)) / (1 - gamma)
+        anybody = self.bounds_of_anybody(gamma, thetas)
+        floor = -(dear + (0.0 if several else assumed.c_suggest)) / (1 - gamma)
         by_equation = trust is None or isinstance(trust, EquationSeven)
         if isinstance(trust, EquationSeven):
-            model = replace(model, eta=trust.eta, utility_scale=trust.utility_scale)
+            assumed = replace(assumed, eta=trust.eta, utility_scale=trust.utility_scale)
         if trust == constant() or several:
-            model, by_equation = replace(model, eta=0.0), True
-        lower, goals = self._unless_reached(floor, len(grid.theta)), self.choices.goals
+            assumed, by_equation = replace(assumed, eta=0.0), True
+        lower, goals = self._unless_reached(floor, thetas), self.choices.goals
         for number, (known, own) in enumerate(zip(each_of(self.known), goals.h, strict=True)):
             survey, at = _Survey.of(known, own), np.flatnonzero(~goals.goal[number, self.frontier])
             h = own[self.frontier[at]]
             if survey.highest <= 10_000 and by_equation:
-                value = _advised(survey, levels, floor, grid, model, gamma, None if several else c_suggest)
+                value = _advised(survey, levels, floor, assumed, suggests=not several)
                 reached = np.isfinite(h)
                 lower[at[reached], number] = value[np.rint(h[reached] / levels.step).astype(np.int64)]
             lower[at[np.isinf(h)], number] = -dear / (1 - gamma)  # in a dead end the robot does nothing
@@ -317,13 +291,10 @@ class _Survey:
         return cls(highest, int(counts.max(initial=1)), float(np.rint(rise / step)))
 
 
-def _advised(
-    survey: _Survey, levels: CostLevels, floor: float, grid: Grid, model: HumanModel, gamma: float,
-    c_suggest: float | None,
-) -> Floats:  # fmt: skip
+def _advised(survey: _Survey, levels: CostLevels, floor: float, assumed: Assumptions, *, suggests: bool) -> Floats:
     """Return a lower bound on the value for each level of h* and each theta, shape (highest + 1, T).
 
-    `c_suggest` is None for a robot that does nothing. Then step 1 has p in place of the probability of following, and
+    If the robot `suggests` nothing, step 1 has p in place of the probability of following, and
     theta does not move.
 
     Assumptions: the person chooses by equation 5 with the exact cost-to-go; theta lies on the grid and follows equation
@@ -350,16 +321,16 @@ def _advised(
 
     At most 200 sweeps are done; they end earlier if no bound rises by 1e-6 cost units.
     """
-    highest = survey.highest
+    highest, grid, gamma = survey.highest, assumed.grid, assumed.gamma
     value = np.full((highest + 1, len(grid.theta)), floor)
     costs = levels.prices
     if costs[0] > 0:
         value[0] = 0.0
     p = 1 / survey.actions
-    theta = np.full_like(grid.theta, 0.5) if c_suggest is None else grid.theta  # at 0.5 a suggestion changes nothing
+    theta = grid.theta if suggests else np.full_like(grid.theta, 0.5)  # at 0.5 a suggestion changes nothing
     total = theta * p + (1 - theta) * (1 - p)
-    follows = (1 - model.lapse) * np.divide(theta * p, total, out=np.full_like(total, p), where=total > 0)
-    low, weight = grid.shares(grid.theta + model.eta * costs[:, None] / model.utility_scale)
+    follows = (1 - assumed.lapse) * np.divide(theta * p, total, out=np.full_like(total, p), where=total > 0)
+    low, weight = grid.shares(grid.theta + assumed.eta * costs[:, None] / assumed.utility_scale)
     for _ in range(200):
         before = value.copy()
         for h in range(highest + 1):
@@ -373,7 +344,7 @@ def _advised(
                     wrong = (1 - up) * worst[at] + up * worst[at + 1]
                     outcomes.append(follows * (gamma * right - c) + (1 - follows) * (gamma * wrong - costs[-1]))
             if outcomes:
-                value[h] = np.maximum(value[h], np.min(outcomes, axis=0) - (c_suggest or 0.0))
+                value[h] = np.maximum(value[h], np.min(outcomes, axis=0) - assumed.c_suggest * suggests)
         if (value - before).max() < 1e-6:
             break
     return value

@@ -37,7 +37,7 @@ from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.study.cells import carry_out
 from assist.study.protocol import read
-from planner import LimitError, Table, sweep
+from planner import LimitError, OnDemand, Table, sweep
 from planner.system.errors import InputFileError
 
 Floats = NDArray[np.float64]
@@ -297,9 +297,13 @@ def test_a_model_of_ones_own_is_used_everywhere(tiny: Table) -> None:
     never = value.q_mdp[choices.initial, 0, 0, 1]
     assert alone.discounted_return.mean() < never + 4 * alone.discounted_return.std() / np.sqrt(4000)
     problem = PersonProblem.of(tiny, population=people)
-    assert solve(problem.pomdp, gap=1e-2).gap <= 1e-2
-    with pytest.raises(ValueError, match="people who do not choose by cost alone"):
-        PersonProblem.of(tiny, population=people, states=5)
+    exact = solve(problem.pomdp, gap=1e-2)
+    assert exact.gap <= 1e-2
+    for states in (5, len(tiny)):
+        part = solve(PersonProblem.of(OnDemand(tiny.task), population=people, states=states).pomdp, gap=1e-2)
+        assert part.lower <= exact.upper
+        assert exact.lower <= part.upper
+    assert part.lower == pytest.approx(exact.lower, abs=0.01)
 
 
 def test_what_trust_looks_at_may_be_ones_own(tiny: Table) -> None:

@@ -15,6 +15,8 @@ from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome
 from assist.person import truncated_task
+from assist.person.assumptions import Assumptions
+from assist.person.closed_problem import closed_problem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.solver import solve
 from assist.person.truncated_task import TruncatedTask
@@ -90,7 +92,7 @@ def test_bounds_on_the_frontier_hold(drawn: list[tuple[int, int, int]], given: d
     cost = {name: given[name] for name in ("gamma", "c_suggest")}
     whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table), **human), **cost)  # type: ignore[arg-type]
     part = TruncatedTask.of(table, states=states)
-    problem = part.problem(**given)  # type: ignore[arg-type]
+    problem = closed_problem(part, Assumptions(**given))  # type: ignore[arg-type]
     assert problem.frontier is not None
     at = part.states[part.frontier]
     left = 1e-8 * (3 + cost["c_suggest"]) / (1 - cost["gamma"])  # of the value iteration
@@ -106,13 +108,13 @@ def test_a_parts_interval_and_the_wholes_overlap(
     table = solvable(drawn)
     if table is None:
         return
-    everything = TruncatedTask.of(table, states=len(table)).problem(**given)  # type: ignore[arg-type]
+    everything = closed_problem(TruncatedTask.of(table, states=len(table)), Assumptions(**given))  # type: ignore[arg-type]
     human = {name: given[name] for name in ("eta", "lapse")}
     whole = AssistPOMDP.of(
         HumanModel.exact(Choices.of(table), **human),  # type: ignore[arg-type]
         gamma=given["gamma"], c_suggest=given["c_suggest"],
     )  # fmt: skip
-    part = TruncatedTask.of(table, states=states).problem(**given)  # type: ignore[arg-type]
+    part = closed_problem(TruncatedTask.of(table, states=states), Assumptions(**given))  # type: ignore[arg-type]
     exact, same, bounds = (solve(problem, gap=0.05) for problem in (whole, everything, part))
     assert len(everything.frontier.states) == 0  # type: ignore[union-attr]
     for one, other in ((exact, same), (exact, bounds)):
@@ -156,7 +158,7 @@ def test_bounds_of_a_whole_and_of_all_of_it_as_a_part_overlap_where_actions_are_
     table = table_of(ROUND_TRIP)
     setting = {"gamma": 0.95, "c_suggest": 0.01}
     whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), **setting)  # type: ignore[arg-type]
-    part = TruncatedTask.of(table, states=len(table)).problem(**setting)  # type: ignore[arg-type]
+    part = closed_problem(TruncatedTask.of(table, states=len(table)), Assumptions(**setting))  # type: ignore[arg-type]
     one, other = (solve(problem, gap=0.02) for problem in (whole, part))
     assert max(one.lower, other.lower) <= min(one.upper, other.upper)
 
@@ -169,7 +171,7 @@ def test_the_bounds_are_exact_where_there_is_one_way(cost: int) -> None:
     """
     table = sweep(graph_task([(node, node - 1, cost) for node in range(1, 9)], start=8))
     part = TruncatedTask.of(table, states=3)
-    frontier = part.problem(gamma=0.9, c_suggest=0.0, lapse=0.0).frontier
+    frontier = closed_problem(part, Assumptions(gamma=0.9, c_suggest=0.0, lapse=0.0)).frontier
     assert frontier is not None
     assert part.choices.h[part.frontier].tolist() == [5 * cost]
     np.testing.assert_allclose(frontier.upper, -(1 - 0.9**5) / 0.1, rtol=1e-12)
@@ -185,7 +187,7 @@ def test_the_lower_bound_knows_who_follows() -> None:
     table = sweep(graph_task(up + down, start=8))
     part = TruncatedTask.of(table, states=2)
     h = part.choices.h[part.frontier]
-    frontier = part.problem(gamma=0.9, c_suggest=0.5, eta=0.0, lapse=0.0).frontier
+    frontier = closed_problem(part, Assumptions(gamma=0.9, c_suggest=0.5, eta=0.0, lapse=0.0)).frontier
     assert frontier is not None
     assert sorted(h) == [6, 9]
     np.testing.assert_allclose(frontier.lower[:, 0, -1], -1.5 * (1 - 0.9**h) / 0.1, rtol=1e-6)
@@ -195,7 +197,7 @@ def test_the_lower_bound_knows_who_follows() -> None:
     )  # at theta 0 a person may never reach the goal
     assert (np.diff(frontier.lower) > 0).all()
     # A suggestion in each step raises theta by eta, so that even someone who began without any influence arrives.
-    moved = part.problem(gamma=0.9, c_suggest=0.5, eta=0.2, lapse=0.0).frontier
+    moved = closed_problem(part, Assumptions(gamma=0.9, c_suggest=0.5, eta=0.2, lapse=0.0)).frontier
     assert moved is not None
     assert (moved.lower[:, 0, 0] > floor + 1).all()
     np.testing.assert_allclose(moved.lower[:, 0, -1], frontier.lower[:, 0, -1], rtol=1e-6)
@@ -214,7 +216,7 @@ def test_the_lower_bound_is_exact_on_a_ladder_for_people_who_choose_blindly(top:
     expected = values(whole, policy="worst optimal")[:, 0]
     for states in range(1, top):
         part = TruncatedTask.of(table, states=states, population=blind)
-        frontier = part.problem(eta=eta, lapse=0.0, **setting).frontier  # type: ignore[arg-type]
+        frontier = closed_problem(part, Assumptions(eta=eta, lapse=0.0, **setting)).frontier  # type: ignore[arg-type]
         assert frontier is not None
         np.testing.assert_allclose(frontier.lower[:, 0], expected[part.states[frontier.states]], rtol=1e-5)
 
@@ -225,9 +227,9 @@ def test_what_is_too_much_to_look_through_is_bounded_with_care(
 ) -> None:
     ladder = [(node, to, 1) for node in range(1, 7) for to in (node - 1, min(node + 1, 6))]
     part = TruncatedTask.of(sweep(graph_task(ladder + more, start=3)), states=2)
-    known = part.problem(gamma=0.9).frontier
+    known = closed_problem(part, Assumptions(gamma=0.9)).frontier
     monkeypatch.setattr(truncated_task, "SURVEYED", 1)
-    careful = part.problem(gamma=0.9).frontier
+    careful = closed_problem(part, Assumptions(gamma=0.9)).frontier
     assert known is not None
     assert careful is not None
     assert (careful.lower <= known.lower + 1e-9).all()
@@ -277,7 +279,9 @@ def test_the_lower_bound_follows_rules_of_trust_whose_steps_are_known() -> None:
     part = TruncatedTask.of(sweep(graph_task(ladder, start=3)), states=2)
 
     def lower(eta: float, trust: TrustRule | None, utility_scale: float = 1.0) -> Floats:
-        frontier = part.problem(gamma=0.9, eta=eta, trust=trust, utility_scale=utility_scale).frontier
+        frontier = closed_problem(
+            part, Assumptions(gamma=0.9, eta=eta, trust=trust, utility_scale=utility_scale)
+        ).frontier
         assert frontier is not None
         return frontier.lower
 
@@ -293,7 +297,9 @@ def test_the_lower_bound_follows_rules_of_trust_whose_steps_are_known() -> None:
 def test_who_follows_for_nothing_pays_nothing() -> None:
     """A goal that is a free step away: the bound approaches 0 from the worst value, as far as its sweeps go."""
     table = sweep(graph_task([(3, 2, 1), (2, 1, 0), (1, 0, 0)], start=3))
-    frontier = TruncatedTask.of(table, states=1).problem(gamma=0.9, c_suggest=0.0, lapse=0.0).frontier
+    frontier = closed_problem(
+        TruncatedTask.of(table, states=1), Assumptions(gamma=0.9, c_suggest=0.0, lapse=0.0)
+    ).frontier
     assert frontier is not None
     assert (frontier.lower > -1e-4).all()
     assert (frontier.lower <= 0).all()
@@ -301,7 +307,10 @@ def test_who_follows_for_nothing_pays_nothing() -> None:
 
 def test_standing_still_costs_1_where_all_else_is_free() -> None:
     part = TruncatedTask.of(sweep(graph_task([(1, 0, 0), (1, 2, 0), (2, 3, 0)])), states=1)
-    frontier, anybody = part.problem(gamma=0.9).frontier, part.bounds_of_anybody(gamma=0.9, thetas=10)
+    frontier, anybody = (
+        closed_problem(part, Assumptions(gamma=0.9)).frontier,
+        part.bounds_of_anybody(gamma=0.9, thetas=10),
+    )
     assert frontier is not None
     for bounds in (frontier, anybody):
         np.testing.assert_allclose(bounds.lower, np.full((1, 1, 10), -1 / 0.1), rtol=1e-12)
@@ -311,7 +320,7 @@ def test_standing_still_costs_1_where_all_else_is_free() -> None:
 def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None:
     table = sweep(graph_task([(1, 0, 2), (1, 2, 2), (2, 3, 5), (3, 2, 1)]))
     part = TruncatedTask.of(table, states=1)
-    frontier = part.problem(gamma=0.9, c_suggest=7.0).frontier
+    frontier = closed_problem(part, Assumptions(gamma=0.9, c_suggest=7.0)).frontier
     assert frontier is not None
     assert part.choices.h[part.frontier].tolist() == [np.inf]
     np.testing.assert_allclose(frontier.lower, np.full((1, 1, 10), -5 / 0.1), rtol=1e-12)
@@ -325,6 +334,6 @@ def test_a_discount_that_cannot_be_is_refused() -> None:
     part = TruncatedTask.of(table_of(ROUND_TRIP), states=3)
     for gamma in (0.0, 1.0, 1.5, float("nan")):
         with pytest.raises(ValueError, match="gamma"):
-            part.problem(gamma=gamma)
+            closed_problem(part, Assumptions(gamma=gamma))
     with pytest.raises(ValueError, match="c_suggest"):
-        part.problem(c_suggest=float("nan"))
+        closed_problem(part, Assumptions(c_suggest=float("nan")))

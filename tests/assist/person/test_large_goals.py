@@ -15,6 +15,8 @@ from assist.live import live_task as live
 from assist.people import Goals, Human, HumanModel
 from assist.people.misconception import Misconception
 from assist.person import AssistPOMDP, PersonProblem, Setting, TruncatedTask
+from assist.person.assumptions import Assumptions
+from assist.person.closed_problem import closed_problem
 from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
@@ -145,7 +147,7 @@ def test_a_truncated_task_of_all_goals_has_bounds_for_each(states: int) -> None:
         assert sorted(rows[part.choices.targets[x, :count]]) == sorted(full.targets[theirs, :count])
     setting = {"gamma": 0.97, "c_suggest": 0.3}
     problem = AssistPOMDP.of(HumanModel.exact(full), **setting)  # type: ignore[arg-type]
-    frontier = part.problem(**setting).frontier  # type: ignore[arg-type]
+    frontier = closed_problem(part, Assumptions(**setting)).frontier  # type: ignore[arg-type]
     assert frontier is not None
     assert len(frontier.states) == len(part.frontier) > 0
     leaves = rows[part.frontier]
@@ -170,7 +172,7 @@ def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
     assert found[0].upper - found[0].lower > found[1].upper - found[1].lower > 0
     part = TruncatedTask.of(goals, states=size)
     assert (len(part.frontier), sorted(part.states)) == (0, [*range(size)])
-    same = solve(part.problem(**setting), gap=1e-2)  # type: ignore[arg-type]
+    same = solve(closed_problem(part, Assumptions(**setting)), gap=1e-2)  # type: ignore[arg-type]
     assert same.lower <= exact.upper
     assert exact.lower <= same.upper
     assert same.value_qmdp == pytest.approx(exact.value_qmdp, abs=1e-5)

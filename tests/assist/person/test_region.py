@@ -13,13 +13,14 @@ from conftest import KITTING, graph_task, invoke, table_of, thinned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import Misconception
 from assist.people.ranges import Population
 from assist.people.trust_rules import Reliability
 from assist.person import truncated_task as region
+from assist.person.assumptions import Assumptions
+from assist.person.closed_problem import closed_problem
 from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
@@ -44,7 +45,7 @@ def test_a_parts_bounds_hold_for_the_whole(instance: Instance) -> None:
     widths = []
     for states in (5, 60, 10_000):
         part = TruncatedTask.of(table, states=states)
-        bounds = solve(part.problem(**SETTING), gap=1e-2)  # type: ignore[arg-type]
+        bounds = solve(closed_problem(part, Assumptions(**SETTING)), gap=1e-2)  # type: ignore[arg-type]
         assert bounds.lower <= exact.upper
         assert exact.lower <= bounds.upper
         assert bounds.value_never <= exact.upper
@@ -66,7 +67,7 @@ def test_bounds_on_the_frontier_hold_in_each_of_its_states(instance: Instance) -
     best = qmdp(problem)
     for states in (5, 60):
         part = TruncatedTask.of(table, states=states)
-        frontier = part.problem(**SETTING).frontier  # type: ignore[arg-type]
+        frontier = closed_problem(part, Assumptions(**SETTING)).frontier  # type: ignore[arg-type]
         assert frontier is not None
         assert len(frontier.states) == len(part.frontier) > 0
         value = best.value_mdp[part.states[part.frontier]]
@@ -191,22 +192,21 @@ def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
     some = Population.mixed((Population(beta=(0.1, 0.3), theta=(0.8, 0.9)), Population(theta=(0.2, 0.3))), (0.75, 0.25))
     people = {"eta": 0.4, "lapse": 0.02, "utility_scale": 3.0}
     prices = {"gamma": 0.9, "c_suggest": 0.3, "suggestions": "all"}
-    mine = Grid(np.array([0.1, 1.0, 2.0]), np.linspace(0, 1, 4))
-    for grid, population in ((None, None), (None, some), (mine, None), (mine, some)):
-        ours = part.problem(grid=grid, population=population, **people, **prices)  # type: ignore[arg-type]
+    for population in (Population(), some):
+        ours = closed_problem(part, Assumptions(population, **people, **prices))  # type: ignore[arg-type]
         model = HumanModel.exact(part.choices, **people)
-        theirs = AssistPOMDP.of(model, grid=grid, population=population, frontier=ours.frontier, **prices)  # type: ignore[arg-type]
+        theirs = AssistPOMDP.of(model, population=population, frontier=ours.frontier, **prices)  # type: ignore[arg-type]
         assert (ours.gamma, ours.c_suggest, ours.model.lapse) == (0.9, 0.3, 0.02)
         for name in ("prior", "robot_costs", "suggested", "chosen", "low", "weight"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
         assert ours.frontier is not None
         assert ours.frontier.lower.shape == (len(part.frontier), 1, len(ours.grid.theta))
     rule = Reliability(2, 0.1, 2)
-    ours = part.problem(grid=mine, trust=rule)
-    theirs = AssistPOMDP.of(HumanModel.exact(part.choices), grid=mine.with_counts(2), trust=rule)
-    assert ours.grid.shape == theirs.grid.shape == (3, 12)
+    ours = closed_problem(part, Assumptions(trust=rule))
+    theirs = AssistPOMDP.of(HumanModel.exact(part.choices), trust=rule)
+    assert ours.grid.shape == theirs.grid.shape == (6, 30)
     assert ours.frontier is not None
-    assert ours.frontier.lower.shape == (len(part.frontier), 1, 12)
+    assert ours.frontier.lower.shape == (len(part.frontier), 1, 30)
     np.testing.assert_array_equal(
         ours.low[part.choices.optimal.any(axis=1)], theirs.low[part.choices.optimal.any(axis=1)]
     )
@@ -219,7 +219,7 @@ def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
     ours, theirs = TruncatedTask.of(table, states=20), TruncatedTask.of(asked, states=20)
     values = {tuple(row) for row in table.values(ours.states).tolist()}
     assert values == {tuple(row) for row in asked.values(theirs.states).tolist()}
-    known, unknown = (solve(r.problem(**SETTING), gap=2e-2) for r in (ours, theirs))  # type: ignore[arg-type]
+    known, unknown = (solve(closed_problem(r, Assumptions(**SETTING)), gap=2e-2) for r in (ours, theirs))  # type: ignore[arg-type]
     assert unknown.lower <= known.lower + 1e-9
     assert unknown.upper == pytest.approx(known.upper, rel=2e-2)
     assert unknown.upper >= known.lower
@@ -230,7 +230,7 @@ def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
 def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: float, gap: float) -> None:
     """They are ordered exactly, wherever the search ends: at a gap of 2, it mostly does so before its first trial."""
     part = TruncatedTask.of(table_of(INSTANCES["sealed"]), states=states)
-    problem = part.problem(gamma=gamma, c_suggest=c_suggest)
+    problem = closed_problem(part, Assumptions(gamma=gamma, c_suggest=c_suggest))
     bounds = solve(problem, gap=gap)
     assert bounds.stopped in {"gap", "stalled"}
     assert max(bounds.value_never, bounds.value_always) <= bounds.lower <= bounds.upper <= bounds.value_qmdp
@@ -240,13 +240,13 @@ def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: fl
 
 def test_nothing_is_executed_where_a_problem_breaks_off() -> None:
     part = TruncatedTask.of(table_of(INSTANCES["paper-fixed"]), states=5)
-    frontier = part.problem().frontier
+    frontier = closed_problem(part).frontier
     with pytest.raises(ValueError, match="execute: expected"):
         AssistPOMDP.of(HumanModel.exact(part.choices), execute=True, frontier=frontier)
 
 
 def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
-    part = TruncatedTask.of(table_of(WAYS), states=20).problem()
+    part = closed_problem(TruncatedTask.of(table_of(WAYS), states=20))
     for problem, gap in ((whole(table_of(INSTANCES["sealed"])), 0.05), (part, 1.0)):
         solution = solve(problem, gap=gap)
         solution.save(tmp_path / "policy.npz", note=np.array("kept"))
@@ -284,6 +284,19 @@ def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tin
         assert part.pomdp.frontier.states.tolist() == region.frontier.tolist()
         with pytest.raises(ValueError, match="execute: expected a task of at most"):
             PersonProblem.of(known, states=states, execute=True)
+
+
+def test_a_known_misconception_is_the_same_on_a_part(tiny: Table) -> None:
+    """The intervals of the part and of the whole task overlap, and become the same as the part grows."""
+    setting = {"sigma": 0.7, "seed": 3, "gamma": 0.9, "c_suggest": 0.1}
+    exact = solve(PersonProblem.of(tiny, **setting).pomdp, gap=1e-3)  # type: ignore[arg-type]
+    for states in (4, 12, 21):
+        found = solve(PersonProblem.of(OnDemand(tiny.task), states=states, **setting).pomdp, gap=1e-3)  # type: ignore[arg-type]
+        assert found.lower <= exact.upper
+        assert exact.lower <= found.upper
+    assert (found.lower, found.upper) == pytest.approx((exact.lower, exact.upper), abs=1e-6)
+    unknown = solve(PersonProblem.of(tiny, **setting | {"sigma": 0.0}).pomdp, gap=1e-3)  # type: ignore[arg-type]
+    assert abs(unknown.lower - exact.lower) > 0.01
 
 
 def test_another_file_is_no_solution(tmp_path: Path) -> None:
@@ -336,11 +349,6 @@ def test_the_command_cuts_down_what_is_too_large() -> None:
         (["tiny.pddl", "--set", "gamma=1"], 2, "gamma: 1; expected a number above 0 and below 1"),
         (["tiny.pddl", "--gap", "-1"], 2, "-1.0 is not in the range"),
         (["tiny.pddl", "--out", "policy.txt"], 2, "expected a name that ends in .npz"),
-        (
-            ["paper.pddl", "--set", "region_states=20", "--set", "sigma=1"],
-            2,
-            "sigma: expected a task of at most 20 states",
-        ),
         (
             ["paper.pddl", "--set", "region_states=20", "--set", "execute=true"],
             2,

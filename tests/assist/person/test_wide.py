@@ -113,8 +113,7 @@ def test_the_next_step_is_the_same_by_either_policy(tiny: Table) -> None:
 @pytest.mark.parametrize("policy", ["none", "reactive", "attention", "priority"])
 def test_rows_that_nobody_holds_are_evicted_and_computed_again(policy: str, tiny: Table, monkeypatch: Any) -> None:
     monkeypatch.setattr(truncated_policy, "ROWS", 30)
-    sight = ObservationModel(0.2, 0.0) if policy == "attention" else None
-    setting = Setting(c_suggest=0.1, knowledge="exact", trust="outcome", observation=sight)
+    setting = Setting(c_suggest=0.1, knowledge="exact", trust="outcome")
     whole, part = (
         Pool.sample(tiny, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(tiny), 0)
     )
@@ -133,6 +132,20 @@ def test_suggestions_after_which_choices_were_forgotten_are_heard_again(monkeypa
     whole, part = (Pool.sample(table, 3, seed=1, states=states, region=EVERYTHING) for states in (len(table), 0))
     for policy in ("none", "reactive"):
         assert_same(*(simulate(pool, policy, humans=2, episodes=100, seed=3) for pool in (whole, part)), 100)
+
+
+def test_states_that_are_possible_keep_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beliefs over states are those on the whole task, although rows are evicted between the steps."""
+    monkeypatch.setattr(truncated_policy, "ROWS", 60)
+    table = table_of(Instance(file := KITTING / "sealed.pddl", file.parent / "domain.pddl"))
+    setting = replace(SIGHT, knowledge="exact")
+    whole, part = (
+        Pool.sample(table, 3, seed=1, setting=setting, states=states, region=EVERYTHING) for states in (len(table), 0)
+    )
+    for seed in range(4):
+        assert_same(*(simulate(pool, "attention", humans=1, episodes=1, seed=seed) for pool in (whole, part)), 1)
+    (stamps,) = (policy.stamps for policy in part.policies)
+    assert stamps.max() > len(stamps)  # rows were used again
 
 
 def test_whoever_holds_rows_keeps_them(tiny: Table, monkeypatch: Any) -> None:

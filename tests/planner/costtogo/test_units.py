@@ -17,6 +17,7 @@ from teams import equal, run
 from assist import fit, read_log
 from assist.explain.contrast import contrast
 from assist.people.choices import Choices
+from assist.person.closed_problem import closed_problem
 from assist.person.truncated_task import TruncatedTask
 from assist.simulation.pool import Pool
 from planner import OnDemand, Table, Task, open_table, save_table, sweep, verify
@@ -101,7 +102,7 @@ def test_a_smaller_unit_changes_no_person_and_no_policy(tiny: Table) -> None:
     assert pools[0].choices(0).h[tiny.initial] == 2.5 * tiny[tiny.initial]
     for policy in ("none", "reactive", "attention", "priority"):
         assert equal(*(run(pool, policy, 3, 5, 1) for pool in pools))
-    parts = [TruncatedTask.of(sweep(task), states=10).problem().frontier for task in tasks]
+    parts = [closed_problem(TruncatedTask.of(sweep(task), states=10)).frontier for task in tasks]
     assert len(parts[0].states) > 0
     assert all(np.array_equal(getattr(parts[0], name), getattr(parts[1], name)) for name in ("lower", "upper"))
 
