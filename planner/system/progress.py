@@ -3,7 +3,7 @@
 Commands show progress at once. Functions that may run for minutes have an argument `progress`:
 
 - None (default): on a terminal and in a notebook, progress is shown once the work has taken two seconds. Nothing is
-  shown elsewhere, or if the environment variable `KITASSIST_PROGRESS` is 0.
+  shown elsewhere. The environment variable `KITASSIST_PROGRESS` decides for all places: 0 nowhere, 1 everywhere.
 - True: progress is also shown elsewhere. False: it is never shown.
 - A function: it is called with the description of the current stage, the number of items done, and their total.
   Nothing else is shown.
@@ -31,7 +31,7 @@ Wanted = Progress | bool | None
 F = TypeVar("F", bound=Callable[..., Any])
 
 UNSHOWN = "KITASSIST_PROGRESS"
-"""Environment variable that is set to 0 to show progress only where the caller asks for it."""
+"""Environment variable: 0 shows progress only where the caller asks for it, 1 also where nobody looks."""
 
 AFTER = 2.0
 """Seconds of work before progress is shown. A call that is already done by then shows nothing."""
@@ -173,8 +173,10 @@ def adding(show: Progress, what: str, total: int, done: int = 0) -> Callable[[in
 
 
 def _looked_at() -> bool:
-    """Whether progress is shown by default: on a terminal and in a notebook, unless the environment forbids it."""
-    return os.environ.get(UNSHOWN) != "0" and (sys.stderr.isatty() or _notebook() is not None)
+    """Whether progress is shown by default: on a terminal and in a notebook, unless the environment decides."""
+    if (wanted := os.environ.get(UNSHOWN)) in ("0", "1"):
+        return wanted == "1"
+    return sys.stderr.isatty() or _notebook() is not None
 
 
 def _notebook() -> Callable[..., Any] | None:

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from recorded import people_at_work
 
-from assist import Pool, fit, simulate
+from assist import Pool, compare, fit, simulate
 from assist.certify import certify, upper_bound
 from assist.cli.output.solve_progress import LARGE_SEARCH, solving
 from assist.learning import Log
@@ -26,6 +26,7 @@ from assist.people.choices import Choices
 from assist.person import qmdp, solve
 from assist.person.settings import Setting
 from assist.study.runner import run_study
+from assist.team import TeamAction, TeamState
 from planner import Instance, Table, cost_to_go, sweep
 from planner.system import jit, progress
 from planner.system.compiling import compiling
@@ -230,6 +231,25 @@ def test_a_person_who_is_solved_when_first_asked_is_shown(tiny: Table, monkeypat
     whole, part = (Pool.sample(tiny, 1, seed=0, **options).policies[0] for options in ({}, {"states": 5, "region": 9}))
     for policy in (whole, part):
         assert "solving a person's POMDP" in on_terminal(monkeypatch, policy.prepare)
+
+
+@pytest.mark.parametrize(("wanted", "lines"), [("1", True), ("0", False), (None, False)])
+def test_the_environment_decides_where_nobody_looks(
+    wanted: str | None, lines: bool, tiny: Table, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(progress, "AFTER", 0.0)
+    monkeypatch.setattr(progress, "BETWEEN_LINES", 0.001)
+    monkeypatch.delenv(progress.UNSHOWN, raising=False)
+    if wanted is not None:
+        monkeypatch.setenv(progress.UNSHOWN, wanted)
+    pool = Pool.sample(tiny, 3, seed=0)
+
+    def slow(team: TeamState) -> TeamAction:
+        time.sleep(0.02)
+        return team.act(np.full(team.location.shape, -1), np.zeros_like(team.x))
+
+    compare(pool, slow, humans=2, episodes=5)
+    assert ("simulating slow" in capsys.readouterr().err) == lines
 
 
 def test_worker_processes_show_nothing_by_themselves() -> None:
