@@ -362,9 +362,9 @@ def test_the_robot_of_one_person_has_no_price(pool: Pool) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"team": (0, 2)}, r"team \(0, 2\): expected one or more numbers of the pool, from 0 to 1$"),
-        ({"team": ()}, r"team \(\): expected one or more numbers"),
-        ({"team": (0, -1)}, "person -1: expected a whole number of 0 or more"),
+        ({"team": (0, 2)}, r"team \[0, 2\]: expected names of people, or their numbers from 0 to 1$"),
+        ({"team": ()}, r"team \[\]: expected names of people, or their numbers"),
+        ({"team": (0, -1)}, r"team \[0, -1\]: expected names of people, or their numbers from 0 to 1"),
         ({"travel": SETTING.travel(3)}, "travel for 3: expected 2 people"),
         ({"time_limit": 0.0}, "time_limit 0.0: expected more than 0"),
         ({"window": -1}, "window -1: expected a whole number of 0 or more"),
