@@ -58,13 +58,10 @@ class Errands:
     """
 
     def __init__(
-        self,
-        transport: Transport,
-        put: Callable[[Iterable[Output]], None],
+        self, transport: Transport, put: Callable[[Iterable[Output]], None],
         arrived: Callable[[int, str | None, str | None], Awaitable[dict[str, Any] | None]],
-        start: Callable[[Coroutine[Any, Any, None]], object],
-        retry: float,
-    ) -> None:
+        start: Callable[[Coroutine[Any, Any, None]], object], retry: float,
+    ) -> None:  # fmt: skip
         self._transport, self._put, self._arrived, self._start = transport, put, arrived, start
         self._retry, self._connected = retry, False
         self._ways = [_Way(number) for number in range(1, transport.robots + 1)]

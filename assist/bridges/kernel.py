@@ -67,14 +67,9 @@ class Bridge:
     """
 
     def __init__(
-        self,
-        transport: Transport,
-        link: str,
-        *,
-        longest_pause: float = 30.0,
-        retry: float = 5.0,
+        self, transport: Transport, link: str, *, longest_pause: float = 30.0, retry: float = 5.0,
         again: float | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.transport, self._longest_pause = transport, longest_pause
         self.connected, self._again = False, transport.again if again is None else again
         self._session = SessionClient(link)

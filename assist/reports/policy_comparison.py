@@ -249,20 +249,11 @@ class PolicyComparison(Result):
 @shows_progress
 def compare(
     pool: Pool | Mapping[Any, Pool],
-    policies: Iterable[str | TeamPolicy] | Mapping[str, str | TeamPolicy] | str | TeamPolicy,
-    *,
-    humans: int | Iterable[int] | Iterable[str] = 3,
-    episodes: int = 500,
-    seed: Seed = 0,
-    baseline: str | None = None,
-    varied: str = "pool",
-    level: float = 0.95,
-    certified: bool = False,
-    time_limit: float | None = None,
-    jobs: int = 1,
-    progress: Wanted = None,
-    **options: Any,
-) -> PolicyComparison:
+    policies: Iterable[str | TeamPolicy] | Mapping[str, str | TeamPolicy] | str | TeamPolicy, *,
+    humans: int | Iterable[int] | Iterable[str] = 3, episodes: int = 500, seed: Seed = 0, baseline: str | None = None,
+    varied: str = "pool", level: float = 0.95, certified: bool = False, time_limit: float | None = None, jobs: int = 1,
+    progress: Wanted = None, **options: Any,
+) -> PolicyComparison:  # fmt: skip
     """Simulate policies with the same people and random numbers, and compare their means.
 
     Parameters

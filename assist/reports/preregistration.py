@@ -52,16 +52,11 @@ def register(study: UserStudy, folder: Path) -> dict[str, Any]:
         if (folder / name).exists():
             raise ResultsExistError(f"{folder / name}: {what}; a registration comes first, and stays as it was")
     record = {
-        "format": "kitassist preregistration 1",
-        "registered": datetime.now(UTC).isoformat(timespec="seconds"),
-        "version": metadata.version("kitassist"),
-        "study": hashlib.sha256(study.file.read_bytes()).hexdigest(),
-        "analysis": analysis_digests(),
-        "confirmatory": list(study.confirmatory),
-        "reference": study.reference,
-        "participants": study.participants,
-        "exclude_failed_checks": study.exclude_failed_checks,
-    }
+        "format": "kitassist preregistration 1", "registered": datetime.now(UTC).isoformat(timespec="seconds"),
+        "version": metadata.version("kitassist"), "study": hashlib.sha256(study.file.read_bytes()).hexdigest(),
+        "analysis": analysis_digests(), "confirmatory": list(study.confirmatory), "reference": study.reference,
+        "participants": study.participants, "exclude_failed_checks": study.exclude_failed_checks,
+    }  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     with atomic(folder / REGISTERED) as path:
         path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

@@ -53,11 +53,9 @@ def rendered(template: str, **content: Any) -> str:
 
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
-        autoescape=jinja2.select_autoescape(["html.jinja"], default=False),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+        autoescape=jinja2.select_autoescape(["html.jinja"], default=False), undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
     words = (wording.number, wording.prior, wording.short, wording.value)
     environment.filters |= {word.__name__: word for word in words}
     environment.filters |= {"table": markdown_table, "cell": markdown_cell}

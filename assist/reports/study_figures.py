@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ..plots import study as draw
 from ..study.cells import policy_of, pool_of
 from ..study.study import Cell, Condition, Study
-from .study_summary import MEASURES, Found, average
+from .study_summary import MEASURES, Found, average, rows_of
 from .wording import Record, named
 
 if TYPE_CHECKING:
@@ -138,9 +138,8 @@ def _one_episode(found: Found) -> tuple[pd.DataFrame, Any]:
     study, condition = found.study, found.study.conditions[0]
     humans = min(condition.humans, key=lambda k: abs(k - 3))  # panels that fit a page
     instance = condition.instances[0]
-    own = found.episodes
-    for name, value in {**found.main, "instance": instance, "policy": study.focus, "humans": humans}.items():
-        own = own[own[name] == value]
+    wanted = {**found.main, "instance": instance, "policy": study.focus, "humans": humans}
+    own = rows_of(found.episodes, wanted)
     row = own[own["repeat"] == 0].sort_values("interventions", ascending=False, kind="stable").iloc[0]
     cell = Cell(**found.main, instance=instance, repeat=0)
     pool = pool_of(study, cell)

@@ -6,7 +6,7 @@ Everything is computed over pools of people, not over their episodes; see `assis
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -88,14 +88,8 @@ class Found:
         parts = [own]
         for name in BASELINES:
             if name not in set(own["policy"]) and has_same_baseline(name, here, main):
-                same = self.pools[
-                    (self.pools["condition"] == self.main["condition"])
-                    & (self.pools["setting"] == self.main["setting"])
-                    & (self.pools["prior"] == self.main["prior"])
-                    & (self.pools["population"] == arm["population"])
-                    & (self.pools["instance"] == arm["instance"])
-                    & (self.pools["policy"] == name)
-                ]
+                where = {"population": arm["population"], "instance": arm["instance"], "policy": name}
+                same = rows_of(self.pools, self.main | where)
                 parts.append(same[same["repeat"].isin(own["repeat"]) & same["humans"].isin(own["humans"])])
         return pd.concat(parts)
 
@@ -104,28 +98,18 @@ class Found:
 
     def arms(self, **wanted: str) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
         """Yield each arm with the wanted properties, and its pools."""
-        pools = self.pools
-        for name, value in wanted.items():
-            pools = pools[pools[name] == value]
-        for values, own in pools.groupby(list(ARM), observed=True, sort=False):
+        for values, own in rows_of(self.pools, wanted).groupby(list(ARM), observed=True, sort=False):
             yield dict(zip(ARM, _texts(values), strict=True)), own
 
     def summary(self) -> dict[str, Any]:
         """Return all results as plain data, which `docs/study.md` describes."""
+        study = self.study
         return {
-            "schema": SCHEMA,
-            "title": self.study.title,
-            "seed": self.study.seed,
-            "repeats": self.study.repeats,
-            "fingerprint": self.study.fingerprint(),
-            "headline": self.headline(),
-            "cells": self.cells(),
-            "comparisons": self.comparisons(),
-            "without_suggestions": self.arms_without_suggestions(),
-            "decline": self.decline(),
-            "contrasts": self.contrasts(),
-            "readings": self.readings(),
-        }
+            "schema": SCHEMA, "title": study.title, "seed": study.seed, "repeats": study.repeats,
+            "fingerprint": study.fingerprint(), "headline": self.headline(), "cells": self.cells(),
+            "comparisons": self.comparisons(), "without_suggestions": self.arms_without_suggestions(),
+            "decline": self.decline(), "contrasts": self.contrasts(), "readings": self.readings(),
+        }  # fmt: skip
 
     def headline(self) -> dict[str, Any]:
         """Return the savings of the focus policy in the first condition, over all team sizes, by task and overall.
@@ -142,24 +126,16 @@ class Found:
 
     def _headline(self, group: dict[str, str]) -> dict[str, Any]:
         by_task = {arm["instance"]: own for arm, own in self.arms(**group)}
-        together = self.pools
-        for name, value in group.items():
-            together = together[together[name] == value]
-        instances = {instance: self._savings(own) for instance, own in by_task.items()}
-        pools = int(together["repeat"].nunique())
+        together = rows_of(self.pools, group)
         return {
-            **group,
-            "pools": pools,
-            **self._savings(together),
+            **group, "pools": int(together["repeat"].nunique()), **self._savings(together),
             **self._ends(group, together),
-            "instances": instances,
-        }
+            "instances": {instance: self._savings(own) for instance, own in by_task.items()},
+        }  # fmt: skip
 
     def _ends(self, group: dict[str, str], pools: pd.DataFrame) -> dict[str, Any]:
         """Return how many episodes of a group were cut off, the step limit, and how many people finished."""
-        own = self.episodes
-        for name, value in group.items():
-            own = own[own[name] == value]
+        own = rows_of(self.episodes, group)
         finished = {policy: average(pools, "finished_percent", policy) for policy in dict.fromkeys(pools["policy"])}
         return {
             "episodes": len(own), "cut_off": int(own["cut_off"].sum()), "max_steps": self._setting(group).max_steps,
@@ -188,18 +164,14 @@ class Found:
             _texts(key): own for key, own in self.pools.groupby(keys, observed=True)
         }
         for key, own in self.episodes.groupby(keys, observed=True, sort=False):
-            found.append(
-                {
-                    **dict(zip(keys, _plain(key), strict=True)),
-                    "episodes": len(own),
-                    "pools": int(own["repeat"].nunique()),
-                    "cut_off": int(own["cut_off"].sum()),
-                    **{
-                        column: _described(own[column].to_numpy(dtype=float), pools[_texts(key)][name].to_numpy())
-                        for name, column in MEASURES.items()
-                    },
-                }
-            )
+            found.append({
+                **dict(zip(keys, _plain(key), strict=True)), "episodes": len(own),
+                "pools": int(own["repeat"].nunique()), "cut_off": int(own["cut_off"].sum()),
+                **{
+                    column: _described(own[column].to_numpy(dtype=float), pools[_texts(key)][name].to_numpy())
+                    for name, column in MEASURES.items()
+                },
+            })  # fmt: skip
         return found
 
     def comparisons(self) -> list[dict[str, Any]]:
@@ -247,23 +219,16 @@ class Found:
                     ends = [
                         paired(own[own["humans"] == size], measure, focus, against) for size in (sizes[0], sizes[-1])
                     ]
-                    if (
-                        against == "none"
-                    ):  # without assistance the team does not matter, so all sizes give the more precise baseline
+                    # Without assistance the team does not matter, so that all sizes give the more precise baseline.
+                    if against == "none":
                         alone = paired(own, measure, against, against)[0]
                         ends = [(mine, alone) for mine, _ in ends]
                     estimate = statistics.change(ends[0], ends[1], np.random.default_rng(SEED))
                     if math.isfinite(estimate.value) and len(sizes) > 1:
-                        found.append(
-                            {
-                                **arm,
-                                "policy": focus,
-                                "against": against,
-                                "measure": measure,
-                                "humans": [int(sizes[0]), int(sizes[-1])],
-                                **estimate.record(),
-                            }
-                        )
+                        found.append({
+                            **arm, "policy": focus, "against": against, "measure": measure,
+                            "humans": [int(sizes[0]), int(sizes[-1])], **estimate.record(),
+                        })  # fmt: skip
         return found
 
     def contrasts(self) -> list[dict[str, Any]]:
@@ -307,15 +272,10 @@ class Found:
                         for one in targets
                     ]
                     wrong = [abs(m.value - one.mean) for m, one in zip(means, targets, strict=True)]
-                    found.append(
-                        {
-                            **family,
-                            "policy": policy,
-                            "counted": counted,
-                            "interventions": [m.record() for m in means],
-                            "off": float(np.mean(wrong)),
-                        }
-                    )
+                    found.append({
+                        **family, "policy": policy, "counted": counted, "interventions": [m.record() for m in means],
+                        "off": float(np.mean(wrong)),
+                    })  # fmt: skip
         return sorted(found, key=lambda reading: reading["off"])
 
     def _families(self) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
@@ -323,6 +283,13 @@ class Found:
         names = [name for name in ARM if name != "population"]
         for values, own in self.pools.groupby(names, observed=True, sort=False):
             yield dict(zip(names, _texts(values), strict=True)), own
+
+
+def rows_of(frame: pd.DataFrame, wanted: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the rows that have the wanted values."""
+    for name, value in wanted.items():
+        frame = frame[frame[name] == value]
+    return frame
 
 
 def has_same_baseline(policy: str, one: Setting, other: Setting) -> bool:
@@ -376,14 +343,10 @@ def _described(values: Any, pools: Any) -> dict[str, float | int | None]:
     """Return statistics of a measure over episodes, and the interval of its mean over pools."""
     estimate = statistics.mean(pools)
     return {
-        "mean": float(values.mean()),
-        "sd": finite(values.std(ddof=1)) if len(values) > 1 else None,
-        "n": len(values),
-        "low": finite(estimate.low),
-        "high": finite(estimate.high),
-        "median": float(np.median(values)),
+        "mean": float(values.mean()), "sd": finite(values.std(ddof=1)) if len(values) > 1 else None, "n": len(values),
+        "low": finite(estimate.low), "high": finite(estimate.high), "median": float(np.median(values)),
         "highest": float(values.max()),
-    }
+    }  # fmt: skip
 
 
 def _texts(key: Hashable) -> tuple[str, ...]:

@@ -34,6 +34,11 @@ from ..team.state import TeamPolicy
 from .study import OWN, Cell, Study
 from .tasks import costs_of
 
+MEASURED = (
+    "actions", "costs", "helped", "finished", "interventions", "moves", "steps", "discounted_return",
+)  # fmt: skip
+"""What the record of an episode has as the episode says it."""
+
 
 def pool_of(study: Study, cell: Cell) -> Pool:
     """Draw a cell's pool of people, and solve the POMDP of each person.
@@ -123,24 +128,11 @@ def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterat
     for episode in episodes:
         draw, trial = divmod(episode.episode, trials)
         yield {
-            **asdict(cell),
-            "policy": episode.policy,
-            "humans": humans,
-            "draw": draw,
-            "trial": trial,
+            **asdict(cell), "policy": episode.policy, "humans": humans, "draw": draw, "trial": trial,
             "people": [int(name.rpartition("-")[2]) for name in episode.people],
-            "beta": [round(number, 4) for number in episode.beta],
-            "theta": [round(number, 4) for number in episode.theta],
-            "sigma": [round(number, 4) for number in episode.sigma],
-            "actions": episode.actions,
-            "costs": episode.costs,
-            "helped": episode.helped,
-            "finished": episode.finished,
-            "interventions": episode.interventions,
-            "moves": episode.moves,
-            "steps": episode.steps,
-            "discounted_return": episode.discounted_return,
-        }
+            **{name: [round(one, 4) for one in getattr(episode, name)] for name in ("beta", "theta", "sigma")},
+            **{name: getattr(episode, name) for name in MEASURED},
+        }  # fmt: skip
 
 
 def _people(study: Study, cell: Cell) -> tuple[Population, Population]:

@@ -177,15 +177,12 @@ class Reader:
         for number, part in enumerate(own.settings or [{}], start=1):
             settings[label(part)] = self._setting(f"{place}.settings[{number}]", part, setting)
         return Condition(
-            name=own.name,
-            populations=self._among(f"{place}.populations", own.populations or people[:1], people),
+            name=own.name, populations=self._among(f"{place}.populations", own.populations or people[:1], people),
             instances=self._among(f"{place}.instances", own.instances or instances, instances),
-            policies=self._policies(f"{place}.policies", own.policies) if own.policies else policies,
-            humans=humans,
-            settings=tuple(settings.items()),
-            priors=self._among(f"{place}.priors", own.priors, (OWN, *people)),
+            policies=self._policies(f"{place}.policies", own.policies) if own.policies else policies, humans=humans,
+            settings=tuple(settings.items()), priors=self._among(f"{place}.priors", own.priors, (OWN, *people)),
             repeats=own.repeats,
-        )
+        )  # fmt: skip
 
     def _among(self, place: str, names: Iterable[str], allowed: Iterable[str]) -> tuple[str, ...]:
         """Return the names without duplicates. Unknown names raise `InputFileError`."""

@@ -106,12 +106,8 @@ def run_study(
 
 
 def _begin(
-    study: Study,
-    out: Path,
-    results: ResumableFolder[Cell],
-    order: Mapping[Cell, int],
-    warn: Callable[[str], None],
-) -> None:
+    study: Study, out: Path, results: ResumableFolder[Cell], order: Mapping[Cell, int], warn: Callable[[str], None],
+) -> None:  # fmt: skip
     """Prepare the folder of results, which must be of the same study; complete cells are kept."""
     known = {"schema": SCHEMA, "fingerprint": study.fingerprint()}
     kept: dict[Cell, str] = {}

@@ -55,14 +55,9 @@ class ParticipantTeam:
     """
 
     def __init__(
-        self,
-        name: str,
-        tasks: Mapping[str, CostToGo],
-        team: Callable[[], Team],
-        mates: Callable[[], Sequence[SimulatedPerson]],
-        *,
-        again: bool,
-    ) -> None:
+        self, name: str, tasks: Mapping[str, CostToGo], team: Callable[[], Team],
+        mates: Callable[[], Sequence[SimulatedPerson]], *, again: bool,
+    ) -> None:  # fmt: skip
         self.name, self._tasks, self._again = name, tasks, again
         self._team_anew, self._mates_anew = team, mates
         self._past: list[TeamRecord] = []

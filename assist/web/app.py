@@ -32,12 +32,9 @@ END_STREAMS = "end_streams"
 
 
 def make_app(
-    service: Service,
-    *,
-    allowance: Allowance | None = None,
-    more: Sequence[APIRouter] = (),
+    service: Service, *, allowance: Allowance | None = None, more: Sequence[APIRouter] = (),
     trusted_proxies: Networks = (),
-) -> FastAPI:
+) -> FastAPI:  # fmt: skip
     """Return the application of a service. The application starts and stops the service.
 
     Parameters

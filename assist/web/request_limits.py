@@ -94,15 +94,9 @@ class Allowance:
     """
 
     def __init__(
-        self,
-        rate: float = 100.0,
-        burst: float = 400.0,
-        *,
-        for_operator: float = 10.0,
-        for_pages: float = 20.0,
-        callers: int = 20_000,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+        self, rate: float = 100.0, burst: float = 400.0, *, for_operator: float = 10.0, for_pages: float = 20.0,
+        callers: int = 20_000, clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
         self.rate, self.burst, self.for_operator, self.for_pages = rate, burst, for_operator, for_pages
         self._callers, self._clock = callers, clock
         self._left: dict[str, tuple[float, float]] = {}

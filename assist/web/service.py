@@ -253,12 +253,9 @@ class Service:
         return _json(view)
 
     def _deliver(
-        self,
-        futures: list[asyncio.Future[Outcome]],
-        outcomes: list[Outcome],
-        changes: dict[str, bytes | None],
+        self, futures: list[asyncio.Future[Outcome]], outcomes: list[Outcome], changes: dict[str, bytes | None],
         outlook: Outlook,
-    ) -> None:
+    ) -> None:  # fmt: skip
         if outlook.events != self.outlook.events:
             self._last = self._loop.time()
         if outlook.fault not in (None, self.outlook.fault):

@@ -54,9 +54,6 @@ class Pictures:
             picture = artist.draw(values, width=width, goal=False, theme=None)
             goal = artist.scene(values).goal
         return {
-            "svg": picture.svg,
-            "text": picture.text,
-            "goal": [{"text": text, "done": done} for text, done in goal],
-            "words": {action: artist.say(action) for action in actions},
-            "language": artist.profile.language,
-        }
+            "svg": picture.svg, "text": picture.text, "goal": [{"text": text, "done": done} for text, done in goal],
+            "words": {action: artist.say(action) for action in actions}, "language": artist.profile.language,
+        }  # fmt: skip

@@ -131,14 +131,9 @@ class SimulatedParticipant:
 
 
 def rehearse(
-    service: StudyService,
-    tasks: Mapping[str, CostToGo],
-    participants: int,
-    base: str,
-    *,
-    per_leaver: int = 8,
+    service: StudyService, tasks: Mapping[str, CostToGo], participants: int, base: str, *, per_leaver: int = 8,
     at_once: int = 8,
-) -> None:
+) -> None:  # fmt: skip
     """Run simulated participants until all have completed the study.
 
     Parameters

@@ -158,15 +158,9 @@ class StudyService(Service):
         return code is not None and code in self.views and json.loads(self.views[code])["study"]["kind"] not in ended
 
     async def visit(
-        self,
-        visit: str,
-        *,
-        key: str | None = None,
-        signature: str | None = None,
-        simulated: bool = False,
-        before: str | None = None,
-        address: str = "",
-    ) -> dict[str, Any]:
+        self, visit: str, *, key: str | None = None, signature: str | None = None, simulated: bool = False,
+        before: str | None = None, address: str = "",
+    ) -> dict[str, Any]:  # fmt: skip
         """Admit a participant, or readmit one; neither the id nor the key is stored.
 
         Parameters
