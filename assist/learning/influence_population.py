@@ -98,7 +98,10 @@ class InfluencePopulation:
 
         start = [x[-1] - 2.0, 1.0, 1.0, 1.5] if near is None else list(vars(near).values())
         with _libraries().limit(limits=1, user_api="blas"):  # threads wait longer than these small matrices take
-            best = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=_ranges(log))
+            # Nearly flat in the spreads: a looser end would depend on where the search begins.
+            best = minimize(
+                loss, start, jac=True, method="L-BFGS-B", bounds=_ranges(log), options={"ftol": 1e-15, "gtol": 1e-8}
+            )
         return cls(*best.x.tolist()), float(top.sum()) - float(best.fun)
 
 

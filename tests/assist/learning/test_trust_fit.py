@@ -265,7 +265,7 @@ def test_beliefs_are_averaged_over_what_the_population_may_be() -> None:
     found, average = best.posteriors(log, logs)
     assert found.sum(axis=(1, 2)) == pytest.approx(np.ones(20), abs=1e-9)
     total, belief = 0.0, np.zeros_like(found)
-    means, spreads = np.linspace(-4, 4, 40), np.linspace(0.24, 3.99, 20)
+    means, spreads = np.linspace(-4, 4, 60), np.linspace(0.24, 3.99, 40)
     for mean in means:
         for spread in spreads:
             one = InfluencePopulation(best.log_beta, best.log_beta_spread, mean, spread)
