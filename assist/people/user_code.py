@@ -70,7 +70,8 @@ def described(error: Exception | SystemExit, file: Path) -> str:
         if Path(frame.filename) == file or Path(frame.filename).resolve() == file.resolve():
             line = frame.lineno
     text = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
-    what = type(error).__name__ + (f": {text}" if text else "")
+    kind = "" if isinstance(error, UserCodeError) else type(error).__name__
+    what = ": ".join(filter(None, (kind, text)))
     return f"{file}:{line}: {what}" if line else f"{file}: {what}"
 
 

@@ -161,4 +161,4 @@ class UserPolicy:
         try:
             return self.function(team)
         except (Exception, SystemExit) as error:
-            raise UserCodeError(described(error, self.file).replace("UserCodeError: ", "", 1)) from error
+            raise UserCodeError(described(error, self.file)) from error
