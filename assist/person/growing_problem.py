@@ -167,6 +167,13 @@ class GrowingProblem:
         x : int array, shape (N,)
         belief : float array, shape (N, H, T)
         """
+        table, counts = self.values(name, backup, x)
+        positions, hidden = table.shape[1], self.first.hidden
+        flat = table.reshape(len(table) * positions, *table.shape[2:])
+        return expected(flat, counts.reshape(-1), x * positions + position, hidden.acting(belief))
+
+    def values(self, name: str, backup: Backup, x: Ints) -> tuple[Floats, Ints]:
+        """Return Q-values of all rows so far, shape (n, P, R, H, T), known in those of `x`, and numbers of actions."""
         with self._lock:
             q, count = f"q {name}", f"count {name}"
             if name not in self._tables:
@@ -179,10 +186,7 @@ class GrowingProblem:
                     step = self._learn(self._rows.place_of[silent])
                 for one, values in zip((q, count), backup(step.pomdp, step.region, len(step.rows)), strict=True):
                     self._rows.put(one, step.rows, values)
-            table, counts, hidden = self._rows[q], self._rows[count], self.first.hidden
-        positions = table.shape[1]
-        flat = table.reshape(len(table) * positions, *table.shape[2:])
-        return expected(flat, counts.reshape(-1), x * positions + position, hidden.acting(belief))
+            return self._rows[q], self._rows[count]
 
     def _evict(self, held: Ints) -> None:
         """Evict all rows but those that are held; of the successors of these, only what was looked up stays."""

@@ -314,8 +314,16 @@ class VisitedRows:
     def q_values(self, step: int, position: int, x: Ints, belief: Floats) -> Floats:
         """Return the Q-values of the robot's moves, shape (N, R + 1), at any step; arguments as in `Visited`."""
         del step
-        name = " ".join(map(repr, _key(self.robot)))
-        return self.policy.growing.q_values(name, self._backup, position, x, belief)
+        return self.policy.growing.q_values(self._name, self._backup, position, x, belief)
+
+    def advantage(self, before: Ints, now: Ints, x: Ints, move: Ints, h: Ints, t: Ints) -> Floats:
+        """Return Q-values minus values, shape (N,); arguments as in `SolvedSubproblem.advantage`."""
+        table, _ = self.policy.growing.values(self._name, self._backup, x)
+        return np.asarray(table[x, now, move, h, t] - table[x, before, :, h, t].max(axis=1))
+
+    @property
+    def _name(self) -> str:
+        return " ".join(map(repr, _key(self.robot)))
 
     def _backup(self, pomdp: AssistPOMDP, region: TruncatedTask, count: int) -> tuple[Floats, Ints]:
         visits = _visits(pomdp, self.robot)

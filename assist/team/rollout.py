@@ -36,7 +36,7 @@ from .by_policy import ByPolicy
 from .engine import Engine, PeopleAtWork
 from .priority import Priority, to_the_best
 from .robots_at_work import RobotsAtWork
-from .state import BASE, NOBODY, TeamAction, TeamState
+from .state import BASE, NOBODY, TeamAction, TeamState, by_model
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -83,24 +83,30 @@ class RolloutOptions:
             object.__setattr__(self, name, value)
 
 
-@dataclass(frozen=True, eq=False)
 class ModelPeople:
     """The people of a policy as the robot's model has them, as `engine.Group` has them.
 
-    Attributes
+    Parameters
     ----------
-    model : PersonModel
-    minds : Minds
-        Choices of each type.
+    policy : Policy
     """
 
-    model: PersonModel
-    minds: Minds
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+        self._known = PersonModel.of(policy), Minds.of_model(policy.pomdp)
 
-    @classmethod
-    def of(cls, policy: Policy) -> ModelPeople:
-        """Return the people of a policy."""
-        return cls(PersonModel.of(policy), Minds.of_model(policy.pomdp))
+    def _so_far(self) -> tuple[PersonModel, Minds]:
+        """Return the model and the choices of each type, on all rows so far."""
+        known = self._known
+        if known[0].arrays is not self._policy.arrays:
+            model = PersonModel.of(self._policy)
+            self._known = known = model, Minds.of_model(model.pomdp)
+        return known
+
+    @property
+    def model(self) -> PersonModel:
+        """The robot's model of them."""
+        return self._so_far()[0]
 
     @property
     def arrays(self) -> ProblemArrays:
@@ -109,11 +115,14 @@ class ModelPeople:
 
     def act(self, rows: Ints, people: PeopleArrays) -> None:
         """Let some people act once."""
-        act(rows, people, self.minds, self.arrays)
+        self._policy.hear(people.x[rows], people.robot[rows])
+        model, minds = self._so_far()
+        act(rows, people, minds, model.arrays)
 
     def ended(self, rows: Ints, people: PeopleArrays) -> Bools:
         """Return whether some people have reached their goal."""
-        return np.asarray(self.arrays.goal[self.minds.goal[people.who[rows]], people.x[rows]])
+        model, minds = self._so_far()
+        return np.asarray(model.arrays.goal[minds.goal[people.who[rows]], people.x[rows]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,17 +157,10 @@ class Rollout:
         policies : sequence of Policy
         travel : Travel
         options : RolloutOptions, optional
-
-        Raises
-        ------
-        ValueError
-            A policy is one for a truncated task.
         """
         options = options or RolloutOptions()
-        for policy in policies:
-            policy.require_enumerated("policy 'rollout'")
         near = options.near * min(policy.cheapest for policy in policies)
-        return cls(Priority.of(policies, travel), near, options, ByPolicy(policies, ModelPeople.of))
+        return cls(Priority.of(policies, travel), near, options, ByPolicy(policies, ModelPeople))
 
     def prepare(self, policy: Policy) -> None:
         """Compute now the data about the people of a policy."""
@@ -237,7 +239,7 @@ _ACTION = ("person", "robot")
 
 
 class PathTasks:
-    """The tasks of people of the robot's model, as `engine.Tasks` has them: all are enumerated.
+    """The tasks of people of the robot's model, as `engine.Tasks` has them.
 
     Parameters
     ----------
@@ -252,9 +254,11 @@ class PathTasks:
         self.groups = {number: models[policies[number]] for number in np.unique(model).tolist()}
 
     def rows(self, places: Ints, active: Ints) -> Ints:
-        """Return the row of each person, which is the place."""
-        del active
-        return places
+        """Return the row of each person, shape (N, K); of people who are not active, any row."""
+        found = np.zeros(places.size, dtype=np.int64)
+        for group, flat in by_model(self.model.reshape(-1), active, len(self.policies)):
+            found[flat] = self.policies[group].rows(places.reshape(-1)[flat], self)
+        return found.reshape(places.shape)
 
 
 class PathNumbers:
@@ -308,8 +312,11 @@ class _Paths:
         mind, cell = np.divmod(cells, len(grid.theta))
 
         state, active, model = team.x[own], team.active[own], team.model[own]
+        place = np.zeros_like(state)
+        for group, flat in by_model(model.reshape(-1), np.flatnonzero(active), len(team.policies)):
+            place.reshape(-1)[flat] = team.policies[group].places(state.reshape(-1)[flat])
         them = PeopleAtWork(
-            mind, PathNumbers(rng, self.pairs, (samples, people)), True, state, state.copy(), np.zeros_like(state),
+            mind, PathNumbers(rng, self.pairs, (samples, people)), True, place, state.copy(), np.zeros_like(state),
             grid.theta[cell], grid.count[cell], ~active, np.zeros(people, dtype=np.int64),
             np.full(people, np.iinfo(np.int64).max),
         )  # fmt: skip
@@ -353,10 +360,9 @@ class _Paths:
         for group, rows in taken.now.groups:
             was, at, does, robot, its, x, h, t = (array.reshape(-1)[rows] for array in each)
             policy = self.team.policies[group]
-            solved, states = policy.with_robot(self.rollout.base), policy.with_robot(self.rollout.base).states[0]
+            solved = policy.with_robot(self.rollout.base)
             extra = self.team.fleet.extra_of(its, policy.pomdp.suggested[x, robot] == NOTHING)
-            advantage[rows] = solved.policy.q_mdp[states[at, x], does, h, t]
-            advantage[rows] -= solved.policy.value_mdp[states[was, x], h, t]
+            advantage[rows] = solved.advantage(was, at, x, does, h, t)
             advantage[rows] -= np.where(robot > 0, extra, 0.0)
         return gained + advantage.reshape(before.shape).sum(axis=1)
 

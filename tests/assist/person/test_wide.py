@@ -69,10 +69,14 @@ WAYS: list[tuple[Any, dict[str, Any]]] = [
     ("priority", {"world": "model"}),
     ("attention", {"setting": SIGHT}),
     ("priority", {"setting": SIGHT}),
+    ("rollout", {"setting": Setting(c_suggest=0.2, knowledge="exact")}),
 ]
 CASES = [
     pytest.param(task, *way, marks=[] if way in quick else [pytest.mark.slow])
-    for task, quick in (("sealed", [WAYS[1], *WAYS[4:6], WAYS[8], WAYS[10]]), ("costs/ways", [WAYS[2], WAYS[11]]))
+    for task, quick in (
+        ("sealed", [WAYS[1], *WAYS[4:6], WAYS[8], WAYS[10], WAYS[12]]),
+        ("costs/ways", [WAYS[2], WAYS[11]]),
+    )
     for way in WAYS
 ]
 
