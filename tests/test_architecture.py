@@ -36,7 +36,7 @@ ROOMS = {
     "assist.people": """arguments state_keys hidden_type choices misconception decision user_code goals terms memory
         choice_model weighted_choice human ranges real_people spread belief influence_kernels type_kernels trust_rules
         perceived_suggestions action_names signals""",
-    "assist.person": """tie_kernels ties leaf_bounds evidence observation_model robots fleet travel settings pomdp
+    "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings pomdp
         assumptions visiting_robot problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics
         joint_belief beliefs rounding action_values krylov sparse_iteration policy_iteration qmdp
         solution_cache alpha_vectors upper_hull

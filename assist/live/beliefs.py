@@ -16,9 +16,10 @@ import numpy as np
 from ..people.belief import ImpossibleObservationError
 from ..people.decision import NOTHING
 from ..people.spread import Spread
-from ..person.beliefs import Acts, PersonModel
+from ..person.beliefs import PersonModel
 from ..person.joint_belief import JointBelief, expected_answers, same_suggestions
 from ..person.observation_model import ObservationModel
+from ..person.problem_arrays import Acts
 from ..person.settings import Setting
 from ..person.ties import first_best
 from ..team.questions import GoalQuestion

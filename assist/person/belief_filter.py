@@ -19,7 +19,7 @@ from ..people.decision import Floats
 from ..people.hidden_type import Bools, Ints
 from ..people.influence_kernels import influence_factors
 from ..people.type_kernels import exclude_reached, is_mistake
-from .problem_arrays import ProblemArrays
+from .problem_arrays import Acts, ProblemArrays
 
 COMPILED_FOR = "updates of beliefs: about five seconds"
 
@@ -95,17 +95,16 @@ def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Prob
 
 @njit(nogil=True)
 def update_seen(
-    rows: Ints, x: Ints, robot: Ints, slot: Ints, goes_on: Bools, belief: Floats, erred: Bools, optimal: Bools,
-    possible: Floats, m: ProblemArrays,
-) -> None:  # fmt: skip
+    rows: Ints, acts: Acts, belief: Floats, erred: Bools, optimal: Bools, possible: Floats, m: ProblemArrays
+) -> None:
     """Update the beliefs in people by what they did, and tell whether it was a mistake.
 
     Parameters
     ----------
     rows : int array, shape (m,)
         The people, by their numbers from 0 to P - 1.
-    x, robot, slot, goes_on : arrays, shape (m,)
-        As in `beliefs.Acts`.
+    acts : Acts
+        What they did.
     belief : float array, shape (P, H, T), or without rows
     erred : bool array, shape (P,)
         Receives whether the choice was a mistake: for no goal that is possible, an optimal plan begins with it.
@@ -116,16 +115,17 @@ def update_seen(
     flat = belief.reshape(len(belief), belief.shape[1] * belief.shape[2])
     after = np.empty(flat.shape[1])
     for n, i in enumerate(rows):
+        x, robot, slot = acts.x[n], acts.robot[n], acts.slot[n]
         erred[i] = False
-        if slot[n] < 0:
+        if slot < 0:
             continue
-        acting = m.afterstate[x[n], robot[n]]
+        acting = m.afterstate[x, robot]
         known = belief[i] if len(belief) > 0 else possible
-        erred[i] = is_mistake(optimal[acting, slot[n]], known, acting, m.goal, m.goal_of)
+        erred[i] = is_mistake(optimal[acting, slot], known, acting, m.goal, m.goal_of)
         if len(belief) > 0:
-            update(flat[i], after, x[n], robot[n], slot[n], m)
-            if goes_on[n]:
-                exclude_reached(belief[i], m.targets[acting, slot[n]], m.goal, m.goal_of)
+            update(flat[i], after, x, robot, slot, m)
+            if acts.goes_on[n]:
+                exclude_reached(belief[i], m.targets[acting, slot], m.goal, m.goal_of)
 
 
 @njit()

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ from .joint_belief import JointBelief, expected_answers, said_in, same_suggestio
 from .observation_model import ObservationModel
 from .policy import Policy
 from .pomdp import AssistPOMDP
-from .problem_arrays import ProblemArrays, read_only
+from .problem_arrays import Acts, ProblemArrays, read_only
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -77,31 +77,6 @@ class PersonModel:
     def choices(self) -> Choices:
         """The choices in each state."""
         return self.pomdp.model.choices
-
-
-class Acts(NamedTuple):
-    """What m people did.
-
-    Attributes
-    ----------
-    x : int array, shape (m,)
-        State before the robot's action.
-    robot : int array, shape (m,)
-        Robot action towards the person, in that state.
-    slot : int array, shape (m,)
-        Slot of the person's choice; `NOTHING` if they did not act.
-    goes_on : bool array, shape (m,)
-        Whether the robot sees that the person has not reached their goal.
-    """
-
-    x: Ints
-    robot: Ints
-    slot: Ints
-    goes_on: Bools
-
-    def of(self, rows: Ints) -> Acts:
-        """Return what some of the people did, given by their numbers."""
-        return Acts(self.x[rows], self.robot[rows], self.slot[rows], self.goes_on[rows])
 
 
 Groups = Iterable[tuple[PersonModel, Ints]]
@@ -215,7 +190,7 @@ class Seen:
 
     def update(self, rows: Ints, acts: Acts, model: PersonModel) -> None:
         """Update the beliefs by actions that were seen, as in `Beliefs`."""
-        _update(rows, *acts, self.belief, self.erred, model.optimal, model.possible, model.arrays)
+        _update(rows, acts, self.belief, self.erred, model.optimal, model.possible, model.arrays)
 
     def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
         """Update a belief by an answer, as in `Beliefs`."""
@@ -423,13 +398,12 @@ class PerhapsMissed:
 
 
 def update_readable(
-    rows: Ints, x: Ints, robot: Ints, slot: Ints, goes_on: Bools, belief: Floats, erred: Bools, optimal: Bools,
-    possible: Floats, m: ProblemArrays,
-) -> None:  # fmt: skip
+    rows: Ints, acts: Acts, belief: Floats, erred: Bools, optimal: Bools, possible: Floats, m: ProblemArrays
+) -> None:
     """Do what `belief_filter.update_seen` does, in numpy: the definition of `Seen.update`."""
     erred[rows] = False
-    acted = slot != NOTHING
-    rows, x, robot, slot, goes_on = rows[acted], x[acted], robot[acted], slot[acted], goes_on[acted]
+    acted = np.flatnonzero(acts.slot != NOTHING)
+    rows, (x, robot, slot, goes_on) = rows[acted], acts.of(acted)
     if not len(rows):
         return
     acting = m.afterstate[x, robot]
@@ -443,9 +417,7 @@ def update_readable(
     belief[rows] = after
 
 
-def _work(
-    rows: Ints, _x: Ints, _robot: Ints, _slot: Ints, _on: Bools, belief: Floats, *_: object
-) -> float:  # fmt: skip
+def _work(rows: Ints, _acts: Acts, belief: Floats, *_: object) -> float:
     """Return the work of `update_readable`, in nanoseconds."""
     return 60_000 + len(rows) * 20 * (belief[0].size if len(belief) else 1)
 

@@ -1,4 +1,4 @@
-"""A person's problem as a named tuple of arrays, for compiled code."""
+"""A person's problem, and what people did, as named tuples of arrays, for compiled code."""
 
 from __future__ import annotations
 
@@ -22,6 +22,31 @@ def read_only(array: NDArray[Any], dtype: type | None = None) -> NDArray[Any]:
     view = np.ascontiguousarray(array, dtype=dtype).view()
     view.flags.writeable = False
     return view
+
+
+class Acts(NamedTuple):
+    """What m people did.
+
+    Attributes
+    ----------
+    x : int array, shape (m,)
+        State before the robot's action.
+    robot : int array, shape (m,)
+        Robot action towards the person, in that state.
+    slot : int array, shape (m,)
+        Slot of the person's choice; `NOTHING` if they did not act.
+    goes_on : bool array, shape (m,)
+        Whether the robot sees that the person has not reached their goal.
+    """
+
+    x: NDArray[np.int64]
+    robot: NDArray[np.int64]
+    slot: NDArray[np.int64]
+    goes_on: NDArray[np.bool_]
+
+    def of(self, rows: NDArray[np.int64]) -> Acts:
+        """Return what some of the people did, given by their numbers."""
+        return Acts(self.x[rows], self.robot[rows], self.slot[rows], self.goes_on[rows])
 
 
 class ProblemArrays(NamedTuple):

@@ -5,33 +5,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.system.compiling import ReadableFirst
-
 from ..people.decision import Floats
 
 NEAR = 1e-9
 """Cost units. Values of decisions that differ by at most as much are equal; sums in another order differ by less."""
 
+ROWS, COLUMNS = 256, 16
+"""Numbers from which, and up to which, numpy is faster by columns than by rows."""
+
 
 def first_best(values: Floats) -> NDArray[np.int64]:
     """Return the first number on the last axis whose value is the largest, or within `NEAR` of it; shape (...)."""
-    found: NDArray[np.int64] = _first_best(values)
+    if values.shape[-1] > COLUMNS or values.size <= ROWS * values.shape[-1]:
+        return np.asarray((values >= values.max(axis=-1, keepdims=True) - NEAR).argmax(axis=-1))
+    columns = np.ascontiguousarray(np.moveaxis(values, -1, 0))  # one after the other, which is faster than by rows
+    enough, found = columns.max(axis=0) - NEAR, np.full(values.shape[:-1], len(columns) - 1)
+    for number in reversed(range(len(columns) - 1)):
+        found[columns[number] >= enough] = number
     return found
-
-
-def _readable_first_best(values: Floats) -> NDArray[np.int64]:
-    return np.asarray((values >= values.max(axis=-1, keepdims=True) - NEAR).argmax(axis=-1))
-
-
-def _compiled_first_best(values: Floats) -> NDArray[np.int64]:
-    from .tie_kernels import first_best_of_rows  # slow to import
-
-    found = np.empty(values.shape[:-1], dtype=np.int64)
-    first_best_of_rows(np.ascontiguousarray(values).reshape(-1, values.shape[-1]), NEAR, found.reshape(-1))
-    return found
-
-
-_first_best = ReadableFirst(_readable_first_best, _compiled_first_best, work=lambda values: 20_000 + 10 * values.size)
 
 
 def ranked(values: Floats) -> NDArray[np.int64]:

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
-from ..person.beliefs import Acts, Beliefs, PersonModel
+from ..person.beliefs import Beliefs, PersonModel
 from ..person.dynamics import PeopleArrays
 from ..person.policy import Policy
-from ..person.problem_arrays import ProblemArrays
+from ..person.problem_arrays import Acts, ProblemArrays
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent
 from .state import TeamAction, TeamState, by_model

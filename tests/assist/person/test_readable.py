@@ -13,7 +13,7 @@ from assist.person.belief_filter import update, update_seen
 from assist.person.belief_update import mistaken, updated, without_reached
 from assist.person.beliefs import update_readable
 from assist.person.dynamics import Minds, PeopleArrays, act_compiled, act_readable
-from assist.person.problem_arrays import ProblemArrays, read_only
+from assist.person.problem_arrays import Acts, ProblemArrays, read_only
 from planner.system.compiling import ReadableFirst
 
 
@@ -95,7 +95,7 @@ def test_the_beliefs_after_a_step(
     goes_on = rng.random(len(rows)) < 0.7
     found = [(known.copy(), np.ones(people, dtype=bool)) for _ in range(2)]
     for update_by, (belief, erred) in zip((update_readable, update_seen), found, strict=True):
-        update_by(rows, x, robot, slot, goes_on, belief, erred, optimal, possible, m)
+        update_by(rows, Acts(x, robot, slot, goes_on), belief, erred, optimal, possible, m)
     for one, other in zip(*found, strict=True):
         np.testing.assert_array_equal(one, other)
 

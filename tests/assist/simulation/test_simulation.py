@@ -18,10 +18,11 @@ from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import HumanModel
 from assist.people.ranges import Population
-from assist.person.beliefs import Acts, PersonModel, Seen
+from assist.person.beliefs import PersonModel, Seen
 from assist.person.dynamics import Minds, PeopleArrays, act
 from assist.person.lazy_policy import LazyPolicy
 from assist.person.pomdp import AssistPOMDP
+from assist.person.problem_arrays import Acts
 from assist.person.qmdp import qmdp
 from assist.person.settings import Setting
 from assist.person.travel import Travel
