@@ -114,10 +114,11 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats, sile
     own_model = len(data.grid) > 0
     low, share = 0, 0.0
     if own_model:
-        place = int(np.searchsorted(data.grid, beta))
-        low = min(max(place - 1, 0), len(data.grid) - 2)
+        while low < len(data.grid) - 2 and data.grid[low + 1] < beta:
+            low += 1
         share = min(max((beta - data.grid[low]) / (data.grid[low + 1] - data.grid[low]), 0.0), 1.0)
-    silent[:] = data.first
+    for row in range(len(silent)):  # in the place of an array form, for which numba compiles much more
+        silent[row] = data.first[row]
     product = 1.0  # of several probabilities, since logarithms are slow
     k = 0
     for i in range(len(data.chosen)):
@@ -182,8 +183,11 @@ def joint(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floats, p
     count = path.shape[1]
     found, row = np.empty((len(silent), count)), 0
     for r in range(len(silent)):
-        found[r] = silent[r]
-    product, since = np.ones(count), 0
+        for p in range(count):
+            found[r, p] = silent[r]
+    product, since = np.empty(count), 0
+    for p in range(count):
+        product[p] = 1.0
     for k in range(len(data.heard)):
         i = data.heard[k]
         if since == data.together or (data.row[i] != row and since):
@@ -206,12 +210,16 @@ def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, silent: Floa
     found, goals = joint(data, own, told, rest, silent, path), data.goals
     if len(found) == 1:
         return found[0]
-    total = np.zeros(path.shape[1])
+    total = np.empty(path.shape[1])
     for p in range(len(total)):
+        total[p] = 0.0
         for first in range(0, len(found), goals):
-            episode = found[first : first + goals, p]
-            most = episode.max()
-            total[p] += most + math.log(np.exp(episode - most).sum())
+            most, chance = -math.inf, 0.0
+            for r in range(first, first + goals):
+                most = max(most, found[r, p])
+            for r in range(first, first + goals):
+                chance += math.exp(found[r, p] - most)
+            total[p] += most + math.log(chance)
     return total
 
 

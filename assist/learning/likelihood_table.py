@@ -197,7 +197,9 @@ class LikelihoodTable(ByContent):
 def _fill(found: Floats, data: Data, silent: Floats, chances: Floats, path: Floats) -> None:
     """Fill in the log likelihood for each beta and each path of theta, shape (B, T)."""
     for b in range(len(silent)):
-        found[b] = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], silent[b], path)
+        values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], silent[b], path)
+        for t in range(len(values)):
+            found[b, t] = values[t]
 
 
 def log_likelihood(

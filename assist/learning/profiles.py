@@ -174,7 +174,7 @@ def _on_lines(data: Data, betas: Floats, others: Floats, line: Line) -> tuple[Fl
     There is a point between any two kinks. `others` are the values of the other parameter.
     """
     n = len(data.heard)
-    result, where = np.full((len(betas), len(others)), -np.inf), np.empty((len(betas), len(others)))
+    result, where = np.empty((len(betas), len(others))), np.empty((len(betas), len(others)))
     silent, chances = np.empty((len(betas), len(data.first))), np.empty((len(betas), 3, n))
     for b in range(len(betas)):
         alone(data, betas[b], chances[b, 0], chances[b, 1], chances[b, 2], silent[b])
@@ -186,7 +186,10 @@ def _on_lines(data: Data, betas: Floats, others: Floats, line: Line) -> tuple[Fl
         path = by_equation_seven(data, places, other) if line.axis == THETA else by_equation_seven(data, other, places)
         for b in range(len(betas)):
             values = with_trust(data, chances[b, 0], chances[b, 1], chances[b, 2], silent[b], path)
-            best = values.argmax()
+            best = 0
+            for i in range(1, len(values)):
+                if values[i] > values[best]:
+                    best = i
             result[b, e], where[b, e] = values[best], places[best]
     return result, where
 
@@ -243,11 +246,11 @@ def _climb(
     """
     n = len(data.heard)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)
-    silent = np.empty_like(data.first)
+    silent = np.empty(len(data.first))
     filled = at[0]
     alone(data, small * math.expm1(filled), own, told, rest, silent)
     best = with_trust(data, own, told, rest, silent, by_equation_seven(data, at[1:2], at[2:3]))[0]
-    before = at.copy()
+    before = np.empty(3)
     for _ in range(halvings):
         improved = True
         rounds = 0
