@@ -173,6 +173,15 @@ def test_the_map_has_a_sentence_for_each_room() -> None:
         assert max(map(len, text.splitlines())) <= 120 or file.suffix == ".md"
 
 
+def test_files_that_pages_name_are_there() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    named = {
+        file for page in pages for file in re.findall(r"`((?:assist|planner|tests)/[\w/.-]+\.\w+)`", page.read_text())
+    }
+    assert len(named) > 20
+    assert sorted(file for file in named if not (ROOT / file).exists()) == []
+
+
 def test_nothing_is_beside_the_rooms() -> None:
     for folder in ("planner", "assist"):
         rooms = {room.split(".")[1] for room in ROOMS if room.startswith(f"{folder}.")}
