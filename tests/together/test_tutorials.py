@@ -13,7 +13,7 @@ from conftest import ROOT
 pytest.importorskip("matplotlib")
 
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
-SLOW = {"cluster", "timed", "userstudy"}  # other processes, or larger tasks
+SLOW = {"cluster", "compare", "person", "policy", "timed", "userstudy"}  # other processes, bounds, or larger tasks
 CELL = re.compile(r"^```\{code-cell\}\n(?::tags: [^\n]*\n)?\n?(.*?)^```$", re.M | re.S)
 
 
