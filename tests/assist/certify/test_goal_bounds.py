@@ -236,21 +236,15 @@ def test_the_command_for_one_person(tmp_path: Path) -> None:
     prior = ["--set", "goal_prior=travel=.5,mend=.5,mount=0"]
     file = tmp_path / "policy.npz"
     result = invoke(*given, *prior, "--gap", "1", "--set", "gamma=0.7", "--json", "--out", file)
-    assert result.exit_code == 0
-    assert re.fullmatch(r"first, [^\n]+: gap at most \d+\.\d\d %\n", result.stderr)
+    assert (result.exit_code, result.stderr) == (0, "")
     found = json.loads(result.stdout)
     assert found["goals"] == {"travel": 0.5, "mend": 0.5, "mount": 0}
     assert (found["states"], found["hidden"]) == (836, 180)
     assert found["lower"] <= found["upper"] <= found["value_qmdp"] + 1e-6
     assert Solution.load(file).lower == found["lower"]
-    for more, said in {
-        ("--set", "execute=true"): "execute: expected people whose goal is known, and there are 3 goals",
-        (
-            "--set",
-            "region_states=20",
-            "--set",
-            "sigma=1",
-        ): "sigma: expected a task of at most 20 states (--set region_states)",
-    }.items():
-        result = invoke(*given, *more)
-        assert (result.exit_code, said in result.stderr) == (2, True)
+    some = invoke(*given, "--set", "region_states=20", "--set", "sigma=1", "--set", "gamma=0.7", "--gap", "1", "--json")
+    assert some.exit_code == 0, some.stderr
+    assert json.loads(some.stdout)["frontier"] > 0
+    result = invoke(*given, "--set", "execute=true")
+    assert result.exit_code == 2
+    assert "execute: expected people whose goal is known, and there are 3 goals" in result.stderr
