@@ -201,7 +201,7 @@ class Budget:
     memory: float
     """Bytes that may be in use."""
     deadline: float | None
-    """Time on the clock of `time.monotonic()`."""
+    """Time on the clock of `time.monotonic()`; None or infinite without a limit."""
     stop: StopSignal | None = None
     """Flag that ends the search: once it is set, the time is up."""
     reserved_bytes: Callable[[], float] = float
@@ -229,7 +229,7 @@ class Budget:
 
     def part(self, share: float) -> Budget:
         """Return the budget with a share of the remaining time."""
-        if self.deadline is None:
+        if self.deadline is None or self.deadline == math.inf:
             return self
         now = time.monotonic()
         return replace(self, deadline=now + share * (self.deadline - now))

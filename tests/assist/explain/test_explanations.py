@@ -568,6 +568,8 @@ def explanations() -> list[Explanation]:
                     for elsewhere in (False, True):
                         why = WhyNothing("cost", "attention", mine, exact=exact, elsewhere=elsewhere, about=about)
                         found.append(Explanation(nothing=why, words={"(a)": "Do A"}))
+    hardly = Prospect("ann", "(a)", 1e-9, 0.1, 0.0)
+    found.append(Explanation(nothing=WhyNothing("cost", "attention", hardly, exact=True)))
     found.append(Explanation(WhyStep("(a)", 1.0, None)))
     found.append(Explanation(WhyStep("(a)", 0.6, some, "kit-a", 0.8)))
     now = WhyPerson(Prospect("ann", "(a)", 2.0, 0.1, 0.0), True, True, (), "attention")
