@@ -79,8 +79,12 @@ class Plain:
 class MqttSettings(BridgeSettings):
     """Settings of the MQTT bridge. With several robots, their topics have the field `{robot}`, a number from 1."""
 
-    observe: Annotated[Observed | Annotated[tuple[Observed, ...], Field(min_length=1)], Expected("a table or more")]
-    broker: Broker = field(default_factory=Broker)
+    observe: Annotated[
+        Observed | Annotated[tuple[Observed, ...], Field(min_length=1)],
+        Field(description="Topics on which people's actions are published."),
+        Expected("a table or more"),
+    ]
+    broker: Annotated[Broker, Field(description="The broker.")] = field(default_factory=Broker)
     advice: Annotated[Output | None, Field(description="Where suggestions are published.")] = None
     answers: Annotated[Plain | None, Field(description="Where reports are answered.")] = None
     robot: Annotated[Output | None, Field(description="Where the robots' instructions are published.")] = None

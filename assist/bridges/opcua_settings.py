@@ -76,9 +76,13 @@ class Advice:
 class OpcUaSettings(BridgeSettings):
     """Settings of the bridge to another program's OPC UA server."""
 
-    server: Server
-    observe: Annotated[tuple[Observed, ...], Field(min_length=1), Expected("one table or more")]
-    advice: tuple[Advice, ...] = ()
+    server: Annotated[Server, Field(description="The server of the other program.")]
+    observe: Annotated[
+        tuple[Observed, ...],
+        Field(min_length=1, description="What is read from the server."),
+        Expected("one table or more"),
+    ]
+    advice: Annotated[tuple[Advice, ...], Field(description="Where suggestions are written.")] = ()
 
 
 @declared(kw_only=True)
@@ -98,4 +102,4 @@ class OwnServer(Source):
 class OwnServerSettings(BridgeSettings):
     """Settings of an OPC UA server of the assistant's own."""
 
-    own_server: OwnServer
+    own_server: Annotated[OwnServer, Field(description="The server of the assistant.")]

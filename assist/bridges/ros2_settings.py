@@ -152,11 +152,15 @@ def _filled(template: Any, fields: Mapping[str, Any]) -> Any:
 class Ros2Settings(BridgeSettings):
     """Settings of the ROS 2 bridge."""
 
-    rosbridge: Rosbridge
-    observe: Annotated[Observed | Annotated[tuple[Observed, ...], Field(min_length=1)], Expected("a table or more")]
+    rosbridge: Annotated[Rosbridge, Field(description="The server of rosbridge.")]
+    observe: Annotated[
+        Observed | Annotated[tuple[Observed, ...], Field(min_length=1)],
+        Field(description="Topics on which people's actions are published."),
+        Expected("a table or more"),
+    ]
     advice: Annotated[Output | None, Field(description="Where suggestions are published.")] = None
     answers: Annotated[Output | None, Field(description="Where reports are answered.")] = None
-    go_to: GoToAction | None = None
+    go_to: Annotated[GoToAction | None, Field(description="The action that sends a robot to a person.")] = None
 
     def require(self, robots: int) -> None:
         """Refuse a topic that occurs twice, unknown fields, and goals that lack a field or the robot's number."""

@@ -114,7 +114,9 @@ class Reference:
     headline: Annotated[dict[str, Number], Field(description="Percentage of each headline figure, by name.")] = field(
         default_factory=dict
     )
-    interventions: tuple[Interventions, ...] = ()
+    interventions: Annotated[
+        tuple[Interventions, ...], Field(description="Published numbers of interventions.")
+    ] = ()
     declines: Annotated[
         Truth, Field(description="Whether the source claims that savings per person decline with the size of the team.")
     ] = False
@@ -127,9 +129,9 @@ class Reference:
 class Contrast:
     """A table of `contrasts`: populations whose mean numbers of interventions are compared, as the ratio `of / to`."""
 
-    name: Text
-    of: Texts
-    to: Texts
+    name: Annotated[Text, Field(description="Name in reports.")]
+    of: Annotated[Texts, Field(description="Populations of the numerator.")]
+    to: Annotated[Texts, Field(description="Populations of the denominator.")]
 
 
 @declared(kw_only=True)

@@ -48,7 +48,7 @@ def test_no_object_fills_the_screen(episodes: Episodes) -> None:
     people = fit(PAPER, log)
     objects = [
         PAPER, PAPER.task, PAPER.space, PAPER.space.transitions, OnDemand(PAPER.task), choices, pomdp, pomdp.model,
-        PersonProblem.of(PAPER), qmdp(pomdp), log, replay(log, PAPER)[0], people, people["ann"], people["ann"].fit,
+        PersonProblem.of(PAPER), qmdp(pomdp), log, replay(log, PAPER)[0], people, people["ann"],
         Pool.sample(kit("tiny"), 12, seed=1), episodes,
     ]  # fmt: skip
     assert {type(one).__name__: len(repr(one)) for one in objects if len(repr(one)) > 800} == {}
