@@ -22,7 +22,8 @@ def here() -> dict[str, str]:
         processor = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     except (OSError, StopIteration):
         processor = platform.processor()
-    return {"processor": processor, "numpy": np.__version__, "numba": numba.__version__}
+    widths = ",".join(np.show_config(mode="dicts")["SIMD Extensions"]["found"])  # processors of one name differ in them
+    return {"processor": processor, "widths": widths, "numpy": np.__version__, "numba": numba.__version__}
 
 
 def hashed(arrays: Iterable[tuple[str, Any]]) -> str:

@@ -114,9 +114,7 @@ class Reference:
     headline: Annotated[dict[str, Number], Field(description="Percentage of each headline figure, by name.")] = field(
         default_factory=dict
     )
-    interventions: Annotated[
-        tuple[Interventions, ...], Field(description="Published numbers of interventions.")
-    ] = ()
+    interventions: Annotated[tuple[Interventions, ...], Field(description="Published numbers of interventions.")] = ()
     declines: Annotated[
         Truth, Field(description="Whether the source claims that savings per person decline with the size of the team.")
     ] = False

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -70,8 +71,7 @@ def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> 
     own = model[rows]
     order = own.astype(np.uint16 if models <= 2**16 else np.int64).argsort(kind="stable")  # fast for small numbers
     ends, grouped = np.bincount(own, minlength=models).cumsum().tolist(), rows[order]
-    starts = [0, *ends[:-1]]
-    return [(number, grouped[at:end]) for number, (at, end) in enumerate(zip(starts, ends, strict=True)) if at < end]
+    return [(number, grouped[at:end]) for number, (at, end) in enumerate(pairwise([0, *ends])) if at < end]
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,11 @@ from assist.drawing import Artist, plan_frames, save
 from assist.reports.report_files import html_page
 from assist.reports.study_report import Report
 from assist.reports.userstudy_report import write_report
-from assist.reports.wording import cell, table
 from assist.study.study import Study
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession
 from planner import Table, load
+from planner.system.results import markdown_cell, markdown_table
 
 __all__ = ["chromium"]
 IMAGE = "<img src=x onerror=window.ran=1>"
@@ -55,7 +55,7 @@ addEventListener("securitypolicyviolation", (event) => window.blocked.push(event
 
 def test_a_report_shows_markup_as_it_is_written() -> None:
     text = "\n\n".join([
-        f"# {RUNS}", "![Each measure](figures/outcomes.png)", table(["a", "b"], [[RUNS, "p < .001"]]),
+        f"# {RUNS}", "![Each measure](figures/outcomes.png)", markdown_table(["a", "b"], [[RUNS, "p < .001"]]),
         f"<div onclick='window.ran=1'>\n{RUNS}\n</div>", "<!-- a comment -->", "[x]: javascript:window.ran=1",
         "[x] [y][x]",
         "![z](https://evil.example/z.png) ![z](//evil.example/z.png) ![z][x]", "<https://evil.example>",
@@ -72,7 +72,7 @@ def test_a_report_shows_markup_as_it_is_written() -> None:
 
 
 def test_a_cell_is_one_line_of_one_cell() -> None:
-    assert cell("a|b\n| c |\r\n# d <script> 1 < 2") == "a\\|b \\| c \\| # d &lt;script> 1 < 2"
+    assert markdown_cell("a|b\n| c |\r\n# d <script> 1 < 2") == "a\\|b \\| c \\| # d &lt;script> 1 < 2"
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
@@ -271,7 +271,8 @@ def test_the_report_of_a_study_with_simulated_people_needs_no_script(
     study, folder, _ = small_study
     found = Report.of(study, folder)
     first = next(name for name in ("tiny", "paper") if name in found.text)
-    (tmp_path / "report.html").write_text(replace(found, text=found.text.replace(first, cell(RUNS))).page(RUNS))
+    shown = replace(found, text=found.text.replace(first, markdown_cell(RUNS)))
+    (tmp_path / "report.html").write_text(shown.page(RUNS))
     shutil.copytree(folder / "figures", tmp_path / "figures") if (folder / "figures").exists() else None
     context = chromium.new_context()
     context.add_init_script(WATCH)

@@ -421,7 +421,7 @@ def test_two_people_in_a_browser(tmp_path: Path, name: str, first: list[str], be
             assert before in seat.page.text_content("svg.ka")
             for action in first:
                 seat.do(action)
-            assert after in seat.page.text_content("svg.ka")
+            sync_api.expect(seat.page.locator("svg.ka")).to_contain_text(after)
             seat.finish()
             seat.has_no_faults()
         rows = [json.loads(line) for line in desk.ask("GET", "/api/log").text.splitlines()]

@@ -85,7 +85,7 @@ def test_a_setting_is_changed_for_the_same_people(pool: Pool) -> None:
     other = Pool.sample(cost_to_go("kitting/tiny"), 6, seed=0, setting=Setting(c_suggest=0.5, c_move=3.0))
     assert found == compare(other, ["none", "attention"], humans=2, episodes=20)
     assert pool.under(other.setting) == other != pool
-    with pytest.raises(ValueError, match="which knows how its people were drawn"):
+    with pytest.raises(ValueError, match="which know the task"):
         Pool.joined([pool, pool]).under(other.setting)
 
 
