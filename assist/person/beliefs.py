@@ -2,7 +2,8 @@
 
 There is one interface with two storages. `Seen` is for people whose task states are known: dense arrays. `Hidden` is
 for people whose actions may be missed or confused: it adds a distribution over task states for each person whose state
-is uncertain. Whoever holds beliefs does not ask which of the two they are:
+is uncertain. In both, the type is uncertain, and with it a goal that is unknown. Whoever holds beliefs does not ask
+which of the two they are:
 
 - `observe` updates them by a step of a simulation, `update` by actions that were seen as they are;
 - `told` updates them by an answer, whose likelihood under each type is known;
@@ -171,7 +172,8 @@ class Seen:
     Parameters
     ----------
     x : int array, shape (P,)
-        The states; the array is kept, so that who changes it in place changes what is known.
+        The states. The array is kept, and `observe` does not change it: in a simulation it is the array of people's
+        rows, in which `dynamics.act` has moved them before.
     belief : float array, shape (P, H, T)
         The beliefs, which are kept likewise; without rows for a robot that has none.
     erred : bool array, shape (P,)
@@ -356,9 +358,10 @@ class Glimpse(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class InOneStep:
-    """What was seen in one step of a clock, perhaps nothing, of a person who has not reached the goal by then.
+    """What was seen in one step of a simulation, perhaps nothing, of a person who has not reached the goal by then.
 
-    It is not used if it is impossible, since the true state was left out.
+    If it is impossible, since the true state was left out, the action counts as unseen. If that is impossible, too, the
+    belief stays.
     """
 
     evidence: Evidence

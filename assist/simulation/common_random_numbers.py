@@ -34,8 +34,8 @@ class CommonRandomNumbers:
     def draw(self, kind: int, rows: NDArray[np.int64]) -> Floats:
         """Return uniform numbers for some episodes.
 
-        Kind 0 is for people's types, 1 for choices, 2 for trust updates, 4 for goals, 5 and 6 for observations, and 7
-        for answers.
+        Kind 0 is for people's types, 1 for choices, 2 for trust updates, 3 for teams, 4 for goals, 5 for whether an
+        action is missed, 6 for what it is taken for, and 7 for answers.
         """
         advances = np.zeros(len(self.drawn), dtype=bool)  # the streams of finished episodes need not
         advances[self.block[rows]] = True

@@ -7,8 +7,14 @@ An `Engine` joins four parts. What each of them holds:
 - `RobotsAtWork` are the robots: where they are, and when they arrive.
 - `Beliefs` are what the robots know of the people.
 
-In a step, the robots are sent and speak, everybody at work acts once, and the beliefs follow what was seen. `simulate`
-is a loop over a policy, an environment passes actions in, and a rollout is an engine on copies.
+A step has this order:
+
+1. `ask`: at most one person of each team is asked. The answer comes at once and changes the belief.
+2. `state`: what policies receive. A policy chooses an action.
+3. `step`: the robots are sent, and speak. Everybody at work acts once: choices depend on the theta before the step,
+   then theta moves. Beliefs follow what was seen (`Beliefs.observe`).
+
+`simulate` is a loop over a policy, an environment passes actions in, and a rollout is an engine on copies.
 """
 
 from __future__ import annotations
@@ -218,7 +224,10 @@ class Engine:
 
     @property
     def now(self) -> Now:
-        """Who is at work in the present step."""
+        """Who is at work in the present step.
+
+        It is found once a step. The rows of people are renewed then, and with them the known states in `beliefs.x`.
+        """
         if self._now is None:
             them, clock = self.people, self.clock[:, None]
             to_come = ~them.finished & (clock < them.leaves) & ~self.over[:, None]
@@ -262,7 +271,8 @@ class Engine:
     def ask(self, questions: Questions) -> list[tuple[Asked, bool]]:
         """Ask people what is worth its cost, at most one in each team, and return the questions with their answers.
 
-        The beliefs follow the answers, and the cost is one of the present step.
+        It is called before the robots decide, so that they act on the answer in the same step. Questions are chosen on
+        all that is known, with people in their most probable states. The cost is one of the present step.
         """
         now, (N, K), found = self.now, self.people.goal.shape, list[tuple[Asked, bool]]()
         asked = questions.of_teams(self.beliefs, now.active, self.tasks.model, len(self.robots.fleet))

@@ -39,8 +39,8 @@ class TeamAction:
     Attributes
     ----------
     person : int array, shape (N, M)
-        The person to whom a robot goes, or `NOBODY`: then it stays where it is and makes no suggestion. A robot that is
-        under way must have `NOBODY`.
+        The person to whom a robot goes, or `NOBODY`: then it makes no suggestion, and stays, or makes room for a robot
+        that comes (`assignment.placed`). A robot that is under way must have `NOBODY`.
     robot : int array, shape (N, M)
         Robot action in that person's POMDP; 0 makes no suggestion. It must be 0 if the travel takes time.
     """
@@ -86,8 +86,8 @@ class TeamState:
         Number of steps since the beginning of the episodes.
     active : bool array, shape (N, K)
         Whether the person is present and has not finished.
-    location : int array, shape (N,), or (N, M) if each team has M > 1 robots
-        The person at whose place the robot is, or `BASE`; of a robot that is under way, the person to whom it goes.
+    location : int array, shape (N, M), with M = 1 for one robot
+        The person at whose place each robot is, or `BASE`; of a robot that is under way, the person to whom it goes.
     model : int array, shape (N, K)
         Index of the policy that models each person.
     beliefs : Beliefs
