@@ -1,13 +1,13 @@
-"""The likelihood of people's choices under the model of `people.decision`: the one definition of all estimates.
+"""The likelihood of people's choices under the model of `people.decision`, from which people and rules are estimated.
 
-It is a table of log-likelihoods `[episode, type, theta_0]`. A type is what is hidden about a person: beta and, if one
+It depends on the episode, the type and theta_0. A type is what is hidden about a person: beta and, if one
 of several goals is pursued in each episode, the goal. theta_0 is the influence with which a person, or an episode,
 begins. The perceived cost-to-go is h*. A choice model says how likely a choice is without a suggestion (`alone`), a
 trust rule what theta is at each suggestion, and equation (6) joins the two (`joint`). Goals are summed within an
 episode, with their prior probabilities, and the logarithms of episodes are added (`with_trust`). After a goal is
 reached, an action can only be a lapse, and a suggestion does not move theta.
 
-What is estimated is a function of this table:
+`LikelihoodTable` has it by person, beta and theta_0. What is estimated is a function of it:
 
 - one person, whose episodes each begin with theta_0 and whose theta moves by equation (7): the maximum over beta,
   theta_0 and the rule's eta, and likelihood-ratio intervals (`profiles`, `maximum_likelihood`);
@@ -16,7 +16,7 @@ What is estimated is a function of this table:
 - goals: the table of an episode, normalised over goals (`goal_posteriors`);
 - comparisons: the same with people whom the fit has not seen (`rule_comparison`).
 
-`LikelihoodTable` holds the numbers for all people at nodes. The search for one person asks the same kernels for single
+The search for one person asks the same kernels for single
 points, since the maximum lies on narrow ridges between nodes. Terms (`logit_likelihood`), misconceptions
 (`misconception_fit`) and judgements with advice (`advice_model`) are other models, with likelihoods of their own.
 """

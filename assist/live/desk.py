@@ -69,7 +69,7 @@ class Desk(Knowledge):
             raise Refusal("other", why=f"task {name[:80]!r}: expected one of {', '.join(self.tasks)}")
 
     def require_asked(self, person: str, seq: int | None) -> None:
-        """Check that a question to a person is one that was asked by the event of this number.
+        """Check that a person's open question had been asked when the event of this number was recorded.
 
         Raises
         ------
@@ -103,7 +103,7 @@ class Desk(Knowledge):
         return found
 
     def has_heard(self, person: str, action: str | None, followed: bool | None, seq: int | None) -> bool:
-        """Return whether a person who acted on a view can have seen the open suggestion, or there is none.
+        """Return whether a person who acted on a view can have seen the open suggestion; true if none is open.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class Desk(Knowledge):
         """Return what it is worth to learn what a person's last action was, in cost units, if they answer truthfully.
 
         It is the expected increase of the QMDP value of the person's own problem. A question that costs less is worth
-        asking; `answer` takes the answer. It is 0 if the last action is certain.
+        asking; `Reports.answer` records the answer. It is 0 if the last action is certain.
         """
         return worth_of_asking(self.known(person), self.setting)[0]
 

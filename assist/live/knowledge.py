@@ -192,7 +192,7 @@ class Knowledge:
         self.roster.present[record.place], record.question = False, None
 
     def began(self, person: str, task: str | None = None, *, population: str | None = None) -> None:
-        """Put a person at the beginning of a task; `population` is the name of a prior, the rest as in `begin`."""
+        """Put a person at the beginning of a task, as `Reports.begin`; `population` is the name of a prior."""
         record = self.known(person)
         problem, name = record.problem, record.tasks[-1] if task is None else task
         if task is not None or population is not None:

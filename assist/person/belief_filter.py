@@ -2,8 +2,8 @@
 
 Compiled code that filters beliefs uses these functions: simulations and live sessions (`update_seen`), beliefs over
 task states and sampled bounds (`posterior`), and solvers, which need the posteriors after all choices (`split`, then
-`child` for each choice). `belief_update` has the same sums in numpy. `AssistPOMDP.update` is another formula of the same
-posterior; a test compares them on random problems.
+`child` for each choice). `belief_update` has the same sums in numpy. `AssistPOMDP.update` is another formula of the
+same posterior; a test compares them on random problems.
 
 Beliefs are flat, shape (H * T,): the cell of type h and theta t is h * T + t. An unnormalised posterior sums to the
 probability of the choice.

@@ -18,11 +18,12 @@ def solution(r: Floats, operate: Callable[[Floats, Floats], None], goal: float, 
     """Return the solution of (I - G) v = r, shape (H, N), for each of H systems; the method changes `r`.
 
     It goes on until the largest residual is at most `goal`, or until it cannot go on. It may fail: then residuals are
-    large, or no numbers.
+    large, or not finite.
 
     Parameters
     ----------
     r : float array, shape (H, N)
+        The right-hand sides; in the end, the residuals.
     operate : callable
         Fills its first argument with G v for its second argument v, both of shape (H, N).
     goal : float

@@ -25,7 +25,7 @@ from .rounding import rounding
 Ints = NDArray[np.int64]
 
 MOST_VALUES = 100_000
-"""Values of a small problem, at most: these take 0.2 s here, and 0.05 s in code that takes 3 s to compile."""
+"""Values of a small problem, at most: these take 0.2 s here, and 0.05 s in compiled code (`qmdp.COMPILED_FOR`)."""
 
 PRECISE = 1e-6
 """Largest error of any value, in cost units. A smaller one takes few more steps."""

@@ -104,12 +104,13 @@ def outcomes(
 ) -> Generator[tuple[Item, Result | Exception]]:
     """Yield each item with `work(item, *arguments)`, or with the exception that was raised.
 
-    The work is a module-level function, so that other processes can import it; items and arguments are picklable. It
-    is done by `jobs` processes of this machine, each a new interpreter, or by the workers of a Dask `scheduler` at an
-    address. These must see the same files at the same paths, and run one thread each. After `timeout` seconds, a
-    process of this machine is stopped, and its item is yielded with a `TimeoutError`. With `jobs=0`, a fork of this
-    process does the work: it starts at once, and this process survives it. Where a fork is not safe, since this process
-    has other threads or compiled code, this process does the work itself, without a timeout.
+    The work is a module-level function, so that other processes can import it; items and arguments are picklable.
+    It is done by `jobs` processes of this machine, each a new interpreter, or by the workers of a Dask `scheduler`
+    at an address. Workers of a cluster must see the same files at the same paths, and run one thread each. After
+    `timeout` seconds, a process of this machine is stopped, and its item is yielded with a `TimeoutError`. With
+    `jobs=0`, a fork of this process does the work: it starts at once, and this process survives it. Where a fork is
+    not safe, since this process has other threads or compiled code, this process does the work itself, without a
+    timeout.
 
     `hear` is called in a thread with an item and the values that its work reports. The work then receives a `Reporter`
     as an additional last argument. Workers of a cluster do not report.
