@@ -1,4 +1,4 @@
-"""What is asked of what the robots know of a live team: whether an event is possible, advice, reasons and views."""
+"""Queries on the state of a live team: whether an event is possible, advice, explanations and views of people."""
 
 from __future__ import annotations
 
@@ -18,10 +18,7 @@ from ..person.travel import Travel
 from ..team.state import BASE
 from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .advice import Advice, PersonState, Question
-from .beliefs import (
-    likeliest_cost_to_go,
-    worth_of_asking,
-)  # fmt: skip
+from .beliefs import likeliest_cost_to_go, worth_of_asking
 from .knowledge import Knowledge
 from .names import is_name
 from .uncertain_actions import seen_of
