@@ -18,6 +18,9 @@ from .rule_families import RuleFamily
 DIFFERENCE = 1e-5
 """Step of a parameter by which derivatives are found; all parameters have ranges of about 1."""
 
+EQUAL = 1e-6
+"""Log-likelihoods that differ by less count as equal. Rounding errors do not decide where a search begins."""
+
 
 class RuleSearch:
     """The search for the parameters of a rule; the population that fits best is found for each."""
@@ -49,7 +52,9 @@ class RuleSearch:
         """Return the parameters of largest likelihood, from a start or the best of those tried."""
         if not self.family.ranges:
             return ()
-        start = start or max(self.family.tried, key=lambda values: self.fitted(values)[1])
+        if start is None:
+            found = np.array([self.fitted(values)[1] for values in self.family.tried])
+            start = self.family.tried[int(np.argmax(found >= found.max() - EQUAL))]
         return tuple(self._climbed(np.array(start), self.ends)[0].tolist())
 
     def _climbed(self, start: Floats, ends: Sequence[Interval], flat: float = 1e-3) -> tuple[Floats, float]:

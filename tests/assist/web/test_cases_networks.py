@@ -312,8 +312,7 @@ def test_a_click_is_not_lost_when_the_page_changes_between_press_and_release(
     with line(tiny, tmp_path, chromium) as here:
         page = here.page()
         says(page, "Connected")
-        box = page.locator('#actions button[data-action="(fetch box-b)"]').bounding_box()
-        page.mouse.move(box["x"] + 8, box["y"] + 8)
+        page.hover('#actions button[data-action="(fetch box-b)"]')  # which waits until it is drawn
         page.mouse.down()
         robot = Client(f"{here.behind}/operator#{here.access.operator}")
         robot.pause()
