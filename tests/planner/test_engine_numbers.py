@@ -1,4 +1,4 @@
-"""Problems with numbers and durations that are built in Python: plans cost what the library's search finds.
+"""Problems that are built in Python, also with numbers and durations: plans cost what the library's search finds.
 
 The search goes through the library's own simulator. A durative action is two plain ones that follow each other: its
 start, and its end.
@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from conftest import thinned
-from test_cases_engine import random_problem
+from random_problems import random_problem
 from unified_planning.engines import PlanGenerationResultStatus as Status
 from unified_planning.environment import get_environment
 from unified_planning.exceptions import UPInvalidActionError
@@ -254,7 +254,15 @@ def cheapest(problem: Problem) -> float:
 
 @pytest.mark.parametrize("seed", thinned(range(40), 3))
 def test_random_problems_with_numbers_cost_what_a_search_finds(seed: int) -> None:
-    problem = numbers(seed)
+    assert_costs_what_a_search_finds(numbers(seed))
+
+
+@pytest.mark.parametrize("seed", thinned(range(30)))
+def test_random_problems_cost_what_a_search_finds(seed: int) -> None:
+    assert_costs_what_a_search_finds(random_problem(seed))
+
+
+def assert_costs_what_a_search_finds(problem: Problem) -> None:
     timed = any(isinstance(one, DurativeAction) for one in problem.actions)
     assert Engine.supports(problem.kind), problem.kind
     expected = cheapest(problem)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import math
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import graph_task
+from conftest import graph_task, invoke, write_instance
 
 from assist.certify.prices import window_of
 from assist.people.choices import Choices
@@ -50,3 +54,44 @@ def test_the_length_of_a_plan_is_its_smallest_number_of_actions() -> None:
     free = Choices.of(sweep(graph_task([(1, 2, 0), (2, 1, 0), (2, 3, 4), (3, 0, 0), (1, 4, 1)])))
     assert free.plan_length(free.initial) == 3
     assert free.plan_length(int(np.flatnonzero(np.isinf(free.h))[0])) == np.inf
+
+
+PACKING = """(define (domain packing)
+  (:requirements :strips :typing :action-costs)
+  (:types part bin - object)
+  (:predicates (in ?p - part ?b - bin) (held ?p - part) (free) (here ?b - bin) (path ?a ?b - bin))
+  (:functions (total-cost) - number)
+  (:action go :parameters (?a ?b - bin) :precondition (and (here ?a) (path ?a ?b))
+    :effect (and (not (here ?a)) (here ?b) (increase (total-cost) GO)))
+  (:action pick :parameters (?p - part ?b - bin) :precondition (and (here ?b) (in ?p ?b) (free))
+    :effect (and (held ?p) (not (in ?p ?b)) (not (free)) (increase (total-cost) 1)))
+  (:action put :parameters (?p - part ?b - bin) :precondition (and (here ?b) (held ?p))
+    :effect (and (in ?p ?b) (free) (not (held ?p)) (increase (total-cost) 2))))
+"""
+PACKED = """(define (problem p) (:domain packing)
+  (:objects bolt nut - part shelf kit - bin)
+  (:init (free) (here shelf) (path shelf kit) (path kit shelf) (in bolt shelf) (in nut shelf) (= (total-cost) 0))
+  (:goal (and (in bolt kit) (in nut kit)))
+  (:metric minimize (total-cost)))
+"""
+
+
+@pytest.fixture(scope="module")
+def compiled_code(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Compilation, once after an installation, is in no limit of time."""
+    write_instance(folder := tmp_path_factory.mktemp("usual"), PACKING.replace("GO", "3"), PACKED)
+    invoke("bound", folder / "problem.pddl", "--humans", 2, "--time-limit", 1, "--episodes", 2)
+
+
+@pytest.mark.usefixtures("compiled_code")
+@pytest.mark.parametrize(("cost", "problem"), [(10**9, PACKED), (10**12, PACKED.replace(" (= (total-cost) 0)", ""))])
+def test_costs_of_very_different_size_are_bounded_and_simulated(tmp_path: Path, cost: int, problem: str) -> None:
+    """Memory and time do not grow with the ratio of costs; a limit is kept in time of this process, as others work."""
+    write_instance(tmp_path, PACKING.replace("GO", str(cost)), problem)
+    begun, limit, team = time.process_time(), 15, (tmp_path / "problem.pddl", "--humans", 2, "--json", "--episodes")
+    bound = json.loads(invoke("bound", *team, 256, "--time-limit", limit).stdout)
+    run = json.loads(invoke("simulate", *team, 20, "--policy", "priority").stdout)["policies"][0]
+    assert time.process_time() - begun < limit
+    assert -9 * cost < bound["value"] - 3 * bound["value_stderr"] < bound["upper"] < -4 * cost
+    assert -9 * cost < run["return"]["mean"] < -4 * cost
+    assert math.isfinite(bound["slack_percent"])

@@ -83,6 +83,7 @@ PROBLEM = """(define (problem p) (:domain packing)
 """
 NO_METRIC = ("(:metric minimize (total-cost))", "")
 NO_BEGIN = ("(= (total-cost) 0)", "")
+TIDY = "(:action tidy :parameters (?b - bin) :precondition (here ?b) :effect (and (free) (increase (total-cost) 3)))"
 UNIT = (
     "line 7 of the domain has an action cost, but the problem has no (:metric minimize (total-cost)), "
     "so that each action costs 1"
@@ -101,6 +102,10 @@ ASSUMED = "the initial state has no (= (total-cost) 0), which is assumed"
         ("(far ?a ?b)", (NO_METRIC, NO_BEGIN), 7, UNIT),
         ("2", (NO_METRIC, NO_BEGIN, ("(:functions (total-cost) (far ?a ?b - bin) - number)", "")), 7, UNIT),
         ("2", (NO_METRIC, ("(increase (total-cost) 2)", "")), 7, None),
+        (
+            "2", (NO_METRIC, ("(increase (total-cost) 2)", ""), ("(:action pick", f"{TIDY} (:action pick")), 6,
+            UNIT.replace("line 7", "line 8"),
+        ),
         ("2", (NO_BEGIN,), 6, ASSUMED),
         ("(far ?a ?b)", (NO_BEGIN,), 9, ASSUMED),
         ("2", (NO_BEGIN, ("(:functions (total-cost) (far", "(:functions (far")), 6, ASSUMED),

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import gymnasium
 import numpy as np
 import pytest
-from conftest import KITTING, invoke, write_instance
+from conftest import KITTING, invoke
 from recorded import log_of
 from teams import equal, run, state
 from test_qmdp import make
@@ -45,7 +45,6 @@ from assist.people.weighted_choice import Weighted
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
-from assist.person.settings import Setting
 from assist.person.travel import Travel
 from assist.simulation.common_random_numbers import BLOCK
 from assist.simulation.pool import Pool
@@ -162,16 +161,6 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda g: Pool.joined([g.pool, replace(g.pool, setting=replace(g.pool.setting, c_move=0.9))]),
         ValueError, "joined: c_move is",
     ),
-    **{
-        f"{name} {value}": (
-            lambda _, name=name, value=value: Setting(**{name: value}),
-            ValueError, f"{name} {value:g}: expected",
-        )
-        for name, value in (
-            ("gamma", 1.5), ("gamma", 1.0), ("gamma", 0.0), ("c_suggest", -1), ("c_execute", -0.1), ("lapse", 7),
-            ("lapse", 1.0), ("eta", -0.1), ("eta", float("nan")), ("utility_scale", 0.0), ("c_suggest", float("inf")),
-        )
-    },
     "a person without bounds": (lambda _: Human(-1.0, 0.5, 0.0, np.zeros(2)), ValueError, "beta -1, theta 0.5"),
     "trust above 1": (lambda _: Human(1.0, 1.5, 0.0, np.zeros(2)), ValueError, "theta from 0 to 1"),
     # Teams.
@@ -373,31 +362,6 @@ def test_agents_see_beliefs_unless_they_are_not_to(pool: Pool) -> None:
         seen, _ = env.reset(seed=1)
         assert all(("belief" in seen[agent]) == beliefs for agent in env.agents)
         assert all(env.observation_space(agent).contains(seen[agent]) for agent in env.agents)
-
-
-DOMAIN, PROBLEM = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
-FILES = {
-    "preferences": ("(:goal (and", "(:goal (and (preference p (platform-free))", "preferences are not supported"),
-    "no domain's name": ("(define (domain kitting)", "(define (kitting)", "not a PDDL domain: (domain NAME)"),
-    "no domain": ("(:domain kitting)", "", "not a PDDL problem: (:domain NAME) is missing"),
-    "a type whose ancestors are in a circle": (
-        "(:types container item slot)", "(:types slot - container container - item item - container)",
-        "circular types: ",
-    ),
-    "no facts": (PROBLEM[PROBLEM.index("(:init") : PROBLEM.index("(:goal")], "", "the problem has no (:init ...)"),
-    "a word among facts": ("(platform-free)\n    (con", "platform-free\n    (con", "a fact stands in parentheses"),
-    "a word before all": ("(define (domain", "kitting (define (domain", "'kitting' is not within (define ...)"),
-    "a broken predicate": ("(platform-free)        ", "(platform-free ?a -)", "domain.pddl:12: "),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("what", FILES)
-def test_files_that_are_no_task_are_refused(tmp_path: Path, what: str) -> None:
-    old, new, words = FILES[what]
-    assert (old in DOMAIN) != (old in PROBLEM)
-    with pytest.raises(PDDLError, match=re.escape(words)) as refused:
-        load(write_instance(tmp_path, DOMAIN.replace(old, new, 1), PROBLEM.replace(old, new, 1)))
-    assert "\n" not in str(refused.value)
 
 
 def test_an_environment_draws_nothing_unless_asked_to(pool: Pool) -> None:

@@ -37,7 +37,7 @@ def results() -> dict[str, Any]:
     table = cost_to_go("kitting/tiny")
     pool = Pool.sample(table, 3, seed=0)
     episodes = simulate(pool, "attention", humans=2, episodes=4, seed=0)
-    bound, [certificate] = certify(pool, ["none"], team=(0, 1), episodes=10, seed=0)
+    bound, [certificate] = certify(pool, ["none"], team=(0, 1), episodes=10, seed=0, window=0, gap=0.5)
     problem = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), c_suggest=0.5)
     return {
         "table": table, "pool": pool, "episodes": episodes, "summary": episodes.summary(), "bound": bound,

@@ -156,6 +156,14 @@ def classes() -> Iterator[type]:
                     yield one
 
 
+def is_made_of_nothing(kind: type) -> bool:
+    try:
+        kind()
+    except (TypeError, DeclarationError):
+        return False
+    return True
+
+
 def test_no_declared_field_takes_one_kind_of_value_for_another() -> None:
     """A text is no number, and a number no text or truth value, whatever pydantic would convert by itself."""
     for one in classes():
@@ -164,6 +172,25 @@ def test_no_declared_field_takes_one_kind_of_value_for_another() -> None:
                 made = _made(field, wrong)
                 taken = isinstance(made, str | int | float) and type(made) is not type(wrong)
                 assert not taken or (type(wrong), type(made)) == (int, float), f"{one.__name__}.{name}: {wrong!r}"
+
+
+def values_outside(field: Any) -> Iterator[Any]:
+    """Yield values that no number of a field takes: others than numbers, and those just outside of its range."""
+    limits = [
+        (name, getattr(one, name)) for one in field.metadata for name in ("gt", "ge", "lt", "le") if hasattr(one, name)
+    ]
+    for name, end in limits:
+        yield from (float("nan"), float("inf"), "1", True, [1.0], 1j)
+        yield end if name in ("gt", "lt") else end + (1 if name == "le" else -1) * max(1, abs(end))
+
+
+@pytest.mark.parametrize("kind", [one for one in classes() if is_made_of_nothing(one)], ids=lambda one: one.__name__)
+def test_every_number_says_what_it_takes(kind: type) -> None:
+    for name, field in kind.__pydantic_fields__.items():  # type: ignore[attr-defined]
+        for wrong in values_outside(field):
+            with pytest.raises(DeclarationError, match=rf"^{name} .*: expected ") as refused:
+                kind(**{name: wrong})
+            assert "\n" not in str(refused.value)
 
 
 def _made(field: Any, value: Any) -> Any:

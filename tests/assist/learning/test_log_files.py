@@ -409,6 +409,16 @@ def test_rows_outside_of_episodes_are_no_part_of_them(tmp_path: Path, tiny: Tabl
     assert "without an action in a step of an episode, as no part of one" in log.note
 
 
+def test_instructions_within_an_episode_are_no_actions(tmp_path: Path, tiny: Table) -> None:
+    head = "trial_type,trial_index,subject,block,move,hint\ninstructions,0,ann,1,,\n"
+    (file := tmp_path / "log.csv").write_text(
+        f"{head}html,1,ann,1,{FETCH},\nhtml,3,ann,1,{RIGHT},{RIGHT}\nhtml,5,ann,1,{BACK},\n"
+    )
+    log = read_log(file, columns=dict(pair.split("=") for pair in FOREIGN["jsPsych"][1].split(",")), gaps=True)
+    recording, faults = replay(log, tiny)
+    assert (log.faults, faults, len(recording)) == ((), [], 3)
+
+
 @pytest.mark.parametrize("column", ["Hint", "advice", "Suggested", "robot said"])
 def test_a_column_that_may_have_suggestions_is_asked_about(tmp_path: Path, column: str) -> None:
     """By its name, or since it has actions."""

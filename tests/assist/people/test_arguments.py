@@ -28,12 +28,6 @@ NAN, INF = float("nan"), float("inf")
 
 NO_NUMBERS: list[Any] = [True, np.True_, "1", None, [1.0], np.array([0.5]), np.array(0.5), 1j, Decimal(1)]
 
-SETTINGS: list[tuple[str, Any]] = [
-    ("gamma", NAN), ("gamma", np.array([0.5])), ("c_suggest", True), ("c_move", "1"), ("lapse", None), ("execute", 1),
-    ("max_steps", 1.0), ("c_execute", 1j), ("utility_scale", Decimal(1)), ("eta", np.True_), ("utility_scale", 1e-320),
-    ("c_move", 1e308), ("c_execute", 1e16), ("travel_time", 1e18), ("c_suggest", 10**400), ("travel_time", 1e12),
-]  # fmt: skip
-
 SAMPLED: list[tuple[str, Any]] = [
     ("states", NAN), ("states", -1), ("states", True), ("region", 0), ("region", "x"), ("region", 2.5), ("size", True),
     ("seed", -1), ("memory_limit_mb", None), ("memory_limit_mb", "1"), ("memory_limit_mb", NAN),
@@ -81,13 +75,6 @@ def test_numbers_of_any_kind_become_pythons_own() -> None:
     people = Population(beta=np.array([0, 1]), theta=[0, 1])  # type: ignore[arg-type]
     assert hash(people) == hash(Population(beta=(0.0, 1.0), theta=(0.0, 1.0)))
     assert Human(np.float32(1), 0, 0, [1, 2]).h.dtype == float  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("name", "value"), SETTINGS, ids=str)
-def test_what_no_setting_has(name: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=f"^{name}.*: (expected|the longest way takes)") as error:
-        Setting(**{name: value})
-    said(error)
 
 
 @pytest.mark.parametrize(("name", "value"), SAMPLED, ids=str)

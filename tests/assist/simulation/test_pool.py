@@ -27,23 +27,6 @@ from assist.simulation.trace import Trace
 from planner import LimitError, OnDemand, Table
 
 
-@pytest.mark.parametrize(
-    ("setting", "complaint"),
-    [
-        ({"knowledge": "Own"}, 'knowledge \'Own\': expected "own" or "exact"'),
-        ({"suggestions": "optimum"}, 'suggestions \'optimum\': expected "optimal" or "all"'),
-        ({"execute": "no"}, "execute 'no': expected true or false"),
-        ({"max_steps": 0}, "max_steps 0: expected a whole number of 1 or more"),
-        ({"max_steps": 2.5}, "max_steps 2.5"),
-        ({"c_move": float("nan")}, "c_move nan"),
-        ({"travel_time": -1.0}, "travel_time -1"),
-    ],
-)
-def test_settings_that_cannot_be(setting: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        Setting(**setting)
-
-
 def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
     for size in (0, -1, 2.0, True):
         with pytest.raises(ValueError, match="size"):

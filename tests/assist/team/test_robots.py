@@ -11,13 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import graph_task, invoke
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from teams import state
 
 from assist.certify.options import BoundOptions
 from assist.certify.prices import kinds_of
-from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import upper_bound
 from assist.coupled import Agents, joint_optimum
 from assist.declare.declared import plain
@@ -25,17 +22,14 @@ from assist.people.choices import Choices
 from assist.people.ranges import Population
 from assist.people.user_code import UserCodeError
 from assist.person.attention_subproblem import AttentionSubproblem
-from assist.person.beliefs import Seen
 from assist.person.qmdp import qmdp
 from assist.person.robots import Robot
 from assist.person.settings import Setting
-from assist.person.travel import Travel
 from assist.simulation.episodes import Episodes
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.simulation.trace import Trace
 from assist.team.action_check import check
-from assist.team.assignment import assigned
 from assist.team.policy_names import POLICIES
 from assist.team.state import BASE, NOBODY, TeamAction, TeamState
 from planner import sweep
@@ -57,48 +51,6 @@ def of(pool: Pool, robots: int, **setting: Any) -> Pool:
 
 def run(pool: Pool, policy: str, humans: int = 3, episodes: int = 50, **options: Any) -> Episodes:
     return simulate(pool, policy, humans=humans, episodes=episodes, seed=3, **options)
-
-
-@st.composite
-def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndarray]:
-    """Travel between four people, where robots are, which may choose, and what each person is worth without the way."""
-    apart = draw(st.booleans())
-    distance = None
-    if apart:
-        between = np.array(draw(st.lists(st.integers(1, 9), min_size=25, max_size=25)), dtype=float).reshape(5, 5)
-        distance = np.triu(between, 1) + np.triu(between, 1).T
-        for via in range(5):  # a way is never longer than by another place
-            distance = np.minimum(distance, distance[:, via, None] + distance[None, via])
-    robots = draw(st.integers(1, 5))
-    travel = Travel.of(4, c_move=[draw(st.sampled_from([0.0, 0.25]))] * robots, distance=distance)
-    places = draw(st.permutations([0, 1, 2, 3]))
-    at = [place if draw(st.booleans()) else BASE for place in (*places, BASE)[:robots]]
-    free = [draw(st.booleans()) or place == BASE for place in at]
-    worth = [draw(st.integers(-8, 24)) / 8 for _ in range(4)]
-    return travel, np.array([at]), np.array([free]), np.array([worth])
-
-
-@settings(max_examples=120, deadline=None)
-@given(situations())
-def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray]) -> None:
-    travel, location, free, worth = found
-    nobody = np.zeros((1, 4), dtype=np.int64)
-    known = Seen(nobody[0], np.empty((0, 1, 1)), nobody[0] > 0)
-    team = TeamState(0, nobody == 0, location, nobody, known, [], travel, free=free)
-    net = worth[:, None] - team.to()
-    person = assigned(team, net)
-    check(team, TeamAction(person, np.zeros_like(person)))
-    rounded = net + np.random.default_rng(0).uniform(-1e-14, 1e-14, net.shape)
-    assert (assigned(team, rounded) == person).all()  # also where several assignments are the best
-    assert (person[~free] == NOBODY).all()
-    taken = set(location[~free])
-    options = [[NOBODY, *sorted({0, 1, 2, 3} - taken)] if one else [NOBODY] for one in free[0]]
-    best = max(
-        sum(net[0, m, k] for m, k in enumerate(each) if k != NOBODY)
-        for each in itertools.product(*options)
-        if len({k for k in each if k != NOBODY}) == sum(k != NOBODY for k in each)
-    )
-    assert sum(net[0, m, k] for m, k in enumerate(person[0]) if k != NOBODY) == pytest.approx(best)
 
 
 @pytest.mark.parametrize(
@@ -181,23 +133,6 @@ def test_more_robots_are_worth_more(strangers: Pool) -> None:
         difference = more - fewer
         assert difference.mean() > -2 * difference.std() / np.sqrt(len(difference))
     assert (found[1] - found[0]).mean() > 0.01
-
-
-@pytest.mark.parametrize("robots", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_no_policy_exceeds_the_bound(strangers: Pool, robots: int) -> None:
-    several, options = of(strangers, robots), BoundOptions(price_episodes=200)
-    bound = upper_bound(several, (0, 1, 2), window=4, gap=1e-3, options=options)
-    one = upper_bound(strangers, (0, 1, 2), window=4, gap=1e-3, options=options)
-    assert one.upper < bound.upper
-    assert (len(bound.price) > 0) == (robots < 3)  # as many robots as people never have to choose
-    policies = {name: name for name in POLICIES} | {"prices": bound.policy()}
-    for name, policy in policies.items():
-        certificate = bound.certify(policy, name, episodes=10 if name == "rollout" else 2000)
-        assert certificate.value - 3 * certificate.value_stderr <= bound.upper
-        if name == "prices":
-            assert certificate.gap_percent < 2
-    relaxed, error = relaxed_value(bound, episodes=2000)
-    assert relaxed - 3 * error <= bound.upper
 
 
 def test_what_a_policy_for_several_robots_may_not_do(pool: Pool) -> None:

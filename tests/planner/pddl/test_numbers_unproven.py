@@ -23,7 +23,7 @@ def written(folder: Path, domain: str, problem: str) -> Path:
     return folder / "p.pddl"
 
 
-def loaded(folder: Path, domain: str, problem: str, most_values: int = 1_000) -> Task:
+def loaded(folder: Path, domain: str, problem: str, most_values: int = 100) -> Task:
     return load(written(folder, domain, problem), most_values=most_values)
 
 

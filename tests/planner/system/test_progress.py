@@ -245,7 +245,7 @@ def test_the_environment_decides_where_nobody_looks(
     pool = Pool.sample(tiny, 3, seed=0)
 
     def slow(team: TeamState) -> TeamAction:
-        time.sleep(0.02)
+        time.sleep(0.002)
         return team.act(np.full(team.location.shape, -1), np.zeros_like(team.x))
 
     compare(pool, slow, humans=2, episodes=5)
