@@ -251,8 +251,8 @@ def compare(
     pool: Pool | Mapping[Any, Pool],
     policies: Iterable[str | TeamPolicy] | Mapping[str, str | TeamPolicy] | str | TeamPolicy, *,
     humans: int | Iterable[int] | Iterable[str] = 3, episodes: int = 500, seed: Seed = 0, baseline: str | None = None,
-    varied: str = "pool", level: float = 0.95, certified: bool = False, time_limit: float | None = None, jobs: int = 1,
-    progress: Wanted = None, **options: Any,
+    varied: str = "pool", level: float = 0.95, certified: bool = False, gap: float = 1e-3,
+    time_limit: float | None = None, jobs: int = 1, progress: Wanted = None, **options: Any,
 ) -> PolicyComparison:  # fmt: skip
     """Simulate policies with the same people and random numbers, and compare their means.
 
@@ -275,6 +275,8 @@ def compare(
         Confidence level of intervals.
     certified : bool
         Also compute an upper bound on the value of all policies, and each policy's gap to it, which takes longer.
+    gap : float
+        Relative gap to which each person's problem is solved for the bound, as in `upper_bound`.
     time_limit : float, optional
         Seconds after which no further portion of episodes begins. All policies have the same episodes.
     jobs : int
@@ -315,26 +317,43 @@ def compare(
         raise ValueError(f"level {level}: expected a number between 0 and 1")
     count, seed_number = whole("episodes", episodes, 1), entropy(seed)
     limit = None if time_limit is None else positive("time_limit", time_limit)
-    conditions = [(key, one, team) for key, one in pools.items() for team in teams]
+    conditions, own = len(pools) * len(teams), {name for name, policy in named.items() if not isinstance(policy, str)}
+    share = None if limit is None else limit / conditions / (1 + certified)
     rows: list[ComparedPolicy] = []
-    for done, (key, one, team) in enumerate(conditions):
-        share = None if limit is None else limit / len(conditions) / (1 + certified)
-        tell = partial(_told, progress, f" ({done + 1} of {len(conditions)} conditions)" * (len(conditions) > 1))
-        run = partial(simulate, one, humans=team, seed=seed_number, jobs=jobs, **options)
-        runs = _runs(run, named, count, share, tell)
-        gaps: dict[str, Certificate] = {}
-        if certified:
-            from ..certify.comparison import certify  # which a comparison without bounds need not compile
 
-            them = range(team) if isinstance(team, int) else team
-            _, found = certify(
-                one, named, team=them, episodes=max(count, 2), seed=seed_number, time_limit=share, progress=tell
+    def add(key: Any, one: Pool) -> None:
+        # What a policy computes about a person serves teams of any size.
+        made = {
+            name: policy if name in own else one.policy(policy, options.get("travel"))  # type: ignore[arg-type]
+            for name, policy in named.items()
+        }
+        for team in teams:
+            number = len(rows) // len(named) + 1
+            tell = partial(_told, progress, f" ({number} of {conditions} conditions)" * (conditions > 1))
+            run = partial(simulate, one, humans=team, seed=seed_number, progress=tell, **options)
+            # A user's policy need not be ready for threads.
+            each = {
+                name: partial(run, policy=policy, name=name, jobs=1 if name in own else jobs)
+                for name, policy in made.items()
+            }
+            runs = _runs(each, count, share)
+            gaps: dict[str, Certificate] = {}
+            if certified:
+                from ..certify.comparison import certify  # which a comparison without bounds need not compile
+
+                them = range(team) if isinstance(team, int) else team
+                _, found = certify(
+                    one, made, team=them, episodes=max(count, 2), seed=seed_number, gap=gap, time_limit=share,
+                    progress=tell,
+                )  # fmt: skip
+                gaps = {certificate.policy: certificate for certificate in found}
+            rows.extend(
+                ComparedPolicy.of(run, None if name == base else runs[base], level, key, gaps.get(name))
+                for name, run in runs.items()
             )
-            gaps = {certificate.policy: certificate for certificate in found}
-        rows += [
-            ComparedPolicy.of(run, None if name == base else runs[base], level, key, gaps.get(name))
-            for name, run in runs.items()
-        ]
+
+    for key, pool_of in pools.items():
+        add(key, pool_of())  # whose memory is free before the next one is made
     return PolicyComparison(tuple(rows), base, varied, level)
 
 
@@ -348,8 +367,13 @@ def _teams(humans: int | Iterable[int] | Iterable[str]) -> list[int | list[str]]
     return [whole("humans", one, 1) for one in given]
 
 
-def _pools(pool: Pool | Mapping[Any, Pool], varied: str, settings: Mapping[str, Any]) -> tuple[dict[Any, Pool], str]:
-    """Return the pool of each condition, and the name of what varies; "" if nothing does."""
+def _pools(
+    pool: Pool | Mapping[Any, Pool], varied: str, settings: Mapping[str, Any]
+) -> tuple[dict[Any, Callable[[], Pool]], str]:
+    """Return what makes the pool of each condition, and the name of what varies; "" if nothing does.
+
+    Pools are made one after another, since each may take much memory.
+    """
     pools = dict(pool) if isinstance(pool, Mapping) else {"": pool}
     if not pools:
         raise ValueError("pool: expected at least one")
@@ -359,17 +383,20 @@ def _pools(pool: Pool | Mapping[Any, Pool], varied: str, settings: Mapping[str, 
     if several and (len(several) > 1 or isinstance(pool, Mapping)):
         others = [*several[1:], *["pool"] * isinstance(pool, Mapping)]
         raise ValueError(f"{several[0]} and {others[0]}: expected several values of one of them")
-    if not settings:
-        return pools, varied if isinstance(pool, Mapping) else ""
     fixed = {name: value for name, value in settings.items() if name not in several}
     if not several:
-        pools = {key: one.under(replace(one.setting, **fixed)) for key, one in pools.items()}
-        return pools, varied if isinstance(pool, Mapping) else ""
+        found = {key: _under(one, fixed) for key, one in pools.items()}
+        return found, varied if isinstance(pool, Mapping) else ""
     (name,), (one,) = several, pools.values()
     values = list(settings[name])
     if not values:
         raise ValueError(f"{name}: expected at least one value")
-    return {value: one.under(replace(one.setting, **fixed, **{name: value})) for value in values}, name
+    return {value: _under(one, {**fixed, name: value}) for value in values}, name
+
+
+def _under(pool: Pool, fields: Mapping[str, Any]) -> Callable[[], Pool]:
+    """Return what makes a pool's people with other fields of the setting, which are checked now."""
+    return partial(pool.under, replace(pool.setting, **fields))
 
 
 def _is_several(value: Any) -> bool:
@@ -408,17 +435,14 @@ def comparison_of(runs: Iterable[Episodes], *, baseline: str | None = None, leve
     return PolicyComparison(tuple(rows), base, "", level)
 
 
-def _runs(
-    run: Callable[..., Episodes], policies: Mapping[str, Any], count: int, seconds: float | None, progress: Progress
-) -> dict[str, Episodes]:  # fmt: skip
+def _runs(runs: Mapping[str, Callable[..., Episodes]], count: int, seconds: float | None) -> dict[str, Episodes]:
     """Return the same episodes of all policies, in growing portions if there is a time limit."""
     begun, done, size = time.perf_counter(), 0, count if seconds is None else FIRST_PORTION
-    parts: dict[str, list[Episodes]] = {name: [] for name in policies}
+    parts: dict[str, list[Episodes]] = {name: [] for name in runs}
     while done < count and (not done or seconds is None or time.perf_counter() - begun < seconds):
         numbers = range(done, min(count, done + size))
-        for name, policy in policies.items():
-            own_jobs = {} if isinstance(policy, str) else {"jobs": 1}  # a user's policy need not be ready for threads
-            parts[name].append(run(policy=policy, name=name, episodes=numbers, progress=progress, **own_jobs))
+        for name, run in runs.items():
+            parts[name].append(run(episodes=numbers))
         done, size = numbers.stop, 2 * size
     return {name: Episodes.joined(own) if len(own) > 1 else own[0] for name, own in parts.items()}
 

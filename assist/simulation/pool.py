@@ -367,6 +367,8 @@ class Pool(Result):
         ValueError
             The pool is not one of `sample` or `of`.
         """
+        if setting == self.setting:
+            return self
         if self.again is None:
             raise ValueError("another setting: expected a pool of Pool.sample or Pool.of, which know the task")
         return self.again(setting)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import pickle
+import weakref
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,7 @@ from assist.certify import certify
 from assist.person import Setting
 from assist.reports import PolicyComparison, comparison_of
 from assist.team import TeamAction, TeamState
+from assist.team.priority import SolvedSubproblem
 from planner import cost_to_go
 
 POLICIES = ["none", "reactive", "attention"]
@@ -89,6 +93,36 @@ def test_a_setting_is_changed_for_the_same_people(pool: Pool) -> None:
         Pool.joined([pool, pool]).under(other.setting)
 
 
+def test_one_condition_after_another_takes_memory(pool: Pool) -> None:
+    made: list[weakref.ref[Pool]] = []
+
+    def again(setting: Setting) -> Pool:
+        gc.collect()
+        assert all(one() is None for one in made)
+        assert pool.again is not None
+        made.append(weakref.ref(one := pool.again(setting)))
+        return one
+
+    found = compare(
+        replace(pool, again=again), ["none", "attention"], humans=[1, 2], episodes=2, c_suggest=[0.1, 0.5, 2.0]
+    )
+    assert len(found) == 12
+    assert len(made) == 2  # the pool itself has the cost of the other condition
+
+
+def test_what_is_known_of_people_serves_teams_of_any_size(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+    solved, of = list[object](), SolvedSubproblem.of
+
+    def counted(*known: Any) -> SolvedSubproblem:
+        solved.append(known)
+        return of(*known)
+
+    monkeypatch.setattr(SolvedSubproblem, "of", counted)
+    found = compare(pool, ["priority"], humans=[1, 2, 3], episodes=40, seed=1)
+    assert len(solved) <= len(pool.people)
+    assert found[2].summary == simulate(pool, "priority", humans=3, episodes=40, seed=1).summary()
+
+
 def test_under_one_condition_the_figure_has_the_differences(pool: Pool) -> None:
     found = compare(pool, POLICIES, humans=2, episodes=5)
     labels = [axis.get_ylabel() for axis in found.figure().axes]
@@ -98,8 +132,8 @@ def test_under_one_condition_the_figure_has_the_differences(pool: Pool) -> None:
 
 
 def test_the_gap_to_the_optimum_is_that_of_certify(pool: Pool) -> None:
-    found = compare(pool, ["none", "attention"], humans=1, episodes=30, seed=2, certified=True)
-    bound, certificates = certify(pool, ["none", "attention"], team=[0], episodes=30, seed=2)
+    found = compare(pool, ["none", "attention"], humans=1, episodes=30, seed=2, certified=True, gap=0.1)
+    bound, certificates = certify(pool, ["none", "attention"], team=[0], episodes=30, seed=2, gap=0.1)
     assert found.to_frame().upper.tolist() == [bound.upper] * 2
     assert [row.certificate for row in found] == certificates
     assert "gap to the optimum" in str(found)
