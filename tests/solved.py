@@ -14,6 +14,7 @@ from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel
 from assist.people.misconception import perceived_cost_to_go
 from assist.person.pomdp import AssistPOMDP
+from assist.person.robots import OfRobots
 from assist.person.solver import Solution, solve
 from planner import Instance
 
@@ -42,7 +43,7 @@ def problem(name: str, gamma: float, c_suggest: float, sigma: float, **options: 
     model = HumanModel.own(
         choices, Human(1.0, 0.5, sigma, perceived_cost_to_go(choices, sigma, np.random.default_rng(0)))
     )
-    return AssistPOMDP.of(model, gamma=gamma, c_suggest=c_suggest, **options)  # type: ignore[arg-type]
+    return AssistPOMDP.of(model, **{"gamma": gamma, "robot": OfRobots(c_suggest=c_suggest), **options})  # type: ignore[arg-type]
 
 
 @cache
@@ -52,7 +53,9 @@ def solution_of(name: str) -> Solution:
         return solve(problem("paper-fixed", 0.95, 0.5, 0.5), gap=5e-3)
     if name == "sealed":
         return solve(problem("sealed", 0.9, 0.3, 0.5, suggestions="all"), gap=5e-3)
-    return solve(problem("tiny", 0.95, 0.3, 0.9, execute=True, c_execute=0.7, grid=GRID), gap=1e-4)
+    return solve(
+        problem("tiny", 0.95, 0.3, 0.9, robot=OfRobots(c_suggest=0.3, execute=True, c_execute=0.7), grid=GRID), gap=1e-4
+    )
 
 
 def some_beliefs(solution: Solution, seed: int, count: int = 40) -> tuple[np.ndarray, np.ndarray]:

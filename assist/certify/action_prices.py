@@ -28,7 +28,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..people.decision import Floats
-from ..person.fleet import EXECUTION, SUGGESTION
+from ..person.robots import EXECUTION, SUGGESTION
 from ..person.settings import Setting
 
 

@@ -246,7 +246,7 @@ def search(
         Receives progress reports.
     robots : int
         Number of robots of the team.
-    extra : float array, shape (M, 2), optional
+    extra : float array, shape (M, 3), optional
         What actions of robots that differ cost more. If given, actions have prices, too (`certify.action_prices`).
 
     Returns

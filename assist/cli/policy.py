@@ -89,7 +89,7 @@ def policy(
         (solution,) = solved
         if out is not None:
             solution.save(out, values=first_of(problem.known).values(problem.states), task_states=problem.states)
-    frontier, too_high = problem.pomdp.frontier, None if solution.suggests else problem.pomdp.c_suggest
+    frontier, too_high = problem.pomdp.frontier, None if solution.suggests else setting.c_suggest
     goals = problem.pomdp.model.choices.unknown_goal
     record = {
         "instance": str(found.problem), "domain": str(found.domain), **solution.as_dict(),

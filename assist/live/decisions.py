@@ -15,8 +15,8 @@ from ..people.decision import Floats
 from ..people.goals import Goals
 from ..people.ranges import Population
 from ..person.beliefs import Ask
-from ..person.fleet import SUGGESTION
 from ..person.policy import Policy
+from ..person.robots import SUGGESTION
 from ..person.settings import Setting
 from ..team.action_check import check
 from ..team.policies import named, prepare

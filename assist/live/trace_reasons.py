@@ -11,8 +11,8 @@ from planner import CostToGo
 
 from ..people.goals import Goals
 from ..people.ranges import Population
-from ..person.fleet import SUGGESTION
 from ..person.policy import Policy
+from ..person.robots import SUGGESTION
 from ..person.settings import Setting
 from ..team.state import TeamState
 from .decision_point import DecisionPoint

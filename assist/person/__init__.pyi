@@ -11,6 +11,7 @@ from .pomdp import AssistPOMDP as AssistPOMDP
 from .qmdp import QMDP as QMDP
 from .qmdp import evaluate as evaluate
 from .qmdp import qmdp as qmdp
+from .robots import OfRobots as OfRobots
 from .robots import Robot as Robot
 from .search import SolverOptions as SolverOptions
 from .settings import Setting as Setting

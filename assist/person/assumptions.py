@@ -13,7 +13,7 @@ from ..people.ranges import Population
 from ..people.trust_rules import EquationSeven, TrustRule, counts_of
 from .leaf_bounds import LeafBounds
 from .pomdp import AssistPOMDP
-from .robots import Suggestions
+from .robots import USUAL, OfRobots, Suggestions
 from .settings import Setting
 
 
@@ -30,7 +30,7 @@ class Assumptions:
         person are known, too, if the population has weights.
     trust : TrustRule or None
         How theta moves; None stands for equation (7) with `eta` and `utility_scale`.
-    gamma, c_suggest, suggestions, execute, c_execute
+    gamma, robot, suggestions
         As in `AssistPOMDP.of`.
     lapse, eta, utility_scale : float
         As in `HumanModel`.
@@ -42,10 +42,8 @@ class Assumptions:
     human: Human | None = None
     trust: TrustRule | None = None
     gamma: float = 0.99
-    c_suggest: float = 1.0
+    robot: OfRobots = USUAL
     suggestions: Suggestions = "optimal"
-    execute: bool = False
-    c_execute: float = 1.0
     lapse: float = 1e-3
     eta: float = 0.2
     utility_scale: float = 1.0
@@ -63,11 +61,10 @@ class Assumptions:
         population : Population
             The robots' prior.
         """
-        fleet = setting.fleet
         return cls(
-            population, human, setting.believed_rule(), gamma=setting.gamma, c_suggest=fleet.least("c_suggest"),
-            suggestions=setting.considered_suggestions, execute=fleet.executes, c_execute=fleet.least("c_execute"),
-            lapse=setting.lapse, eta=setting.eta, utility_scale=setting.utility_scale,
+            population, human, setting.believed_rule(), gamma=setting.gamma, robot=setting.fleet.best,
+            suggestions=setting.considered_suggestions, lapse=setting.lapse, eta=setting.eta,
+            utility_scale=setting.utility_scale,
         )  # fmt: skip
 
     @property
@@ -93,6 +90,6 @@ class Assumptions:
         """Return the problem of assisting the person in some states of a task, with bounds where it is truncated."""
         return AssistPOMDP.of(
             self.model(choices), chooses=self.chooses, grid=self.grid, population=self.population,
-            gamma=self.gamma, c_suggest=self.c_suggest, suggestions=self.suggestions, execute=self.execute,
-            c_execute=self.c_execute, frontier=frontier, trust=self.trust, types=self.types,
+            gamma=self.gamma, robot=self.robot, suggestions=self.suggestions, frontier=frontier, trust=self.trust,
+            types=self.types,
         )  # fmt: skip

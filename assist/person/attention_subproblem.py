@@ -102,7 +102,7 @@ class AttentionSubproblem:
         choices = _choices(alone.model.choices, layout, ends)
         count = np.where(ends, 1, moves.count(position, alone.robot_actions[x]))
         used = np.arange(moves.meant.shape[1]) < count[:, None]
-        row, meant = x[:, None], moves.meant[position]
+        row, meant, there = x[:, None], moves.meant[position], moves.then[position] == HERE
         afterstate = layout.number(layout.step[:, None], moves.then[position], alone.afterstate[row, meant])
         pomdp = replace(
             alone,
@@ -110,7 +110,7 @@ class AttentionSubproblem:
             robot_actions=count,
             suggested=np.where(used, alone.suggested[row, meant], NOTHING),
             afterstate=np.where(used, afterstate, own[:, None]),
-            robot_costs=np.where(used, alone.robot_costs[row, meant] + entry * moves.comes[position], 0.0),
+            robot_costs=np.where(used, there * alone.robot_costs[row, meant] + entry * moves.comes[position], 0.0),
             chosen=alone.chosen[x],
             unsuggested=alone.unsuggested[row, meant],
             low=alone.low[row, meant],

@@ -35,11 +35,11 @@ def closed_problem(region: TruncatedTask, assumed: Assumptions | None = None) ->
         A number is out of its range, or the robot executes actions.
     """
     assumed = assumed or Assumptions()
-    check_costs(assumed.gamma, c_suggest=assumed.c_suggest)
+    check_costs(assumed.gamma)
     if assumed.human is None and assumed.chooses is boltzmann:
         beyond = region.bounds(assumed)
     else:
-        beyond = region.bounds_of_anybody(assumed.gamma, len(assumed.grid.theta))
+        beyond = region.bounds_of_anybody(assumed)
     return assumed.problem(region.choices, replace(beyond, value=value_beyond(region, assumed)))
 
 

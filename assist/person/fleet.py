@@ -25,13 +25,7 @@ from planner.system.arrays import frozen
 
 from ..declare.declared import names_of
 from ..people.decision import Floats
-from .robots import OfRobots, Robot
-
-SUGGESTION, EXECUTION = 0, 1
-"""The two classes of robot actions, which cost differently."""
-
-USUAL = OfRobots()
-"""A robot of a setting that says nothing else."""
+from .robots import EXECUTION, SUGGESTION, USUAL, OfRobots, Robot
 
 
 @dataclass(frozen=True)
@@ -73,17 +67,18 @@ class Fleet:
     @property
     def best(self) -> Robot:
         """The best robot: it can do what any can, at the lowest cost and in the shortest time of any."""
-        return Robot(execute=self.executes, **{name: self.least(name) for name in names_of(Robot) if name != "execute"})
+        kind = type(self.robots[0])
+        return kind(execute=self.executes, **{name: self.least(name) for name in names_of(kind) if name != "execute"})
 
     @cached_property
     def extra(self) -> Floats:
-        """What a suggestion and an execution by each robot cost more than by the best one, in cost units, shape (M, 2).
+        """What each robot's actions cost more than those of the best one, in cost units, by their class, shape (M, 3).
 
         It is infinite for the execution of an action by a robot that executes none, if others do.
         """
-        never = np.inf if self.executes else 0.0
-        executing = np.where(self.each("execute"), self.each("c_execute") - self.least("c_execute"), never)
-        return frozen(np.stack([self.each("c_suggest") - self.least("c_suggest"), executing], axis=1))
+        more = np.array(self.each("costs") - self.best.costs)
+        more[~self.each("execute"), EXECUTION] = np.inf if self.executes else 0.0
+        return frozen(more)
 
     @cached_property
     def costs_differ(self) -> bool:
@@ -92,7 +87,7 @@ class Fleet:
 
     @cached_property
     def kinds(self) -> tuple[Floats, NDArray[np.int64]]:
-        """The distinct rows of `extra`, shape (U, 2), and the number of each robot's row, shape (M,)."""
+        """The distinct rows of `extra`, shape (U, 3), and the number of each robot's row, shape (M,)."""
         rows, number = np.unique(self.extra, axis=0, return_inverse=True)
         return frozen(rows), frozen(number.reshape(-1))
 

@@ -265,7 +265,8 @@ def expected_answers(ask: Any, policy: Policy, x: Ints, joint: Sequence[JointBel
     head = answers.shape[1] - suggestions
     if head >= 1 and suggestions:
         there = same_suggestions(pomdp, x[person], states)[:, 1:]
-        silent = answers[:, head - 1, None] - pomdp.robot_costs[x[person], 1:]
+        # Who does not hear a suggestion still has a robot that is busy: it does not pay for doing nothing.
+        silent = answers[:, head - 1, None] + (pomdp.robot_costs[states, :1] - pomdp.robot_costs[x[person], 1:])
         said = np.where(there > 0, np.take_along_axis(answers, head - 1 + there, axis=1), silent)
         offered = np.arange(1, suggestions + 1) < pomdp.robot_actions[x[person], None]
         answers = np.concatenate([answers[:, :head], np.where(offered, said, -np.inf)], axis=1)

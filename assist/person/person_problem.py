@@ -19,12 +19,11 @@ from ..people.human import Human
 from ..people.memory import choices_of
 from ..people.misconception import Misconception
 from ..people.ranges import Population
-from ..people.trust_rules import TrustRule, trust_rule
 from .assumptions import Assumptions
 from .closed_problem import closed_problem
 from .memory_needed import depth_within, first_bounds_bytes
 from .pomdp import AssistPOMDP
-from .robots import Suggestions
+from .settings import Setting
 from .truncated_task import TruncatedTask
 
 if TYPE_CHECKING:
@@ -93,18 +92,10 @@ class PersonProblem:
         cls,
         known: CostToGo | Goals | AnyTask,
         *,
+        setting: Setting | None = None,
+        population: Population | None = None,
         states: int | None = None,
         start: int | None = None,
-        population: Population | None = None,
-        eta: float = 0.2,
-        lapse: float = 1e-3,
-        utility_scale: float = 1.0,
-        gamma: float = 0.99,
-        c_suggest: float = 1.0,
-        suggestions: Suggestions = "optimal",
-        execute: bool = False,
-        c_execute: float = 1.0,
-        trust: str | TrustRule | None = None,
         sigma: float = 0.0,
         seed: int | np.random.Generator = 0,
         time_limit: float | None = None,
@@ -113,16 +104,16 @@ class PersonProblem:
     ) -> PersonProblem:
         """Build the problem on all states or on a truncated task, as `is_whole` decides.
 
-        The other parameters are those of `AssistPOMDP.of` and `HumanModel`.
-
         Parameters
         ----------
         known : CostToGo or Goals, or whatever `planner.load` takes
+        setting : Setting, optional
+            What it says of one person and of the best of the robots.
+        population : Population, optional
+            Prior distribution of the person.
         states : int, optional
             Largest number of states; by default 20,000 for a table, divided by the number of goals if the task is
             truncated, and 200 if states are solved on demand. An on-demand query takes up to seconds.
-        trust : str or TrustRule, optional
-            As in `Setting`.
         start : int, optional
             First state of a truncated task; by default the initial state.
         sigma : float
@@ -145,16 +136,12 @@ class PersonProblem:
         """
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
-        states = None if states is None else whole("states", states, 1)
+        setting, states = setting or Setting(), None if states is None else whole("states", states, 1)
         known = known if isinstance(known, Goals) else known_costs(known)
         people, human = population or Population(), None
         if sigma:
             human = Human(1.0, 0.5, sigma, Misconception.drawn(sigma, np.random.default_rng(seed)))
-        assumed = Assumptions(
-            people, human, trust_rule(trust, eta, utility_scale), gamma=gamma, c_suggest=c_suggest,
-            suggestions=suggestions, execute=execute, c_execute=c_execute, lapse=lapse, eta=eta,
-            utility_scale=utility_scale,
-        )  # fmt: skip
+        assumed = Assumptions.of(setting, human, people)
         if isinstance(known, Goals) and people.weights:
             raise ValueError("people with weights of terms: expected one goal")
         if is_whole(known, states):
@@ -162,7 +149,7 @@ class PersonProblem:
             return cls(known, assumed.problem(choices), choices.of_task(np.arange(choices.task_states)))
         if states is None:
             states = 200 if first_of(known).searches else max(1, WHOLE // len(each_of(known)))
-        for name, given in (("execute", execute), ("people who remember what they did", people.weights)):
+        for name, given in (("execute", setting.fleet.executes), ("people who remember what they did", people.weights)):
             if given:
                 raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")
         of = partial(TruncatedTask.of, known, start=start, population=people, human=human, time_limit=time_limit)

@@ -33,7 +33,7 @@ from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.ranges import Population
 from ..people.trust_rules import EquationSeven, TrustRule, counts_of
 from .leaf_bounds import LeafBounds
-from .robots import Suggestions
+from .robots import USUAL, OfRobots, Suggestions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +52,6 @@ class AssistPOMDP:
         The values of beta and theta.
     gamma : float
         Discount factor per step, in (0, 1).
-    c_suggest, c_execute : float
-        Costs of a suggestion and of executing an action, in the task's cost units.
     prior : float array, shape (H, T)
     robot_actions : int array, shape (n,)
         Number of robot actions in each state.
@@ -62,7 +60,7 @@ class AssistPOMDP:
     afterstate : int array, shape (n, R)
         State in which the person then acts: the successor after an execution, otherwise the state itself.
     robot_costs : float array, shape (n, R)
-        Cost of each robot action.
+        Cost of each robot action, in cost units; in column 0, of a robot that is with the person and does nothing.
     chosen : float array, shape (n, A, H)
         Probability of each choice without a suggestion and without lapses (equation 5); 0 where the goal is reached.
     unsuggested : float array, shape (n, R, H)
@@ -82,8 +80,6 @@ class AssistPOMDP:
     hidden: HiddenType
     grid: Grid
     gamma: float
-    c_suggest: float
-    c_execute: float
     prior: Floats
     robot_actions: NDArray[np.int64]
     suggested: NDArray[np.int64]
@@ -117,10 +113,8 @@ class AssistPOMDP:
         grid: Grid | None = None,
         population: Population | None = None,
         gamma: float = 0.99,
-        c_suggest: float = 1.0,
+        robot: OfRobots = USUAL,
         suggestions: Suggestions = "optimal",
-        execute: bool = False,
-        c_execute: float = 1.0,
         frontier: LeafBounds | None = None,
         trust: TrustRule | None = None,
         types: type[HiddenType] = HiddenType,
@@ -136,12 +130,12 @@ class AssistPOMDP:
             Grid of hidden values; by default, a regular grid over the population's ranges.
         population : Population, optional
             Prior distribution of (beta, theta).
-        gamma, c_suggest, c_execute : float
+        gamma : float
             As in the attributes of the class.
+        robot : OfRobots
+            What the robot's actions cost, and whether it can also execute an action itself, before the person acts.
         suggestions : "optimal" or "all"
             Whether only optimal actions are suggested, or every applicable action.
-        execute : bool
-            Whether the robot can also execute such an action itself, before the person acts.
         frontier : LeafBounds, optional
             Leaf bounds of a truncated problem. A truncated problem has no executions.
         trust : TrustRule, optional
@@ -152,18 +146,18 @@ class AssistPOMDP:
         Raises
         ------
         ValueError
-            A number is out of its range, or `execute` is used with a frontier or with people who have a memory.
+            A number is out of its range, or a robot that executes meets a frontier or people who have a memory.
         """
-        check_costs(gamma, c_suggest=c_suggest, c_execute=c_execute)
+        check_costs(gamma)
         one_of("suggestions", suggestions, get_args(Suggestions))
-        if execute and frontier is not None:
+        if robot.execute and frontier is not None:
             raise ValueError("execute: expected a problem of all states, and this one is truncated")
-        if execute:
+        if robot.execute:
             model.choices.require_one_goal("execute")
-        if execute and model.choices.state is not None:
+        if robot.execute and model.choices.state is not None:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
-        robots = _RobotActions.of(model.choices, suggestions, c_suggest, c_execute if execute else None)
+        robots = _RobotActions.of(model.choices, suggestions, robot)
         rule = EquationSeven(model.eta, model.utility_scale) if trust is None else trust
         grid = (grid or Grid.regular(population)).with_counts(counts_of(rule))
         goals = model.choices.goals
@@ -176,8 +170,7 @@ class AssistPOMDP:
                 model, chooses, grid, rule, frontier, robots.suggested, followed=True
             )
         return cls(
-            model=model, hidden=hidden, grid=grid, gamma=gamma, c_suggest=c_suggest, c_execute=c_execute,
-            prior=hidden.prior(grid.prior(population)),
+            model=model, hidden=hidden, grid=grid, gamma=gamma, prior=hidden.prior(grid.prior(population)),
             robot_actions=robots.number, suggested=robots.suggested, afterstate=robots.afterstate,
             robot_costs=robots.costs, chosen=chosen, unsuggested=unsuggested, low=low, weight=weight,
             frontier=None if frontier is None else frontier.of_types(hidden.goal_of),
@@ -262,6 +255,19 @@ class AssistPOMDP:
         return beliefs.update(belief, self.likelihood(x, robot, action), low[:, of], weight[:, of])
 
     @cached_property
+    def waits_for_free(self) -> bool:
+        """Whether a robot that is with the person and does nothing pays nothing, in every state."""
+        return not self.robot_costs[:, 0].any()
+
+    def unattended(self) -> AssistPOMDP:
+        """Return the problem with a robot that is not with the person while it does nothing, so that this is free."""
+        if self.waits_for_free:
+            return self
+        costs = self.robot_costs.copy()
+        costs[:, 0] = 0.0
+        return replace(self, robot_costs=costs)
+
+    @cached_property
     def suggests_optimal(self) -> NDArray[np.bool_]:
         """Whether each robot action suggests an action that is optimal for each goal, shape (n, R, G)."""
         slot = np.maximum(self.suggested, 0)[:, :, None]
@@ -299,25 +305,26 @@ class _RobotActions(NamedTuple):
     costs: Floats
 
     @classmethod
-    def of(cls, choices: Choices, suggestions: Suggestions, c_suggest: float, c_execute: float | None) -> _RobotActions:
-        """Number the robot actions of each state: nothing, the suggestions, and the executions if they have a cost."""
-        execute = c_execute is not None
+    def of(cls, choices: Choices, suggestions: Suggestions, robot: OfRobots) -> _RobotActions:
+        """Number the robot actions of each state: nothing, the suggestions, and the executions if it executes."""
+        nothing, suggestion, execution = robot.costs
         best = choices.optimal if choices.offered is None else choices.offered
         offered = best if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
         offered = offered & ~choices.goal[:, None]
         count = offered.sum(axis=1)
-        robot_actions = 1 + count * (2 if execute else 1)
+        robot_actions = 1 + count * (1 + robot.execute)
         shape = (len(choices), int(robot_actions.max(initial=1)))
         suggested = np.full(shape, NOTHING, dtype=np.int64)
         afterstate = np.repeat(np.arange(len(choices))[:, None], shape[1], axis=1)
         costs = np.zeros(shape)
+        costs[~choices.goal, 0] = nothing
         state, slot = np.nonzero(offered)
         column = np.cumsum(offered, axis=1)[state, slot]
         suggested[state, column] = slot
-        costs[state, column] = c_suggest
-        if execute:
+        costs[state, column] = suggestion
+        if robot.execute:
             afterstate[state, column + count[state]] = choices.targets[state, slot]
-            costs[state, column + count[state]] = c_execute
+            costs[state, column + count[state]] = execution
         return cls(robot_actions, suggested, afterstate, costs)
 
 

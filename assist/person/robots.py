@@ -13,6 +13,9 @@ LONGEST = 1e9
 
 Suggestions = Literal["optimal", "all"]
 
+NOTHING_DONE, SUGGESTION, EXECUTION = range(3)
+"""The classes of robot actions, which cost differently."""
+
 
 @declared
 class OfRobots:
@@ -29,6 +32,15 @@ class OfRobots:
         Number, Usual(), Field(ge=0, le=MOST, description="Cost of moving by a distance of 1, in cost units.")
     ] = 0.5
     travel_time: Annotated[Number, Field(ge=0, le=LONGEST, description="Steps for moving by a distance of 1.")] = 0.0
+
+    @property
+    def costs(self) -> tuple[float, float, float]:
+        """What each class of robot actions costs: to be with a person and do nothing, a suggestion, an execution."""
+        return 0.0, self.c_suggest, self.c_execute
+
+
+USUAL = OfRobots()
+"""A robot that nothing else is said of."""
 
 
 @declared(partial=True)

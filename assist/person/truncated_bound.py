@@ -326,7 +326,7 @@ class _Person:
 
     def seen(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with `never_erring` and V(x) of the whole task at its frontier."""
-        beyond = region.bounds_of_anybody(self.assumed.gamma, 1)
+        beyond = region.bounds_of_anybody(self.assumed)
         return self.assumed.problem(region.choices, replace(beyond, value=value_beyond(region, self.assumed)))
 
     def within(self, region: TruncatedTask, problem: AssistPOMDP, outer: OuterRelaxation | None) -> AssistPOMDP:
@@ -355,7 +355,7 @@ class _Person:
         """
         known, assumed, human, until = self.known, self.assumed, self.assumed.human, self.until
         by_cost = assumed.chooses is boltzmann and (human is None or mistaken_about_states(human))
-        if not (by_cost and isinstance(known, Table)) or assumed.execute:
+        if not (by_cost and isinstance(known, Table)) or assumed.robot.execute:
             return None
         left = until - time.perf_counter()
         share = 0.6  # of the time left; the rest is for the values with observed theta
@@ -367,7 +367,7 @@ class _Person:
         best_only = assumed.suggestions == "optimal" and self.among is None
         found = compliance_bounds(
             known, human, assumed.grid.beta, breadth_first(known, region.states, most), gamma=assumed.gamma,
-            c_suggest=assumed.c_suggest, lapse=assumed.lapse, optimal=best_only,
+            c_suggest=assumed.robot.c_suggest, lapse=assumed.lapse, optimal=best_only,
             deadline=until if until == math.inf else until - (1 - share) * left,
         )  # fmt: skip
         return found.at(region.states)

@@ -210,7 +210,7 @@ class TruncatedPolicy(Policy):
 
     def problem(self, region: TruncatedTask) -> AssistPOMDP:
         """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
-        beyond = region.bounds_of_anybody(self.assumed.gamma, len(self.grid.theta))
+        beyond = region.bounds_of_anybody(self.assumed)
         return self.assumed.problem(region.choices, beyond)
 
     def bounded(
@@ -283,7 +283,7 @@ class TruncatedPolicy(Policy):
     def unhelped(self) -> OfRows:
         """Estimates of the values of a robot that never helps; they are computed by the first call."""
         if NEVER not in self.solved:
-            problems = [self.problem(region) for region in self.regions]
+            problems = [self.problem(region).unattended() for region in self.regions]
             self.solved[NEVER] = tuple(
                 LeafEstimates.of(replace(problem, robot_actions=np.ones_like(problem.robot_actions)), region)
                 for problem, region in zip(problems, self.regions, strict=True)

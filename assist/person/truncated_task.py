@@ -47,6 +47,7 @@ from ..people.state_keys import keys_of
 from ..people.trust_rules import EquationSeven, constant
 from .assumptions import Assumptions
 from .leaf_bounds import LeafBounds
+from .robots import NOTHING_DONE, SUGGESTION
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are expanded together, between two looks at the clock
 SURVEYED = 10_000_000  # states of a table up to which `_Survey` scans all transitions, to limit its time
@@ -140,16 +141,18 @@ class TruncatedTask:
         at = np.minimum(np.searchsorted(self.states, states, sorter=order), len(order) - 1)
         return np.where(self.states[order[at]] == states, order[at], -1)
 
-    def bounds_of_anybody(self, gamma: float, thetas: int) -> LeafBounds:
-        """Return bounds at the frontier that hold for every person, for `thetas` values of theta.
+    def bounds_of_anybody(self, assumed: Assumptions) -> LeafBounds:
+        """Return bounds at the frontier that hold for every person, whatever is assumed of them.
 
         The upper bound is `never_erring`. The lower bound is for a robot that does nothing, with the largest cost in
         every step.
         """
+        gamma, nothing = assumed.gamma, assumed.robot.costs[NOTHING_DONE]
         costs = np.append(first_of(self.known).task.action_costs, 1.0)  # a wait costs 1
         upper = never_erring(self.choices.goals.h[:, self.frontier].T, costs, gamma)
-        floor = -float(costs.max()) / (1 - gamma)
-        return LeafBounds(self.frontier, self._unless_reached(floor, thetas), upper[:, :, None], floor)
+        most = float(costs.max())
+        lower = self._unless_reached(-(most + nothing) / (1 - gamma), len(assumed.grid.theta))
+        return LeafBounds(self.frontier, lower, upper[:, :, None], -most / (1 - gamma))
 
     def _unless_reached(self, value: float, thetas: int) -> Floats:
         """Return a value at the frontier for each goal and theta, shape (m, G, T); 0 where the goal is reached."""
@@ -167,10 +170,11 @@ class TruncatedTask:
         assumed for a trust rule that is neither equation 7 nor constant.
         """
         gamma, trust, thetas = assumed.gamma, assumed.trust, len(assumed.grid.theta)
+        nothing, suggestion, _ = assumed.robot.costs
         levels = CostLevels.of(first_of(self.known))
         dear, several = float(levels.prices[-1]), len(self.choices.goals) > 1
-        anybody = self.bounds_of_anybody(gamma, thetas)
-        floor = -(dear + (0.0 if several else assumed.c_suggest)) / (1 - gamma)
+        anybody = self.bounds_of_anybody(assumed)
+        floor = -(dear + (nothing if several else max(nothing, suggestion))) / (1 - gamma)
         by_equation = trust is None or isinstance(trust, EquationSeven)
         if isinstance(trust, EquationSeven):
             assumed = replace(assumed, eta=trust.eta, utility_scale=trust.utility_scale)
@@ -184,7 +188,7 @@ class TruncatedTask:
                 value = _advised(survey, levels, floor, assumed, suggests=not several)
                 reached = np.isfinite(h)
                 lower[at[reached], number] = value[np.rint(h[reached] / levels.step).astype(np.int64)]
-            lower[at[np.isinf(h)], number] = -dear / (1 - gamma)  # in a dead end the robot does nothing
+            lower[at[np.isinf(h)], number] = -(dear + nothing) / (1 - gamma)  # in a dead end the robot does nothing
         return LeafBounds(self.frontier, lower, anybody.upper, anybody.floor)
 
 
@@ -314,16 +318,16 @@ def _advised(survey: _Survey, levels: CostLevels, floor: float, assumed: Assumpt
     3. A person who does not follow pays at most `dear` and reaches at worst the lowest L up to level h + rise, or
        `floor` if the rise is unknown. This is at most the value of following. So replacing the probability of following
        by a lower bound lowers the mean.
-    4. By 1 to 3, the minimum over c of the mean of both outcomes, minus c_suggest, is again a lower bound. So every
-       sweep maps lower bounds to lower bounds. They start at `floor`, the value of the largest cost in every step.
-       Hence the bounds hold after any number of sweeps. Level 0 is 0 if all actions have a cost; otherwise a state with
-       h* = 0 need not be a goal.
+    4. By 1 to 3, the minimum over c of the mean of both outcomes, minus the robot's cost, is again a lower bound. So
+       every sweep maps lower bounds to lower bounds. They start at `floor`, the value of the largest cost in every
+       step. Hence the bounds hold after any number of sweeps. Level 0 is 0 if all actions have a cost; otherwise a
+       state with h* = 0 need not be a goal.
 
     At most 200 sweeps are done; they end earlier if no bound rises by 1e-6 cost units.
     """
     highest, grid, gamma = survey.highest, assumed.grid, assumed.gamma
     value = np.full((highest + 1, len(grid.theta)), floor)
-    costs = levels.prices
+    costs, charge = levels.prices, assumed.robot.costs[SUGGESTION if suggests else NOTHING_DONE]
     if costs[0] > 0:
         value[0] = 0.0
     p = 1 / survey.actions
@@ -344,7 +348,7 @@ def _advised(survey: _Survey, levels: CostLevels, floor: float, assumed: Assumpt
                     wrong = (1 - up) * worst[at] + up * worst[at + 1]
                     outcomes.append(follows * (gamma * right - c) + (1 - follows) * (gamma * wrong - costs[-1]))
             if outcomes:
-                value[h] = np.maximum(value[h], np.min(outcomes, axis=0) - assumed.c_suggest * suggests)
+                value[h] = np.maximum(value[h], np.min(outcomes, axis=0) - charge)
         if (value - before).max() < 1e-6:
             break
     return value

@@ -74,9 +74,12 @@ class AttentionSwitching:
         policy.prepare()
 
     def reference(self, team: TeamState, q: Floats) -> Floats:
-        """Return the reference of each person's score, shape (N, K); `q` are their Q-values, shape (N, K, R)."""
+        """Return the reference of each person's score, shape (N, U, K), or (N, 1, K) for all kinds of robots.
+
+        `q` are the Q-values for each kind, as in `TeamState.by_kind`.
+        """
         del team
-        return q[:, :, 0]
+        return q[..., 0]
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return an action for the person with the largest positive score, in every team that has one."""
@@ -85,13 +88,12 @@ class AttentionSwitching:
 
     def scores(self, team: TeamState) -> tuple[NDArray[np.int64], Floats]:
         """Return each robot's action towards each person, and its score, both of shape (N, M, K)."""
-        q = team.q_values()
-        each = team.by_kind(q)
+        each = team.by_kind(team.q_values())
         robot = first_best(each)
         worth = np.take_along_axis(each, robot[..., None], axis=3)[..., 0]  # faster than a maximum over so few entries
         # People who are not active score minus infinity. Doing nothing is no reason to move, even if its value exceeds
         # that of never helping again.
         useful = team.active[:, None] & (robot > 0)
-        score = np.subtract(worth, self.reference(team, q)[:, None], out=np.full(worth.shape, -np.inf), where=useful)
+        score = np.subtract(worth, self.reference(team, each), out=np.full(worth.shape, -np.inf), where=useful)
         kind = team.fleet.kinds[1]
         return robot[:, kind], score[:, kind] - team.to()

@@ -39,8 +39,8 @@ class AttentionAgainstNever(AttentionSwitching):
         self.never[policy]
 
     def reference(self, team: TeamState, _q: Floats) -> Floats:
-        """Return the value of never helping each person, shape (N, K)."""
-        return team.of_each(self._if_never)[:, :, 0]
+        """Return the value of never helping each person, shape (N, 1, K)."""
+        return team.of_each(self._if_never)[:, None, :, 0]
 
     def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         acting = policy.pomdp.hidden.acting(belief)
@@ -51,4 +51,4 @@ def without_help(policy: Policy) -> OfRows:
     """Return the values of never helping a person, as a function of rows."""
     if policy.unhelped is not None:
         return policy.unhelped
-    return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64)).__getitem__
+    return evaluate(policy.pomdp.unattended(), np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64)).__getitem__

@@ -31,9 +31,10 @@ from ..person.beliefs import Beliefs, PersonModel
 from ..person.dynamics import PeopleArrays
 from ..person.policy import Policy
 from ..person.problem_arrays import Acts, ProblemArrays
+from ..person.robots import NOTHING_DONE
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent
-from .state import TeamAction, TeamState, by_model
+from .state import BASE, TeamAction, TeamState, by_model
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -326,6 +327,8 @@ class Engine:
         """Return the robot action for each person, which robots execute an action, and the costs for each person."""
         policies, groups, fleet = self.tasks.policies, self.tasks.groups, self.robots.fleet
         said, charged, executes = np.zeros_like(self.people.place), self._charged, np.zeros(len(sent.team), dtype=bool)
+        if fleet.extra[:, NOTHING_DONE].any() or not all(policies[n].pomdp.waits_for_free for n, _ in self.now.groups):
+            self._charge_waiting(sent)
         if not len(sent.team):
             return said, executes, charged
         x, at = self.beliefs.x.reshape(said.shape), (sent.team, sent.person)
@@ -338,6 +341,20 @@ class Engine:
             if fleet.costs_differ:
                 charged[to] += fleet.extra_of(sent.robot[rows], executes[rows])
         return said, executes, charged
+
+    def _charge_waiting(self, sent: Sent) -> None:
+        """Charge for the robots that are with a person at work and do nothing, after these were sent."""
+        robots, tasks, x = self.robots, self.tasks, self.beliefs.x.reshape(self.people.place.shape)
+        waits = robots.free(self.clock) & (robots.location != BASE)
+        busy = sent.action > 0
+        waits[sent.team[busy], sent.robot[busy]] = False
+        team, robot = np.nonzero(waits)
+        person = robots.location[team, robot]
+        at_work = np.flatnonzero(self.now.active[team, person])
+        for number, rows in by_model(tasks.model[team, person], at_work, len(tasks.policies)):
+            there = team[rows], person[rows]
+            cost = tasks.groups[number].arrays.robot_costs[x[there], 0]
+            np.add.at(self._charged, there, cost + robots.fleet.extra[robot[rows], NOTHING_DONE])
 
     def _uniform(self, kind: int) -> Floats:
         """Return uniform numbers of a kind for all people, 0 in teams that do not run any more."""

@@ -22,6 +22,7 @@ from ..person.beliefs import Ask
 from ..person.policy import Policy
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
+from ..person.robots import NOTHING_DONE
 from ..person.ties import NEAR, first_best
 from ..person.time_expansion import HERE
 from ..person.travel import Travel
@@ -240,7 +241,8 @@ class Priority:
         going[away] -= np.broadcast_to(lowest, going.shape)[away]
         with_them = np.nonzero(team.location != BASE)
         at = team.location[with_them]
-        holding[with_them] = np.where(team.active[with_them[0], at], gain[with_them[0], at, 1], 0.0)
+        more = team.fleet.extra[with_them[1], NOTHING_DONE]
+        holding[with_them] = np.where(team.active[with_them[0], at], gain[with_them[0], at, 1] - more, 0.0)
         return robot, going - team.to(), holding
 
     @cached_property

@@ -29,6 +29,7 @@ from ..person.beliefs import PersonModel, Seen
 from ..person.dynamics import Minds, PeopleArrays, act
 from ..person.policy import Policy
 from ..person.problem_arrays import ProblemArrays
+from ..person.robots import NOTHING_DONE
 from ..person.ties import NEAR, first_best, ranked
 from ..person.time_expansion import AWAY, HERE
 from ..person.travel import Travel
@@ -348,7 +349,8 @@ class _Paths:
         taken = engine.step(action)
         now, sent = self._positions(taken.clock), taken.sent
         by, gained = np.zeros_like(before), np.zeros(len(before))
-        by[sent.team, sent.person] = sent.robot
+        team, number = np.nonzero(engine.robots.location != BASE)
+        by[team, engine.robots.location[team, number]] = number
         np.subtract.at(gained, sent.team, sent.cost)
         attended = taken.now.active & (now != AWAY)
         gained += self.rollout.base.price[0] * attended.sum(axis=1)
@@ -361,9 +363,11 @@ class _Paths:
             was, at, does, robot, its, x, h, t = (array.reshape(-1)[rows] for array in each)
             policy = self.team.policies[group]
             solved = policy.with_robot(self.rollout.base)
-            extra = self.team.fleet.extra_of(its, policy.pomdp.suggested[x, robot] == NOTHING)
+            fleet = self.team.fleet
+            acting = fleet.extra_of(its, policy.pomdp.suggested[x, robot] == NOTHING)
+            waiting = np.where(does == 1, fleet.extra[its, NOTHING_DONE], 0.0)
             advantage[rows] = solved.advantage(was, at, x, does, h, t)
-            advantage[rows] -= np.where(robot > 0, extra, 0.0)
+            advantage[rows] -= np.where(robot > 0, acting, waiting)
         return gained + advantage.reshape(before.shape).sum(axis=1)
 
     def _positions(self, clock: Ints) -> Ints:

@@ -21,9 +21,9 @@ from ..people.decision import NOTHING, Floats
 from ..people.hidden_type import mean_over_goals
 from ..people.user_code import UserCodeError
 from ..person.beliefs import Ask, Beliefs
-from ..person.fleet import EXECUTION, SUGGESTION, Fleet
+from ..person.fleet import Fleet
 from ..person.policy import Policy
-from ..person.robots import Robot
+from ..person.robots import EXECUTION, NOTHING_DONE, SUGGESTION, Robot
 from ..person.travel import Travel
 
 BASE = -1
@@ -239,12 +239,11 @@ class TeamState:
         """Return what the first R robot actions cost more than in people's problems, for each kind of robot.
 
         Robots with the same costs are of one kind (`Fleet.kinds`). The shape is (N, U, K, R) for U kinds, or (1, U, 1,
-        R) where no robot can execute an action. It is 0 for no action, and infinite for an action that robots of this
-        kind cannot execute.
+        R) where no robot can execute an action. It is infinite for an action that robots of this kind cannot execute.
         """
         each = self.fleet.kinds[0][:, None, None]
         costs = np.where(self.executes(actions)[:, None], each[..., EXECUTION], each[..., SUGGESTION])
-        costs[..., 0] = 0.0
+        costs[..., :1] = each[..., NOTHING_DONE]
         return costs
 
     def act(self, person: ArrayLike, robot: ArrayLike) -> TeamAction:

@@ -25,6 +25,7 @@ from assist.people.user_code import UserCodeError
 from assist.person import AssistPOMDP, ObservationModel, Robot, solve
 from assist.person import solver as person_solver
 from assist.person.qmdp import QMDP, qmdp
+from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.reports import study_report
 from assist.reports.study_report import write_report
@@ -94,7 +95,7 @@ def test_only_policies_that_weigh_a_cost_say_so(tiny: Table) -> None:
 
 def test_a_person_who_is_best_left_alone(tiny: Table) -> None:
     for c_suggest, suggests in ((40.0, False), (0.2, True)):
-        problem = AssistPOMDP.of(HumanModel.exact(Choices.of(tiny)), c_suggest=c_suggest)
+        problem = AssistPOMDP.of(HumanModel.exact(Choices.of(tiny)), robot=OfRobots(c_suggest=c_suggest))
         assert solve(problem, gap=0.01).suggests is suggests
     assert solve(problem, gap=0.0, time_limit=0.0).suggests  # it may
 

@@ -22,6 +22,7 @@ from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays, read_only
 from assist.person.qmdp import qmdp
+from assist.person.robots import OfRobots
 from planner import sweep
 
 Floats = NDArray[np.float64]
@@ -44,7 +45,7 @@ def problem_of(drawn: list[tuple[int, int, int]], person: dict[str, float], sigm
     choices = Choices.of(sweep(graph_task(drawn)))
     q = perceived_cost(choices, perceived_cost_to_go(choices, sigma, np.random.default_rng(1)))
     model, grid = HumanModel(choices, q, **person), Grid(BETA.copy(), THETA.copy())
-    return AssistPOMDP.of(model, grid=grid, gamma=0.9, c_suggest=0.3, suggestions="all")
+    return AssistPOMDP.of(model, grid=grid, gamma=0.9, robot=OfRobots(c_suggest=0.3), suggestions="all")
 
 
 def response(problem: AssistPOMDP, x: int, r: int) -> Floats:

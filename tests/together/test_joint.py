@@ -20,6 +20,7 @@ from assist.people.ranges import Population
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
+from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.person.travel import Travel
@@ -51,7 +52,7 @@ def pool_of(c_suggest: float, c_move: float, *, initial: int | None = None, seed
         qmdp(
             AssistPOMDP.of(
                 HumanModel.own(choices, human), grid=grid, population=population, gamma=setting.gamma,
-                c_suggest=c_suggest, execute=setting.execute, c_execute=setting.c_execute,
+                robot=OfRobots(c_suggest=c_suggest, execute=setting.execute, c_execute=setting.c_execute),
             )
         )
         for human in people

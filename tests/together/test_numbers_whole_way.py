@@ -28,6 +28,7 @@ from assist.live import Session
 from assist.people import HumanModel, Population
 from assist.people.choices import Choices
 from assist.person import AssistPOMDP, Setting, qmdp
+from assist.person.robots import OfRobots
 from planner import Instance, Table, load, sweep
 
 DOMAIN = """(define (domain mixing) (:requirements :typing :durative-actions :numeric-fluents) (:types tank)
@@ -352,7 +353,7 @@ def test_two_and_a_half_and_five_halves_are_one_number(tmp_path: Path) -> None:
     tables = [sweep(load(write_instance(tmp_path / f"{n}", *pair))) for n, pair in enumerate(texts)]
     first, *others = tables
     assert first[first.initial] == 5.0
-    values = [qmdp(AssistPOMDP.of(HumanModel.exact(Choices.of(one)), c_suggest=0.4)) for one in tables]
+    values = [qmdp(AssistPOMDP.of(HumanModel.exact(Choices.of(one)), robot=OfRobots(c_suggest=0.4))) for one in tables]
     pools = [Pool.sample(one, 4, seed=1, setting=Setting(c_suggest=0.3)) for one in tables]
     for other, value, pool in zip(others, values[1:], pools[1:], strict=True):
         assert np.array_equal(first.h, other.h)

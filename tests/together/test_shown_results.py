@@ -26,6 +26,7 @@ from assist.learning import (
 )
 from assist.people import Choices, HumanModel
 from assist.person import AssistPOMDP, solve
+from assist.person.robots import OfRobots
 from assist.reports import Report
 from assist.study import Study
 from planner import cost_to_go
@@ -38,7 +39,7 @@ def results() -> dict[str, Any]:
     pool = Pool.sample(table, 3, seed=0)
     episodes = simulate(pool, "attention", humans=2, episodes=4, seed=0)
     bound, [certificate] = certify(pool, ["none"], team=(0, 1), episodes=10, seed=0, window=0, gap=0.5)
-    problem = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), c_suggest=0.5)
+    problem = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), robot=OfRobots(c_suggest=0.5))
     return {
         "table": table, "pool": pool, "episodes": episodes, "summary": episodes.summary(), "bound": bound,
         "comparison": compare(pool, ["none", "attention"], humans=2, episodes=4, seed=0),

@@ -24,6 +24,7 @@ from assist.people import Goals, HumanModel, Population
 from assist.people.hidden_type import HiddenType
 from assist.person import AssistPOMDP, Setting, qmdp
 from assist.person.beliefs import Seen
+from assist.person.robots import OfRobots
 from assist.simulation import Pool, simulate
 from assist.simulation.belief_trace import Watched
 from assist.team.questions import GoalQuestion, Questions, benefit
@@ -168,9 +169,10 @@ def problem_of(goals: Goals, **more: Any) -> AssistPOMDP:
 def test_values_are_averages_over_the_goals(name: str) -> None:
     """With the same robot actions for all goals, the values are those of people whose goal is known."""
     goals, rng = TASKS[name], np.random.default_rng(1)
-    unknown = qmdp(problem_of(goals, suggestions="all", c_suggest=0.2))
+    unknown = qmdp(problem_of(goals, suggestions="all", robot=OfRobots(c_suggest=0.2)))
     single = [
-        qmdp(problem_of(Goals({key: table}), suggestions="all", c_suggest=0.2)) for key, table in goals.tables.items()
+        qmdp(problem_of(Goals({key: table}), suggestions="all", robot=OfRobots(c_suggest=0.2)))
+        for key, table in goals.tables.items()
     ]
     belief = rng.random((50, *unknown.pomdp.prior.shape))
     belief /= belief.sum(axis=(1, 2), keepdims=True)
@@ -186,7 +188,7 @@ def test_values_are_averages_over_the_goals(name: str) -> None:
 
 def test_a_suggestion_after_the_goal_costs_and_no_more() -> None:
     goals = TASKS["tiny"]
-    policy = qmdp(problem_of(goals, c_suggest=0.2))
+    policy = qmdp(problem_of(goals, robot=OfRobots(c_suggest=0.2)))
     certain = policy.pomdp.prior.reshape(3, -1) * np.array([[0], [1], [0]])
     certain = (certain / certain.sum()).reshape(1, *policy.pomdp.prior.shape)
     x = np.flatnonzero(goals.tables["b"].is_goal(np.arange(len(goals) // 3)))[:1]
@@ -366,7 +368,7 @@ def test_what_cannot_know_goals_yet_says_so(tiny: Table) -> None:
     pool = Pool.sample(goals, 2, seed=1)
     expected = "expected people whose goal is known, and there are 3 goals"
     for refused in (
-        lambda: upper_bound(pool, paths=30), lambda: problem_of(goals, execute=True),
+        lambda: upper_bound(pool, paths=30), lambda: problem_of(goals, robot=OfRobots(execute=True)),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=expected):
             refused()

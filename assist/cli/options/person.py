@@ -79,11 +79,8 @@ def person_problem(
     try:
         with nullcontext() if whole else progress_bar("collecting states", states) as advance:
             problem = PersonProblem.of(
-                known, states=states, population=setting.population, sigma=setting.sigma, seed=seed,
-                time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance, gamma=chosen.gamma,
-                eta=chosen.eta, utility_scale=chosen.utility_scale, lapse=chosen.lapse, trust=chosen.trust,
-                c_suggest=chosen.c_suggest, suggestions=chosen.suggestions, execute=chosen.execute,
-                c_execute=chosen.c_execute,
+                known, setting=chosen, population=setting.population, states=states, sigma=setting.sigma, seed=seed,
+                time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance,
             )  # fmt: skip
     except ValueError as error:
         raise click.UsageError(str(error)) from None

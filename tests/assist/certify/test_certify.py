@@ -29,7 +29,7 @@ from assist.people.ranges import Population
 from assist.person.attention_subproblem import AttentionSubproblem
 from assist.person.memory_needed import policy_bytes
 from assist.person.pomdp import AssistPOMDP
-from assist.person.robots import Robot
+from assist.person.robots import OfRobots, Robot
 from assist.person.settings import Setting
 from assist.person.solver import solve
 from assist.person.time_expansion import AWAY, HERE, TimeExpansion
@@ -284,7 +284,7 @@ def test_states_at_a_step_are_those_that_can_be_reached_in_so_many(
 ) -> None:
     """States are reachable along choices and, if the robot executes actions, along those that may precede choices."""
     choices = Choices.of(sweep(graph_task(drawn)))
-    alone = AssistPOMDP.of(HumanModel.exact(choices), execute=execute)
+    alone = AssistPOMDP.of(HumanModel.exact(choices), robot=OfRobots(execute=execute))
 
     def executed(states: set[int]) -> set[int]:
         return states | {int(y) for x in states for y in alone.afterstate[x, : alone.robot_actions[x]]}

@@ -22,6 +22,7 @@ from assist.people import Goals, HumanModel, Population
 from assist.people.trust_rules import outcome
 from assist.person import AssistPOMDP, Setting, Solution, qmdp, solve
 from assist.person.qmdp import evaluate
+from assist.person.robots import OfRobots
 from assist.simulation import Pool, simulate
 from planner import sweep_goals
 
@@ -139,7 +140,7 @@ def problem(goals: Goals, **more: Any) -> AssistPOMDP:
         HumanModel.exact(goals.choices(), eta=0.1, lapse=0.01),
         Population(beta=(0.1, 0.5), theta=(0.8, 0.95)),
     )
-    return AssistPOMDP.of(model, population=people, gamma=0.5, c_suggest=0.01, **more)
+    return AssistPOMDP.of(model, population=people, gamma=0.5, robot=OfRobots(c_suggest=0.01), **more)
 
 
 def solved(**more: Any) -> Solution:
@@ -167,7 +168,9 @@ def test_the_solver_goes_on_where_a_goal_is_reached_that_may_be_another_persons(
         {f"place-{node}": table for node, table in zip(order, tables, strict=True)},
         {f"place-{node}": 0.2 if node == 1 else 0.8 for node in order},
     )
-    pomdp = AssistPOMDP.of(HumanModel.exact(goals.choices(), lapse=0.01), population=PEOPLE, gamma=0.9, c_suggest=0.3)
+    pomdp = AssistPOMDP.of(
+        HumanModel.exact(goals.choices(), lapse=0.01), population=PEOPLE, gamma=0.9, robot=OfRobots(c_suggest=0.3)
+    )
     solution = solve(pomdp, gap=1e-3)
     assert solution.gap <= 1e-3
     assert solution.lower <= -4.9258

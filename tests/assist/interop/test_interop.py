@@ -25,6 +25,7 @@ from assist.people.memory import remembered
 from assist.person.leaf_bounds import LeafBounds
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
+from assist.person.robots import OfRobots
 from planner import Instance, Table, load, sweep
 from planner.system.errors import InputFileError, MissingExtraError
 
@@ -159,7 +160,7 @@ def test_pomdpx_holds_the_problems_own_numbers(tiny_choices: Choices, tmp_path: 
 def test_states_are_called_by_facts_and_actions_explained(tiny: Table, tmp_path: Path, execute: bool) -> None:
     """Each state's name gives its difference from the initial state; the description explains the robot's actions."""
     choices = Choices.of(tiny)
-    pomdp = AssistPOMDP.of(HumanModel.exact(choices), grid=GRID, execute=execute)
+    pomdp = AssistPOMDP.of(HumanModel.exact(choices), grid=GRID, robot=OfRobots(execute=execute))
     write_pomdpx(pomdp, tmp_path / "named.pomdpx", tiny)
     write_pomdpx(pomdp, tmp_path / "numbered.pomdpx")
     named, numbered = (Pomdpx(tmp_path / f"{kind}.pomdpx") for kind in ("named", "numbered"))
@@ -253,7 +254,7 @@ class Flat:
 
 
 def test_the_flat_format_is_the_factored_one_multiplied_out(tiny_choices: Choices, tmp_path: Path) -> None:
-    pomdp = make(tiny_choices, execute=True)
+    pomdp = make(tiny_choices, robot=OfRobots(c_suggest=0.3, execute=True))
     write_pomdpx(pomdp, tmp_path / "problem.pomdpx")
     write_pomdp(pomdp, tmp_path / "problem.pomdp")
     tables, flat = Pomdpx(tmp_path / "problem.pomdpx").tables, Flat(tmp_path / "problem.pomdp")
@@ -362,7 +363,7 @@ def test_pomdp_py_has_the_same_chances_and_rewards(tiny_choices: Choices) -> Non
     pytest.importorskip("pomdp_py")
     from pomdp_py.utils.templates import SimpleAction, SimpleObservation, SimpleState
 
-    pomdp = make(tiny_choices, execute=True)
+    pomdp = make(tiny_choices, robot=OfRobots(c_suggest=0.3, execute=True))
     problem = to_pomdp_py(pomdp, np.random.default_rng(0))
     states = problem.transition.get_all_states()
     assert len(states) == 21 * 6
@@ -391,7 +392,7 @@ def test_pomdp_py_has_the_same_chances_and_rewards(tiny_choices: Choices) -> Non
 def test_rewards_are_expected_costs_where_actions_differ_in_cost() -> None:
     folder = KITTING.parent / "delivery"
     choices = Choices.of(table_of(Instance(folder / "one-parcel.pddl", folder / "domain.pddl")))
-    pomdp = AssistPOMDP.of(HumanModel.exact(choices), grid=GRID, execute=True)
+    pomdp = AssistPOMDP.of(HumanModel.exact(choices), grid=GRID, robot=OfRobots(execute=True))
     observed = Observed.of(pomdp)
     differ = 0
     for x in range(0, len(choices), 9):

@@ -25,6 +25,7 @@ from assist.person.belief_filter import update as compiled_update
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
+from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from planner import Table
 
@@ -395,7 +396,7 @@ def test_compiled_filters_are_the_equations(
     grid = Grid(betas, np.array([0.0, *thetas, 1.0]))
     pomdp = AssistPOMDP.of(
         HumanModel.own(tiny_choices, Human(1.0, 0.6, 0.7, h), lapse=lapse), grid=grid, suggestions="all", trust=rule,
-        execute=execute,
+        robot=OfRobots(execute=execute),
     )  # fmt: skip
     m = ProblemArrays.of(pomdp)
     x = int(rng.choice(np.flatnonzero(~tiny_choices.goal)))

@@ -31,6 +31,7 @@ from assist.people.weighted_choice import Weighted
 from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.solver import Solution, solve
 from assist.simulation.pool import Pool
@@ -172,7 +173,7 @@ def test_bounds_with_memory_agree_with_another_solver(tiny: Table, tmp_path: Pat
     grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0]))
     pomdp = AssistPOMDP.of(
         HumanModel.exact(choices), chooses=Weighted(WEIGHTS), grid=grid, population=population, gamma=0.95,
-        c_suggest=0.1,
+        robot=OfRobots(c_suggest=0.1),
     )  # fmt: skip
     pool = Pool(
         setting, tuple(population.sample(choices, 1, np.random.default_rng(0))), (qmdp(pomdp),), np.zeros(1, int)
@@ -188,7 +189,7 @@ def test_bounds_with_memory_agree_with_another_solver(tiny: Table, tmp_path: Pat
     assert own.upper >= other.lower
     assert own.value_never == pytest.approx(other.never, abs=1e-3)
     assert own.lower > own.value_never + 0.1
-    plain = AssistPOMDP.of(HumanModel.exact(Choices.of(tiny)), grid=grid, gamma=0.95, c_suggest=0.1)
+    plain = AssistPOMDP.of(HumanModel.exact(Choices.of(tiny)), grid=grid, gamma=0.95, robot=OfRobots(c_suggest=0.1))
     assert abs(solve(plain, gap=1e-4).value_never - own.value_never) > 0.5  # terms matter
 
 

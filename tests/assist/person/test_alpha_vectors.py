@@ -15,6 +15,7 @@ from assist.people.human import HumanModel
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
+from assist.person.robots import OfRobots
 from planner import Instance
 
 
@@ -57,7 +58,7 @@ def problems(tiny_choices: Choices) -> dict[str, AssistPOMDP]:
     return {
         "optimal": make(tiny_choices),
         "all": make(tiny_choices, suggestions="all"),
-        "execute": make(tiny_choices, execute=True, c_execute=0.7),
+        "execute": make(tiny_choices, robot=OfRobots(c_suggest=0.3, execute=True, c_execute=0.7)),
         "lockers": AssistPOMDP.of(HumanModel.exact(lockers()), grid=GRID),
         # With theta 1 a person always follows; with beta 1000, always takes the best action.
         "no lapses": AssistPOMDP.of(

@@ -22,6 +22,7 @@ from assist.person.attention_subproblem import AttentionSubproblem, backwards
 from assist.person.leaf_bounds import LeafBounds
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, qmdp
+from assist.person.robots import OfRobots
 from assist.person.time_expansion import AWAY, HERE
 from planner import LimitError, sweep
 
@@ -40,10 +41,11 @@ def moves(position: int, actions: int, entry_steps: int) -> list[tuple[int, int,
     return [(0, position, False)]
 
 
-def problem(drawn: list[tuple[int, int, int]], **options: bool) -> AssistPOMDP:
+def problem(drawn: list[tuple[int, int, int]], *, execute: bool = False) -> AssistPOMDP:
     """The problem of a person whose trust depends on what they answer, on a graph."""
     model = HumanModel.exact(Choices.of(sweep(graph_task(drawn))), lapse=0.01)
-    return AssistPOMDP.of(model, grid=GRID, gamma=0.9, c_suggest=0.1, suggestions="all", trust=outcome(), **options)
+    robot = OfRobots(c_suggest=0.1, execute=execute)
+    return AssistPOMDP.of(model, grid=GRID, gamma=0.9, robot=robot, suggestions="all", trust=outcome())
 
 
 def is_as_defined(
@@ -238,7 +240,7 @@ def test_values_with_prices_go_backwards_from_those_without(monkeypatch: pytest.
     chain = [(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 1), (1, 2, 1)]
     alone = AssistPOMDP.of(HumanModel.exact(Choices.of(sweep(graph_task(chain, start=3)))), grid=GRID, gamma=0.6)
     cheap = np.where(alone.suggested == NOTHING, alone.robot_costs, 0.01)
-    alone = replace(alone, c_suggest=0.01, robot_costs=cheap)
+    alone = replace(alone, robot_costs=cheap)
     free = AttentionSubproblem.of(alone, 0.3, 1)
     tail = qmdp(free.pomdp, tolerance=1e-12).value_mdp
     visits = AttentionSubproblem.of(alone, 0.3, 1, [0.5, 0.0, 1.0])

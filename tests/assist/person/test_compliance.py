@@ -14,6 +14,7 @@ from assist.people.human import Human, HumanModel
 from assist.people.ranges import Population
 from assist.person import AssistPOMDP, qmdp
 from assist.person.compliance_relaxation import breadth_first, compliance_bounds
+from assist.person.robots import OfRobots
 from assist.person.truncated_task import never_erring
 from planner import Instance, Table
 
@@ -36,7 +37,7 @@ def solved(task: str, human: Human | None, grid: Grid, eta: float, most: int, **
     known = {"eta": eta, "lapse": LAPSE}
     model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
     suggestions = "optimal" if options.get("optimal", True) else "all"
-    pomdp = AssistPOMDP.of(model, grid=grid, gamma=GAMMA, c_suggest=C_SUGGEST, suggestions=suggestions)
+    pomdp = AssistPOMDP.of(model, grid=grid, gamma=GAMMA, robot=OfRobots(c_suggest=C_SUGGEST), suggestions=suggestions)
     states = breadth_first(table, np.array([table.initial]), most)
     found = compliance_bounds(table, human, grid.beta, states, gamma=GAMMA, c_suggest=C_SUGGEST, lapse=LAPSE, **options)
     np.testing.assert_array_equal(found.at(states[::-1]), found.value[::-1])

@@ -14,7 +14,8 @@ from assist.live import Assistant, TraceReasons
 from assist.live import live_task as live
 from assist.people import Goals, Human, HumanModel
 from assist.people.misconception import Misconception
-from assist.person import AssistPOMDP, PersonProblem, Setting, TruncatedTask
+from assist.people.ranges import Population
+from assist.person import AssistPOMDP, OfRobots, PersonProblem, Setting, TruncatedTask
 from assist.person.assumptions import Assumptions
 from assist.person.closed_problem import closed_problem
 from assist.person.memory_needed import depth_within, first_bounds_bytes, states_within
@@ -145,7 +146,7 @@ def test_a_truncated_task_of_all_goals_has_bounds_for_each(states: int) -> None:
         for own, whole in zip(part.choices.of_each_goal, full.of_each_goal, strict=True):
             assert set(own.actions[x][own.optimal[x]]) == set(whole.actions[theirs][whole.optimal[theirs]])
         assert sorted(rows[part.choices.targets[x, :count]]) == sorted(full.targets[theirs, :count])
-    setting = {"gamma": 0.97, "c_suggest": 0.3}
+    setting = {"gamma": 0.97, "robot": OfRobots(c_suggest=0.3)}
     problem = AssistPOMDP.of(HumanModel.exact(full), **setting)  # type: ignore[arg-type]
     frontier = closed_problem(part, Assumptions(**setting)).frontier  # type: ignore[arg-type]
     assert frontier is not None
@@ -160,9 +161,9 @@ def test_a_truncated_task_of_all_goals_has_bounds_for_each(states: int) -> None:
 
 def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
     """The value is bounded independently, on all states; with all of them, the problem is the same."""
-    goals, setting = TASKS["tiny"], {"gamma": 0.9, "c_suggest": 0.05}
+    goals, setting = TASKS["tiny"], Setting(gamma=0.9, c_suggest=0.05)
     size = len(goals.tables["a"])
-    problems = [PersonProblem.of(goals, states=states, **setting) for states in (size, 4, 12)]  # type: ignore[arg-type]
+    problems = [PersonProblem.of(goals, states=states, setting=setting) for states in (size, 4, 12)]
     exact, *found = (solve(one.pomdp, gap=1e-2) for one in problems)
     for one, truncated in zip(found, problems[1:], strict=True):
         assert one.lower <= exact.upper
@@ -172,7 +173,7 @@ def test_bounds_on_a_truncated_task_contain_the_value_on_the_whole() -> None:
     assert found[0].upper - found[0].lower > found[1].upper - found[1].lower > 0
     part = TruncatedTask.of(goals, states=size)
     assert (len(part.frontier), sorted(part.states)) == (0, [*range(size)])
-    same = solve(closed_problem(part, Assumptions(**setting)), gap=1e-2)  # type: ignore[arg-type]
+    same = solve(closed_problem(part, Assumptions.of(setting, None, Population())), gap=1e-2)
     assert same.lower <= exact.upper
     assert exact.lower <= same.upper
     assert same.value_qmdp == pytest.approx(exact.value_qmdp, abs=1e-5)

@@ -24,6 +24,7 @@ from assist.person.leaf_bounds import LeafBounds
 from assist.person.policy_iteration import rounding_error
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import evaluate, initial_upper_bounds, qmdp, value_iteration
+from assist.person.robots import OfRobots
 from assist.person.rounding import ROUNDING, rounding
 from planner import sweep
 
@@ -123,7 +124,8 @@ def random_problem(draw: st.DataObject, gamma: float) -> AssistPOMDP:
         frontier = LeafBounds(leaves, np.full((len(leaves), 1, GRID.shape[1]), -9.0 / (1 - gamma)), most)
     trust = rules[pick(st.integers(0, 1 if frontier else 2))]
     return AssistPOMDP.of(
-        model, grid=GRID, gamma=gamma, c_suggest=pick(st.sampled_from([0.0, 0.1, 50.0])), execute=execute,
+        model, grid=GRID, gamma=gamma,
+        robot=OfRobots(c_suggest=pick(st.sampled_from([0.0, 0.1, 50.0])), execute=execute),
         suggestions=pick(st.sampled_from(["optimal", "all"])), frontier=frontier, trust=trust,
     )  # fmt: skip
 
@@ -175,7 +177,11 @@ def test_both_forms_have_the_same_values(several: bool, rule: TrustRule | None, 
     """They are held to 1e-9, with the Q-values, values of a given policy, and expected values of beliefs."""
     choices = TASKS["tiny"].choices() if several else Choices.of(kit("tiny"))
     pomdp = AssistPOMDP.of(
-        replace(HumanModel.exact(choices), lapse=lapse), gamma=0.99, c_suggest=0.3, trust=rule, suggestions="all"
+        replace(HumanModel.exact(choices), lapse=lapse),
+        gamma=0.99,
+        robot=OfRobots(c_suggest=0.3),
+        trust=rule,
+        suggestions="all",
     )
     robot, rng, found = pomdp.robot_actions - 1, np.random.default_rng(0), []
     x, belief = rng.integers(0, len(choices), 50), rng.dirichlet(np.ones(pomdp.prior.size), 50)
@@ -239,7 +245,9 @@ def test_people_who_rarely_arrive_need_few_sweeps(monkeypatch: pytest.MonkeyPatc
         for i in range(side) for j in range(side) for a, b in ((0, 1), (1, 0), (0, -1), (-1, 0))
         if 0 <= i + a < side and 0 <= j + b < side
     ]  # fmt: skip
-    pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(sweep(graph_task(roads)))), gamma=0.999, c_suggest=20.0)
+    pomdp = AssistPOMDP.of(
+        HumanModel.exact(Choices.of(sweep(graph_task(roads)))), gamma=0.999, robot=OfRobots(c_suggest=20.0)
+    )
     assert sweeps_of(pomdp, monkeypatch) <= 3 * len(pomdp.grid.beta)
 
 

@@ -23,6 +23,7 @@ from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import QMDP, qmdp
+from assist.person.robots import OfRobots
 from assist.person.solution_cache import SolutionCache
 from planner import Table, sweep
 
@@ -32,7 +33,7 @@ GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.4, 1.0]))
 def make(choices: Choices, h: np.ndarray | None = None, **options: object) -> AssistPOMDP:
     h = perceived_cost_to_go(choices, 0.9, np.random.default_rng(11)) if h is None else h
     model = HumanModel.own(choices, Human(1.0, 0.6, 0.9, h))
-    return AssistPOMDP.of(model, grid=GRID, **{"gamma": 0.95, "c_suggest": 0.3, **options})  # type: ignore[arg-type]
+    return AssistPOMDP.of(model, grid=GRID, **{"gamma": 0.95, "robot": OfRobots(c_suggest=0.3), **options})  # type: ignore[arg-type]
 
 
 def policy_iteration(pomdp: AssistPOMDP) -> np.ndarray:
@@ -54,7 +55,7 @@ def policy_iteration(pomdp: AssistPOMDP) -> np.ndarray:
             theta = grid.theta[t]
             if suggestion >= 0:
                 theta = float(trust(theta, value_of[x], value_of[c.targets[x, suggestion]], model.eta))
-            row, reward = np.zeros(size), -pomdp.c_suggest * (suggestion >= 0)
+            row, reward = np.zeros(size), -pomdp.robot_costs[x, int(suggestion >= 0)]
             for a in np.flatnonzero(c.applicable[x]):
                 reward -= p[a] * c.costs[x, a]
                 for after in range(thetas):
@@ -76,7 +77,7 @@ def policy_iteration(pomdp: AssistPOMDP) -> np.ndarray:
         acting.update(better)
 
 
-@pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"gamma": 0.99, "c_suggest": 0.0}])
+@pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"gamma": 0.99, "robot": OfRobots(c_suggest=0.0)}])
 def test_values_equal_policy_iterations(tiny_choices: Choices, options: dict[str, object]) -> None:
     pomdp = make(tiny_choices, **options)
     policy = qmdp(pomdp, tolerance=1e-9)
@@ -105,7 +106,7 @@ def test_suggesting_pays_where_the_person_would_err(tiny_choices: Choices) -> No
     """For a person without misconceptions who follows, free suggestions are always worthwhile, expensive ones never."""
     x = np.flatnonzero(~tiny_choices.goal)
     model = HumanModel.exact(tiny_choices)
-    free, dear = (qmdp(AssistPOMDP.of(model, grid=GRID, gamma=0.95, c_suggest=c)) for c in (0.0, 100.0))
+    free, dear = (qmdp(AssistPOMDP.of(model, grid=GRID, gamma=0.95, robot=OfRobots(c_suggest=c))) for c in (0.0, 100.0))
     belief = np.zeros((len(x), *GRID.shape))
     belief[:, 0, 2] = 1  # a novice who always follows
     q = free.q_values(x, belief)
@@ -129,7 +130,7 @@ def test_qmdp_is_the_best_action_value_and_below_the_bound(policy: QMDP, belief:
     assert q[policy.choose(at, belief)[0]] == q.max()
 
 
-@pytest.mark.parametrize("options", [{"gamma": 1.0}, {"gamma": float("nan")}, {"c_suggest": -1.0}])
+@pytest.mark.parametrize("options", [{"gamma": 1.0}, {"gamma": float("nan")}])
 def test_parameters_are_checked(tiny_choices: Choices, options: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="expected"):
         make(tiny_choices, **options)
@@ -163,7 +164,7 @@ def test_kept_solutions_are_those_of_the_solver_and_only_for_equal_problems(tiny
 
     first = values(population=wide)
     assert values(population=high) is first, "the prior does not matter to the values"
-    for other in ({"c_suggest": 0.2}, {"trust": constant()}):
+    for other in ({"robot": OfRobots(c_suggest=0.2)}, {"trust": constant()}):
         assert values(population=wide, **other) is not first
     nothing = SolutionCache(limit_mb=0.0)
     assert (nothing.qmdp(make(tiny_choices)).value_mdp == first).all(), "what is not kept is solved again"
@@ -175,6 +176,8 @@ def test_a_suggestion_against_a_dear_action_keeps_its_precision(dear: int) -> No
     roads = [(1, 0, dear), (1, 2, 1), (2, 0, 0), (1, 3, 1), (3, 0, 0)]
     model = HumanModel.exact(Choices.of(sweep(graph_task(roads))), lapse=0.0)
     grid = Grid(np.array([0.0]), np.array([0.0, 1.0]))
-    pomdp = AssistPOMDP.of(model, grid=grid, gamma=0.9, c_suggest=0.1, suggestions="all", trust=constant())
+    pomdp = AssistPOMDP.of(
+        model, grid=grid, gamma=0.9, robot=OfRobots(c_suggest=0.1), suggestions="all", trust=constant()
+    )
     found = qmdp(pomdp, tolerance=1e-13).value_mdp[model.choices.initial, 0, 0]
     assert found == pytest.approx(-1.1, rel=1e-14)

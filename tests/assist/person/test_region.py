@@ -24,12 +24,14 @@ from assist.person.closed_problem import closed_problem
 from assist.person.person_problem import PersonProblem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.person.robots import OfRobots
+from assist.person.settings import Setting
 from assist.person.solver import Solution, solve
 from assist.person.truncated_task import TruncatedTask
 from planner import Instance, OnDemand, Table, load, sweep
 from planner.system.errors import InputFileError
 
-SETTING = {"gamma": 0.97, "c_suggest": 0.3}
+SETTING = {"gamma": 0.97, "robot": OfRobots(c_suggest=0.3)}
 INSTANCES = {name: Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl") for name in ("paper-fixed", "sealed")}
 WAYS = Instance(KITTING / "costs" / "ways.pddl", KITTING / "costs" / "domain.pddl")
 
@@ -191,12 +193,12 @@ def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
     part = TruncatedTask.of(table_of(INSTANCES["sealed"]), states=15)
     some = Population.mixed((Population(beta=(0.1, 0.3), theta=(0.8, 0.9)), Population(theta=(0.2, 0.3))), (0.75, 0.25))
     people = {"eta": 0.4, "lapse": 0.02, "utility_scale": 3.0}
-    prices = {"gamma": 0.9, "c_suggest": 0.3, "suggestions": "all"}
+    prices = {"gamma": 0.9, "robot": OfRobots(c_suggest=0.3), "suggestions": "all"}
     for population in (Population(), some):
         ours = closed_problem(part, Assumptions(population, **people, **prices))  # type: ignore[arg-type]
         model = HumanModel.exact(part.choices, **people)
         theirs = AssistPOMDP.of(model, population=population, frontier=ours.frontier, **prices)  # type: ignore[arg-type]
-        assert (ours.gamma, ours.c_suggest, ours.model.lapse) == (0.9, 0.3, 0.02)
+        assert (ours.gamma, ours.model.lapse) == (0.9, 0.02)
         for name in ("prior", "robot_costs", "suggested", "chosen", "low", "weight"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
         assert ours.frontier is not None
@@ -230,7 +232,7 @@ def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
 def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: float, gap: float) -> None:
     """They are ordered exactly, wherever the search ends: at a gap of 2, it mostly does so before its first trial."""
     part = TruncatedTask.of(table_of(INSTANCES["sealed"]), states=states)
-    problem = closed_problem(part, Assumptions(gamma=gamma, c_suggest=c_suggest))
+    problem = closed_problem(part, Assumptions(gamma=gamma, robot=OfRobots(c_suggest=c_suggest)))
     bounds = solve(problem, gap=gap)
     assert bounds.stopped in {"gap", "stalled"}
     assert max(bounds.value_never, bounds.value_always) <= bounds.lower <= bounds.upper <= bounds.value_qmdp
@@ -242,7 +244,7 @@ def test_nothing_is_executed_where_a_problem_breaks_off() -> None:
     part = TruncatedTask.of(table_of(INSTANCES["paper-fixed"]), states=5)
     frontier = closed_problem(part).frontier
     with pytest.raises(ValueError, match="execute: expected"):
-        AssistPOMDP.of(HumanModel.exact(part.choices), execute=True, frontier=frontier)
+        AssistPOMDP.of(HumanModel.exact(part.choices), robot=OfRobots(execute=True), frontier=frontier)
 
 
 def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
@@ -271,24 +273,24 @@ def test_a_solution_is_saved_under_the_name_that_is_given(tmp_path: Path, tiny: 
 
 
 def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tiny: Table) -> None:
-    problem = PersonProblem.of(tiny, **SETTING)  # type: ignore[arg-type]
+    problem = PersonProblem.of(tiny, setting=Setting(gamma=0.97, c_suggest=0.3))
     assert problem.pomdp.frontier is None
     assert problem.pomdp.afterstate.tolist() == whole(tiny).afterstate.tolist()
     assert problem.states.tolist() == list(range(len(tiny)))
     asked = OnDemand(tiny.task)
     for known, states in ((tiny, 5), (asked, 5), (asked, 10_000)):
-        part = PersonProblem.of(known, states=states, **SETTING)  # type: ignore[arg-type]
+        part = PersonProblem.of(known, states=states, setting=Setting(gamma=0.97, c_suggest=0.3))
         region = TruncatedTask.of(known, states=states)
         assert part.states.tolist() == region.states.tolist()
         assert part.pomdp.frontier is not None
         assert part.pomdp.frontier.states.tolist() == region.frontier.tolist()
         with pytest.raises(ValueError, match="execute: expected a task of at most"):
-            PersonProblem.of(known, states=states, execute=True)
+            PersonProblem.of(known, states=states, setting=Setting(execute=True))
 
 
 def test_a_known_misconception_is_the_same_on_a_part(tiny: Table) -> None:
     """The intervals of the part and of the whole task overlap, and become the same as the part grows."""
-    setting = {"sigma": 0.7, "seed": 3, "gamma": 0.9, "c_suggest": 0.1}
+    setting = {"sigma": 0.7, "seed": 3, "setting": Setting(gamma=0.9, c_suggest=0.1)}
     exact = solve(PersonProblem.of(tiny, **setting).pomdp, gap=1e-3)  # type: ignore[arg-type]
     for states in (4, 12, 21):
         found = solve(PersonProblem.of(OnDemand(tiny.task), states=states, **setting).pomdp, gap=1e-3)  # type: ignore[arg-type]

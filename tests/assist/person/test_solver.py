@@ -23,6 +23,7 @@ from assist.people.ranges import Population
 from assist.person.policy import Policy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
+from assist.person.robots import OfRobots
 from assist.person.search import Search, SolverOptions, relative_gap
 from assist.person.solver import Solution, result_of, solve
 from planner import LimitError, Table
@@ -86,7 +87,7 @@ def detour_problem(eta: float, gamma: float, **options: object) -> AssistPOMDP:
     model = HumanModel.own(choices, Human(1.0, 0.5, 0.6, h), eta=eta)
     population = Population(beta=(0.2, 2.5), theta=(0.3, 0.95))
     return AssistPOMDP.of(
-        model, **{"grid": GRID, "population": population, "gamma": gamma, "c_suggest": 0.05, **options}
+        model, **{"grid": GRID, "population": population, "gamma": gamma, "robot": OfRobots(c_suggest=0.05), **options}
     )  # type: ignore[arg-type]
 
 
@@ -94,7 +95,7 @@ def detour_problem(eta: float, gamma: float, **options: object) -> AssistPOMDP:
 TREES = {
     "trust moves": (0.2, 0.4, {}, 1e-7),
     "trust moves, all": (0.2, 0.3, {"suggestions": "all"}, 1e-6),
-    "execute": (0.2, 0.3, {"execute": True, "c_execute": 0.4}, 1e-7),
+    "execute": (0.2, 0.3, {"robot": OfRobots(c_suggest=0.05, execute=True, c_execute=0.4)}, 1e-7),
     "trust stays": (0.0, 0.4, {}, 1e-7),
     "trust jumps": (5.0, 0.7, {}, 1e-7),
     "far sight": (5.0, 0.95, {}, 1e-6),
@@ -191,7 +192,7 @@ def test_never_and_always_are_what_linear_equations_say(
     """This includes people who do the opposite of what is suggested, and who go in circles for long."""
     h = perceived_cost_to_go(tiny_choices, sigma, np.random.default_rng(0))
     model = HumanModel.own(tiny_choices, Human(1.0, 0.5, sigma, h), eta=eta)
-    pomdp = AssistPOMDP.of(model, population=Population(theta=theta), c_suggest=c_suggest, gamma=gamma)
+    pomdp = AssistPOMDP.of(model, population=Population(theta=theta), robot=OfRobots(c_suggest=c_suggest), gamma=gamma)
     solution, best = solve(pomdp, gap=0.9), qmdp(pomdp)
     values = np.einsum("nrbt,bt->nr", np.maximum(best.q_mdp, -1e9), pomdp.prior)
     q = np.where(pomdp.suggests_optimal[:, :, 0], values, -np.inf)
@@ -211,10 +212,10 @@ ROUNDING_CASES = {
     "certain": {"lapse": 0.0, "beta": (0.0, 1e6), "suggestions": "all"},
     "they refuse": {"population": Population((0.2, 2.5), (0.0, 0.0)), "suggestions": "all"},
     "they obey": {"population": Population((0.2, 2.5), (1.0, 1.0))},
-    "help is free": {"c_suggest": 0.0},
+    "help is free": {"robot": OfRobots(c_suggest=0.0)},
     "some actions are free": {"costs": [[0, 1], [0, 0], [0, 1, 0], []]},
     "all actions are free": {"costs": [[0, 0], [0, 0], [0, 0, 0], []]},
-    "help only costs": {"costs": [[0, 0], [0, 0], [0, 0, 0], []], "execute": True},
+    "help only costs": {"costs": [[0, 0], [0, 0], [0, 0, 0], []], "robot": OfRobots(c_suggest=0.05, execute=True)},
     "no way out of the mess": {"targets": [[2, 1], [1], [3, 1, 0], []]},
     "stuck in the mess": {"targets": [[2, 1], [1], [3, 1, 0], []], "costs": [[1, 1], [1], [1, 1, 1], []]},
     "far": {"gamma": 0.9999},
@@ -236,7 +237,7 @@ def test_bounds_stay_ordered_and_finite(name: str) -> None:
     choices = by_hand(targets, list(h), costs, options.pop("initial", 0))
     model = HumanModel.exact(choices, lapse=options.pop("lapse", 1e-3))
     beta = options.pop("beta", (0.3, 2.0))
-    given = {"gamma": 0.9, "c_suggest": 0.05, "population": Population(beta, (0.0, 1.0)), **options}
+    given = {"gamma": 0.9, "robot": OfRobots(c_suggest=0.05), "population": Population(beta, (0.0, 1.0)), **options}
     pomdp = AssistPOMDP.of(model, grid=Grid(np.array(beta), np.array([0.0, 0.5, 1.0])), **given)
     solution = solve(pomdp, gap=1e-3)
     assert solution.stopped in {"gap", "stalled"}
@@ -272,7 +273,7 @@ def test_search_ends_where_rounding_stops_it(tiny_choices: Choices) -> None:
 @pytest.mark.slow
 def test_bounds_are_lower_at_beliefs_that_are_named(tiny_choices: Choices) -> None:
     """No policy exceeds the bounds, such as one that is nearly optimal."""
-    pomdp = make(tiny_choices, c_suggest=0.5)
+    pomdp = make(tiny_choices, robot=OfRobots(c_suggest=0.5))
     rng = np.random.default_rng(0)
     states = rng.choice(np.flatnonzero(~pomdp.ends), 200)
     beliefs = rng.dirichlet(np.full(pomdp.prior.size, 0.3), 200).reshape(-1, *pomdp.prior.shape)
@@ -430,7 +431,7 @@ def returns(policy: Policy, episodes: int, rng: np.random.Generator) -> np.ndarr
         p = choice(model.q[at], choices.applicable[at], grid.beta[b[going]])
         p = lapse(influence(p, heard, theta), choices.applicable[at], model.lapse)
         slot = (p.cumsum(axis=1) < rng.random((len(at), 1)) * p.sum(axis=1, keepdims=True)).sum(axis=1)
-        total[going] -= discount * (pomdp.c_suggest * (heard >= 0) + choices.costs[at, slot])
+        total[going] -= discount * (pomdp.robot_costs[at, robot] + choices.costs[at, slot])
         belief[going] = pomdp.update(belief[going], at, robot, slot)
         v = perceived_value(choices, model.q)
         moved = trust(theta, v[at], v[choices.targets[at, np.maximum(heard, 0)]], model.eta)

@@ -24,6 +24,7 @@ from assist.person.lazy_policy import LazyPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import Acts
 from assist.person.qmdp import qmdp
+from assist.person.robots import OfRobots
 from assist.person.settings import Setting
 from assist.person.travel import Travel
 from assist.simulation.common_random_numbers import BLOCK
@@ -235,7 +236,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
     rng = np.random.default_rng(5)
     human = Population().sample(tiny_choices, 1, rng)[0]
     model = HumanModel.own(tiny_choices, human, lapse=0.05)
-    pomdp = AssistPOMDP.of(model, execute=True)
+    pomdp = AssistPOMDP.of(model, robot=OfRobots(execute=True))
     n, (betas, thetas) = 40_000, pomdp.grid.shape
     value = perceived_value(tiny_choices, model.q)
     open_states = np.flatnonzero(~tiny_choices.goal)

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
 from conftest import graph_task, invoke
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import Field
 from scipy.sparse import csr_array
 from teams import state
 
@@ -24,7 +25,7 @@ from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import upper_bound
 from assist.cli.options.config import read_config
 from assist.cli.serve import serve
-from assist.declare.declared import plain
+from assist.declare.declared import Number, declared, plain
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING
 from assist.people.ranges import Population
@@ -55,6 +56,18 @@ def people(robots: int | tuple[Robot, ...], size: int = 3, **setting: Any) -> Po
     options: dict[str, Any] = {"knowledge": "exact", "gamma": 0.9, "c_suggest": 0.05, "c_move": 0.05} | setting
     chosen = Setting(robots=robots, **options)
     return Pool.sample(Choices.of(sweep(TASK)), size, seed=1, setting=chosen, population=Population(beta=(0.1, 0.5)))
+
+
+@declared
+class Waits(Robot):
+    """A robot that pays for each step in which it is with a person and does nothing."""
+
+    c_wait: Annotated[Number, Field(ge=0, description="Cost of a step of waiting, in cost units.")] = 0.1
+
+    @property
+    def costs(self) -> tuple[float, float, float]:
+        """What each class of robot actions costs."""
+        return self.c_wait, self.c_suggest, self.c_execute
 
 
 costs = st.sampled_from([None, 0.0, 0.02, 0.3])
@@ -432,7 +445,11 @@ def joint_optimum(pool: Pool, robots: tuple[Any, ...]) -> float:
             if len(set(sent)) == len(sent):
                 does = [sum(r for _, _, to, r in joint if to == k) for k in range(2)]
                 there = tuple(BASE if to == NOBODY and place in sent else place for _, place, to, _ in joint)
-                yield sum(cost for cost, *_ in joint), there, does
+                waiting = sum(
+                    robot.costs[0] for robot, place, (*_, r) in zip(robots, there, joint, strict=True)
+                    if place != BASE and not pomdp.ends[x[place]] and r == 0
+                )  # fmt: skip
+                yield sum(cost for cost, *_ in joint) + waiting, there, does
 
     everywhere = itertools.product(range(len(choices)), repeat=2)
     states = [(x, at) for x in everywhere for at in itertools.product((BASE, 0, 1), repeat=len(robots))]
@@ -471,3 +488,56 @@ def test_the_bound_is_not_below_the_joint_optimum(robots: tuple[Robot, ...], exe
     for name in ("attention", "priority", "whittle"):
         value = bound.certify(name, episodes=400)
         assert value.value - 4 * value.value_stderr <= best + 1e-6
+
+
+@pytest.mark.parametrize("second", [Waits(c_wait=0.1), Waits(c_wait=0.4, c_suggest=0.02), Waits(c_wait=0.0)])
+def test_a_cost_of_waiting_is_charged_weighed_and_bounded(second: Robot) -> None:
+    setting = Setting(
+        knowledge="exact", gamma=0.8, c_suggest=0.05, c_move=0.05, trust="constant", lapse=0.0,
+        robots=(Waits(c_wait=0.1), second),
+    )  # fmt: skip
+    pool = known_people(setting)
+    best = joint_optimum(pool, setting.fleet.robots)
+    assert best < joint_optimum(pool, tuple(replace(robot, c_wait=0.0) for robot in setting.fleet.robots)) - 1e-3
+    bound = upper_bound(pool, window=4, gap=1e-3, options=BoundOptions(price_episodes=100))
+    assert best - 1e-6 <= bound.proven
+    for name in ("attention", "attention-never", "priority", "whittle"):
+        value = bound.certify(name, episodes=1000)
+        assert best - 0.2 < value.value <= best + 4 * value.value_stderr
+
+
+def test_who_waits_with_whom_pays() -> None:
+    """Two robots, one of which is away for two steps, and stays; the other one is with somebody from the first step."""
+    pool = people((Waits(c_wait=0.5), Waits(c_wait=2.0, travel_time=2)), size=2, c_move=0.0, max_steps=5)
+    charged: list[list[float]] = []
+    for waits in (True, False):
+        robots = pool.setting.robots if waits else (Robot(c_move=0.0), Robot(c_move=0.0, travel_time=2))
+        own = people(robots, size=2, c_move=0.0, max_steps=5)
+
+        def act(team: TeamState) -> TeamAction:
+            person = np.full(team.location.shape, NOBODY)
+            if team.step == 0:
+                person[:] = [0, 1]
+            return TeamAction(person, np.zeros_like(person))
+
+        trace: list[Any] = []
+        found = simulate(own, act, humans=2, episodes=1, seed=3, trace=trace)
+        charged.append([float(found.discounted_return[0]), float(found.actions[0].max())])
+    steps = [np.arange(int(n)) for n in found.actions[0]]
+    discount = own.setting.gamma
+    expected = 0.5 * (discount ** steps[0]).sum() + 2.0 * (discount ** steps[1][2:]).sum()
+    assert charged[1][0] - charged[0][0] == pytest.approx(expected)
+
+
+def test_who_would_wait_for_a_price_helps_at_once() -> None:
+    """A suggestion is not worth its cost, but it costs less than to be there in vain."""
+    said = {}
+    for c_wait in (0.0, 3.0):
+        pool = people((Waits(c_wait=c_wait),), size=1, c_suggest=2.5, c_move=0.0)
+        team = replace(state(pool, [pool.choices(0).initial]), location=np.array([[0]]))
+        said[c_wait] = [int(pool.policy(name)(team).person[0, 0]) for name in ("attention", "priority")]
+        priority = pool.policy("priority")
+        _, _, staying = priority.worth(team)
+        assert (staying[0, 0] < 0) == (c_wait > 0)
+    assert said[0.0][0] == NOBODY
+    assert said[3.0][0] == 0
