@@ -82,12 +82,11 @@ class _Desk:
 
         Action 0 (do nothing) is always possible. It is the only one while the robot is under way.
         """
-        teams = self.teams
-        possible = np.repeat((self.sight.mask() * ~teams.finished[:, :, None])[:, None], len(teams.fleet), axis=1)
+        teams, team = self.teams, self.teams.state()
+        possible = self.sight.mask()[:, None] * team.reachable()[..., None]
         possible[..., 1:] *= (teams.travel.steps_from(teams.location) == 0)[..., None]  # the robot acts on arrival
-        able = np.isfinite(teams.state().extra_costs(self.sight.robots))  # not all can execute
+        able = np.isfinite(team.extra_costs(self.sight.robots))  # not all can execute
         possible *= able[:, teams.fleet.kinds[1]]
-        possible *= teams.reachable()[..., None]
         flat = possible.reshape(*possible.shape[:-2], -1).astype(np.int8)
         return np.concatenate([np.ones((*flat.shape[:-1], 1), dtype=np.int8), flat], axis=-1)
 

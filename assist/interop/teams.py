@@ -225,17 +225,6 @@ class Teams:
         """Return which robots are not under way, shape (N, M)."""
         return self.engine.robots.free(self.engine.clock)
 
-    def reachable(self) -> NDArray[np.bool_]:
-        """Return to which people each robot may be sent, shape (N, M, K).
-
-        No person to whom another robot is under way, and none while the robot itself is.
-        """
-        free = self.free()
-        going = np.repeat(free[..., None], self.x.shape[1], axis=-1)
-        teams, robots = np.nonzero(~free)
-        going[teams, :, self.location[teams, robots]] = False
-        return going
-
     def state(self) -> TeamState:
         """Return the state that team policies read; its step is the largest clock of any team."""
         return self.engine.state()

@@ -31,17 +31,13 @@ def assigned(team: TeamState, worth: Floats) -> Ints:
     worth : float array, shape (N, M, K)
         Value of sending each robot to each person, in cost units; minus infinity where nobody may be sent.
     """
-    free = team.free
+    worth = np.where(team.reachable(), worth, -np.inf)
     if team.robots == 1:  # faster
-        worth = np.where(team.active[:, None], worth, -np.inf)
         best = first_best(worth)
         enough = np.take_along_axis(worth, best[..., None], axis=2)[..., 0] > NEAR
-        return np.where(free & enough, best, NOBODY)
-    under_way = np.nonzero(~free)
-    worth = np.where(free[:, :, None] & team.active[:, None], worth, -np.inf)
-    worth[under_way[0], :, team.location[under_way]] = -np.inf  # the person to whom another robot is on its way
+        return np.where(enough, best, NOBODY)
     same_for_all = team.travel.equally_far and team.travel.alike and len(team.fleet.kinds[0]) == 1
-    return (_best_served if same_for_all else _matched)(worth, team.location, free)
+    return (_best_served if same_for_all else _matched)(worth, team.location, team.free)
 
 
 def placed(location: Ints, person: Ints) -> Ints:

@@ -143,6 +143,17 @@ class TeamState:
         """The number of robots of each team, M."""
         return self.location.shape[1]
 
+    def reachable(self) -> NDArray[np.bool_]:
+        """Return to whom each robot may be sent, shape (N, M, K).
+
+        A robot that is not under way may go to anybody at work, except those to whom another robot is under way.
+        """
+        may = self.free[:, :, None] & self.active[:, None]
+        if not self.free.all():
+            teams, robots = np.nonzero(~self.free)
+            may[teams, :, self.location[teams, robots]] = False
+        return may
+
     def refused(self, fault: str) -> UserCodeError:
         """Return the error for a fault of the policy in this step."""
         return UserCodeError(f"step {self.step}: {fault}")
