@@ -36,8 +36,7 @@ def assigned(team: TeamState, worth: Floats) -> Ints:
         best = first_best(worth)
         enough = np.take_along_axis(worth, best[..., None], axis=2)[..., 0] > NEAR
         return np.where(enough, best, NOBODY)
-    same_for_all = team.travel.equally_far and team.travel.alike and len(team.fleet.kinds[0]) == 1
-    return (_best_served if same_for_all else _matched)(worth, team.location, team.free)
+    return (_best_served if team.interchangeable else _matched)(worth, team.location, team.free)
 
 
 def placed(location: Ints, person: Ints) -> Ints:

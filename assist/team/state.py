@@ -154,6 +154,11 @@ class TeamState:
             may[teams, :, self.location[teams, robots]] = False
         return may
 
+    @property
+    def interchangeable(self) -> bool:
+        """Whether each free robot is worth the same everywhere, but where it stays: all ways and robots are alike."""
+        return self.travel.equally_far and self.travel.alike and len(self.fleet.kinds[0]) == 1
+
     def refused(self, fault: str) -> UserCodeError:
         """Return the error for a fault of the policy in this step."""
         return UserCodeError(f"step {self.step}: {fault}")
