@@ -61,7 +61,7 @@ ROOMS = {
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options action_prices prices certificate visited_beliefs computation
         truncated_prices sample_paths team_bound relaxed_value comparison""",
-    "assist.coupled": """agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum
+    "assist.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode watched people policies study userstudy",

@@ -34,6 +34,7 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
@@ -42,7 +43,6 @@ from planner.system.limits import Deadline
 
 from ..people.arguments import positive, whole
 from .agents import Agents, Floats
-from .kernels import backwards, expected_uses
 
 
 @dataclass(frozen=True)
@@ -195,17 +195,52 @@ def bound_for(
     return given
 
 
-def _arrays(agents: Agents):  # type: ignore[no-untyped-def]
-    return agents.P.indptr.astype(np.int64), agents.P.indices.astype(np.int64), agents.P.data
+def backwards(
+    agents: Agents, may: NDArray[np.bool_], price: Floats, tail: Floats, heat: float = 0.0
+) -> tuple[Floats, Floats]:
+    """Solve all agents' problems backwards from values `tail` after the last price.
+
+    With `heat` > 0 the maximum over actions is heat log sum exp(Q / heat), and choices are its derivatives. `may` are
+    the actions to consider, shape (A, n).
+
+    Returns
+    -------
+    values : float array, shape (W + 1, n)
+    chosen : float array, shape (W, A, n)
+        Probability of each action.
+    """
+    reward, use, _ = agents.flat
+    reward, actions = np.where(may, reward, -np.inf), np.arange(len(reward))[:, None]
+    values, chosen = np.empty((len(price) + 1, len(tail))), np.empty((len(price), *reward.shape))
+    values[-1] = tail
+    for t in range(len(price) - 1, -1, -1):
+        q = reward - price[t] * use + agents.gamma * (agents.P @ values[t + 1]).reshape(reward.shape)
+        values[t] = best = q.max(axis=0)
+        if heat:
+            share = np.exp((q - best) / heat)
+            total = share.sum(axis=0)
+            chosen[t] = share / total
+            values[t] += heat * np.log(total)
+        else:
+            chosen[t] = actions == q.argmax(axis=0)
+    return values, chosen
+
+
+def expected_uses(agents: Agents, chosen: Floats) -> Floats:
+    """Return the expected units used at each step, shape (W,), if all agents choose with these probabilities."""
+    use, now, found = agents.flat[1], agents.weight, np.empty(len(chosen))
+    for t, choice in enumerate(chosen):
+        share = now * choice
+        found[t] = (share * use).sum()
+        now = share.reshape(-1) @ agents.P
+    return found
 
 
 def _bound_at(agents: Agents, limit: float, prices: Floats, tail: Floats) -> PriceBound:
     """Return the bound at given prices."""
-    reward, use, may = agents.flat
-    graph = _arrays(agents)
-    values, chosen = backwards(*graph, reward, use, may, prices, tail, agents.gamma, 0.0)
+    values, chosen = backwards(agents, agents.flat[2], prices, tail)
     upper = float(agents.weight @ values[0] + limit * (agents.gamma ** np.arange(len(prices)) @ prices))
-    used = expected_uses(*graph, use, chosen, agents.weight)
+    used = expected_uses(agents, chosen)
     K, _, S = agents.shape
     return PriceBound(upper, prices, values.reshape(-1, K, S), float(limit), used)
 
@@ -221,15 +256,14 @@ def _optimised(
     """
     reward, use, may = agents.flat
     may = may & ~(agents.finished() & (use > 0))
-    graph = _arrays(agents)
     discount = agents.gamma ** np.arange(len(prices))
     # The bound is divided by the scale of rewards, so that the stopping rule does not depend on their unit.
     updates = max(10, int(options.updates / (len(heats) * len(prices) * 10 * reward.size)))
 
     def smoothed(x: Floats, heat: float) -> tuple[float, Floats]:
         price = x * scale
-        values, chosen = backwards(*graph, reward, use, may, price, tail, agents.gamma, heat * scale)
-        uses = expected_uses(*graph, use, chosen, agents.weight)
+        values, chosen = backwards(agents, may, price, tail, heat * scale)
+        uses = expected_uses(agents, chosen)
         value = agents.weight @ values[0] + limit * (discount @ price)
         return float(value / scale), discount * (limit - uses)
 
