@@ -55,10 +55,10 @@ def event_table(base: type[Event]) -> str:
         if kind.path is None or not kind.__module__.startswith("assist."):
             continue
         inside = re.findall(r"\{(\w+)\}", kind.path)
-        fields = ", ".join(f"`{name}`" for name in kind.fields() if name not in inside and kind.method == "POST")
+        fields = ", ".join(f"`{name}`" for name in kind.fields() if name not in inside)
         said = str(kind.__doc__).strip().splitlines()[0].rstrip(".")
         who = "operator: " if kind.by_operator else ""
-        rows.append((f"`{kind.method} {kind.path}`", fields, f"{who}{said[0].lower()}{said[1:]}"))
+        rows.append((f"`POST {kind.path}`", fields, f"{who}{said[0].lower()}{said[1:]}"))
     return markdown_table(("request", "fields", "reports"), rows)
 
 

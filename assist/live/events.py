@@ -78,8 +78,7 @@ class Event(Recorded):
     """Chosen by the client. A repeated id returns the first answer."""
 
     path: ClassVar[str | None] = None
-    """Where it is reported over HTTP; None if it is not. `{person}` and `{robot}` stand for these fields."""
-    method: ClassVar[str] = "POST"
+    """Where it is reported over HTTP, by POST; None if it is not. `{person}` and `{robot}` stand for these fields."""
     by_operator: ClassVar[bool] = True
     """Whether only operators report it; otherwise also the person themselves."""
     shows: ClassVar[Literal["person", "place", "robot"]] = "person"
@@ -268,9 +267,8 @@ class Left(OfPerson):
 
     kind: Literal["left"] = "left"
 
-    path: ClassVar[str | None] = "/api/team/people/{person}"
+    path: ClassVar[str | None] = "/api/people/{person}/leave"
     ends_task: ClassVar[bool] = True
-    method: ClassVar[str] = "DELETE"
     by_operator: ClassVar[bool] = True
 
     def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002

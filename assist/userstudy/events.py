@@ -294,8 +294,7 @@ class Left(StudyEvent):
 
     kind: Literal["left"] = "left"
 
-    path: ClassVar[str | None] = "/api/team/people/{person}"
-    method: ClassVar[str] = "DELETE"
+    path: ClassVar[str | None] = "/api/people/{person}/leave"
     is_tabled: ClassVar[bool] = True
 
     def happens(self, cohort: Cohort, who: Participant, n: int, time: float) -> Facts:

@@ -124,7 +124,7 @@ class Client(Reports):
         ValueError
             Events of this kind are not reported over HTTP.
         """
-        if event.id is None and event.method == "POST":
+        if event.id is None:
             event = event.model_copy(update={"id": uuid.uuid4().hex})
         answer: dict[str, Any] = self.ask(*request_of(event))
         return answer
@@ -222,7 +222,7 @@ class EventReader:
         return (self._kind, json.loads(value)) if name == "data" and self._kind != "ping" else None
 
 
-def request_of(event: Event) -> tuple[str, str, dict[str, Any] | None]:
+def request_of(event: Event) -> tuple[str, str, dict[str, Any]]:
     """Return the method, the path and the body of the request that reports an event.
 
     Raises
@@ -235,7 +235,7 @@ def request_of(event: Event) -> tuple[str, str, dict[str, Any] | None]:
     said = json.loads(event.model_dump_json(include={*event.fields()}))
     inside = {name: str(said.pop(name)) for name in re.findall(r"\{(\w+)\}", event.path)}
     path = event.path.format(**{name: quote(value, safe="") for name, value in inside.items()})
-    return event.method, path, said if event.method == "POST" else None
+    return "POST", path, said
 
 
 def robot_path(number: int) -> str:

@@ -32,16 +32,14 @@ def event_routes(base: type[Event], views: Mapping[str, type[BaseModel]]) -> API
     return router
 
 
-def body_of(kind: type[Event]) -> type[BaseModel] | None:
-    """Return the class of the body of a request: the fields that are not in the path; None if there is no body."""
+def body_of(kind: type[Event]) -> type[BaseModel]:
+    """Return the class of the body of a request: the fields that are not in the path."""
     inside = inside_path(kind)
     fields: dict[str, Any] = {
         name: (kind.model_fields[name].annotation, kind.model_fields[name])
         for name in kind.fields()
         if name not in inside
     }
-    if kind.method == "DELETE":
-        return None
     return create_model(kind.__name__, __base__=Recorded, __doc__=kind.__doc__, **fields)
 
 
@@ -62,19 +60,17 @@ def _add(router: APIRouter, kind: type[Event], view: type[BaseModel]) -> None:
         return Response(json.dumps(answer), media_type="application/json")
 
     parameter = inspect.Parameter
-    known = {"person": Own, "robot": int}
+    # A person need not be present when the operator's report is repeated; otherwise the event says who has to be.
+    known = {"person": str if kind.by_operator else Own, "robot": int}
     needed = [("service", Desk), *((name, known[name]) for name in inside)]
     if kind.by_operator:
         needed.append(("_", Operator))
     parameters = [parameter(name, parameter.KEYWORD_ONLY, annotation=one) for name, one in needed]
-    if body is not None:
-        required = any(field.is_required() for field in body.model_fields.values())
-        whole = {} if required else {"default": None}
-        annotation: Any = body if required else body | None
-        parameters.append(parameter("body", parameter.KEYWORD_ONLY, annotation=annotation, **whole))
+    required = any(field.is_required() for field in body.model_fields.values())
+    whole = {} if required else {"default": None}
+    annotation: Any = body if required else body | None
+    parameters.append(parameter("body", parameter.KEYWORD_ONLY, annotation=annotation, **whole))
     take.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     take.__name__, take.__doc__ = kind.kind_name(), kind.__doc__
     path = str(kind.path)
-    router.add_api_route(
-        path, take, methods=[kind.method], tags=[path.split("/")[2]], response_model=view, responses=WRITE
-    )
+    router.add_api_route(path, take, methods=["POST"], tags=[path.split("/")[2]], response_model=view, responses=WRITE)

@@ -230,7 +230,7 @@ function erase(name) {
 }
 
 function remove(name) {
-  if (confirm(`Remove ${name} from the team?`)) tell(`/api/team/people/${encodeURIComponent(name)}`, { method: "DELETE" }, `${name} is removed.`);
+  if (confirm(`Remove ${name} from the team?`)) tell(`/api/people/${encodeURIComponent(name)}/leave`, { method: "POST" }, `${name} is removed.`);
 }
 
 at("pause").addEventListener("click", () => {

@@ -304,7 +304,7 @@ def test_systems_that_poll_have_a_server(tmp_path: Path) -> None:
         assert client.post("/api/people/bob/actions", json=body).status_code == 200
         assert client.post("/api/people/bob/begin").status_code == 200
         assert client.post("/api/robots/1/arrived", json={"person": "bob"}).status_code == 200
-        assert client.delete("/api/team/people/bob").status_code == 200
+        assert client.post("/api/people/bob/leave").status_code == 200
     expected = {"ann": walk, "bob": ["(fetch box-b)"]}
     for one in (here, there):
         assert done_of(one.session.history.log(), expected) == expected

@@ -17,13 +17,16 @@ import pytest
 from starlette.testclient import TestClient
 from streams import EndedError, Stream, opened
 
-from assist.live.events import Acted, Joined
+from assist.live.events import Acted, Event, Joined, Left, TeamEvent, kinds
 from assist.live.session import Session
 from assist.live.store import JournalError
 from assist.people.ranges import Population
 from assist.person.settings import Setting
+from assist.userstudy.events import StudyEvent
 from assist.web import server
 from assist.web.app import make_app
+from assist.web.client import request_of
+from assist.web.event_routes import body_of, inside_path
 from assist.web.request_limits import LARGEST, Allowance, networks
 from assist.web.service import Service
 from assist.web.tokens import AccessTokens
@@ -141,7 +144,7 @@ def test_what_the_operator_sees_and_does(web: Web) -> None:
     assert come["join"].startswith("http://testserver/join/cleo%20d#")
     token = come["join"].partition("#")[2]
     assert web.client.get("/api/people/cleo d", headers={"Authorization": f"Bearer {token}"}).status_code == 200
-    assert web.ask("DELETE", "/api/team/people/cleo d").json()["present"] is False
+    assert web.ask("POST", "/api/people/cleo d/leave").json()["present"] is False
     assert web.client.get("/api/people/cleo d", headers={"Authorization": f"Bearer {token}"}).status_code == 404
     for action in ("(fetch box-a)", WRONG):
         web.act(action)
@@ -165,6 +168,21 @@ def test_what_the_operator_sees_and_does(web: Web) -> None:
     ]  # fmt: skip
 
 
+def test_a_departure_is_carried_out_once_however_often_it_is_reported(web: Web) -> None:
+    first, again = (web.ask("POST", "/api/people/bob/leave", json={"id": "7"}) for _ in range(2))
+    assert (first.status_code, first.json()) == (again.status_code, again.json())
+    assert first.json()["present"] is False
+    assert web.ask("POST", "/api/people/bob/leave", json={"id": "8"}).status_code == 404
+    log = web.ask("GET", "/api/team").json()["log"]
+    assert [entry["event"] for entry in log].count("left") == 1
+
+
+@pytest.mark.parametrize("kind", [one for base in (TeamEvent, StudyEvent) for one in kinds(base).values() if one.path])
+def test_every_field_of_an_event_reaches_the_service(kind: type[Event]) -> None:
+    assert {*body_of(kind).model_fields, *inside_path(kind)} == {*kind.fields()}
+    assert request_of(Left(person="ann b", id="7")) == ("POST", "/api/people/ann%20b/leave", {"id": "7"})
+
+
 REFUSED: list[tuple[int, str, str, str | None, dict[str, Any]]] = [
     (403, "GET", "/api/people/bob", "ann", {}),
     (403, "POST", "/api/people/bob/actions", "ann", {"json": {"action": "(fetch box-a)"}}),
@@ -174,7 +192,7 @@ REFUSED: list[tuple[int, str, str, str | None, dict[str, Any]]] = [
     (403, "GET", "/api/robots/1", "ann", {}),
     (403, "GET", "/api/log", "ann", {}),
     (403, "POST", "/api/team/people", "ann", {"json": {"person": "eve"}}),
-    (403, "DELETE", "/api/team/people/ann", "ann", {}),
+    (403, "POST", "/api/people/ann/leave", "ann", {}),
     (403, "POST", "/api/team/pause", "ann", {"json": {"paused": True}}),
     (409, "POST", f"{ANN}/actions", "ann", {"json": {"action": "(return box-a)"}}),
     (422, "POST", f"{ANN}/actions", "ann", {"json": {"action": "(fly)"}}),
@@ -283,7 +301,7 @@ def test_what_changes_is_told_to_every_tab_and_a_late_end_ends_no_other(web: Web
         assert web.ask("GET", "/api/team").json()["people"][0]["connected"]
         web.act("(fetch box-a)", "bob")
         assert bob.view()["steps"] == 1
-        web.ask("DELETE", "/api/team/people/bob")
+        web.ask("POST", "/api/people/bob/leave")
         with pytest.raises(EndedError):
             bob.view()
         with web.watch("bob") as again:
@@ -519,7 +537,7 @@ def test_a_full_disk_is_said_to_whoever_reports(web: Web, monkeypatch: pytest.Mo
 def test_the_operator_erases_what_is_recorded_of_a_person(web: Web) -> None:
     ann = web.act("(fetch box-a)").json()
     web.act("(fetch box-b)", "bob", id="bobs")
-    assert web.ask("DELETE", "/api/team/people/bob").status_code == 200  # whoever has left can be erased, too
+    assert web.ask("POST", "/api/people/bob/leave").status_code == 200  # whoever has left can be erased, too
     for status, name, person, query in (
         (403, "ann", "ann", {"reason": "mine"}), (404, "eve", None, {"reason": "asked"}), (422, "bob", None, {}),
         (422, "bob", None, {"reason": "x" * 201}), (422, "bob", None, {"reason": "Bob asked"}),

@@ -292,7 +292,7 @@ def test_who_works_where_no_connection_can_be_kept_is_present(tiny: Table, tmp_p
         assert left() == {bob}
         clock.seconds += 11 * 60
         assert left() == {ann, bob}
-        assert web.ask("DELETE", f"/api/team/people/{ann}").status_code == 200
+        assert web.ask("POST", f"/api/people/{ann}/leave").status_code == 200
         back = web.ask("POST", f"/api/study/participants/{ann}/return")  # by the experimenter, for ann
         assert back.json()["study"]["kind"] == "consent"
         assert left() == {bob}

@@ -49,8 +49,8 @@ function button(code, word, request, said) {
 
 function remover(code) {
   const sure = () => confirm(`Mark ${code} as dropped out? They can rejoin if there is a free place.`);
-  const path = `/api/team/people/${encodeURIComponent(code)}`;
-  return button(code, "Remove", () => (sure() ? [path, { method: "DELETE" }] : null), `${code} is marked as dropped out.`);
+  const path = `/api/people/${encodeURIComponent(code)}/leave`;
+  return button(code, "Remove", () => (sure() ? [path, { method: "POST" }] : null), `${code} is marked as dropped out.`);
 }
 
 function eraser(code) {
