@@ -56,7 +56,7 @@ ARGUMENTS: dict[str, list[str]] = {
         "--out", "episodes.jsonl", "--trace", "trace.jsonl", "--json",
     ],
     "policy": ["problem.pddl", "--time-limit", "0.3", "--gap", "0.1", "--out", "policy.npz", "--json"],
-    "bound": ["problem.pddl", "--humans", "2", "--episodes", "4", "--time-limit", "0.5", "--jobs", "1", "--json"],
+    "bound": ["problem.pddl", "--humans", "2", "--value-episodes", "4", "--time-limit", "0.5", "--jobs", "1", "--json"],
     "export": ["problem.pddl", "--out", "person.pomdpx", "--json"],
     "fit": [
         "problem.pddl", "log.jsonl", "--jobs", "1", "--out", "people.jsonl", "--write-population", "fitted.json",
@@ -344,7 +344,7 @@ class Fuzzer:
             word if word != "drawn.svg" else self._one(["drawn.svg", "drawn.html"]) for word in ARGUMENTS["draw"]
         ]
         if name == "log.jsonl":
-            arguments[1:3] = ["--trace", name]
+            arguments[1:3] = ["--log", name]
         command = (
             self._one(["draw", "draw", "serve"]) if name == "drawing.toml" and "serve" in self.commands else "draw"
         )

@@ -332,7 +332,7 @@ tiny = "domains/kitting/tiny.pddl"
 for words in (
     ["simulate", tiny, "--humans", "2", "--episodes", "2", "--policy", "priority", "--trace", "TRACE"],
     ["policy", tiny, "--gap", "0.5"],
-    ["bound", tiny, "--humans", "1", "--policy", "none", "--episodes", "2", "--gap", "1"],
+    ["bound", tiny, "--humans", "1", "--policy", "none", "--value-episodes", "2", "--gap", "1"],
     ["fit", tiny, "TRACE"],
 ):
     main(words, standalone_mode=False)

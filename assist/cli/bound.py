@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 @command("bound kitting/paper --humans 4 --policy priority")
 @instance_argument
-@policy_option("Repeat it to certify several against the same bound.")
+@policy_option(several=True)
 @click.option(
-    "--episodes", type=click.IntRange(2, 10**8), default=20_000, show_default=True,
+    "--value-episodes", type=click.IntRange(2, 10**8), default=20_000, show_default=True,
     help="Simulated episodes that estimate each policy's value.",
 )  # fmt: skip
 @gap_option
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 @goals_option
 @json_option
 def bound(
-    instance: str, names: tuple[str, ...], episodes: int, gap: float, time_limit: float, samples: int, jobs: int | None,
-    as_json: bool, problems: tuple[str, ...], humans: int, seed: int, domain: str | None, setting: TeamSetting,
-    given: Given[TeamSetting],
+    instance: str, policy: tuple[str, ...], value_episodes: int, gap: float, time_limit: float, samples: int,
+    jobs: int | None, as_json: bool, problems: tuple[str, ...], humans: int, seed: int, domain: str | None,
+    setting: TeamSetting, given: Given[TeamSetting],
 ) -> None:  # fmt: skip
     """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
     from ..certify.comparison import Comparison
@@ -60,14 +60,14 @@ def bound(
     if samples and problems:
         raise click.UsageError("--samples with --goals: expected people whose goal is known")
     with policy_errors():
-        policies = policies_of(names)
+        policies = policies_of(policy)
         goals = several_goals(instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states)
         made = team_of(instance, setting, given, humans=humans, size=humans, seed=seed, domain=domain, goals=goals)
         try:
             with stages() as show:
                 compared = Comparison.of(
-                    made.pool, {name: made.prepared(policy) for name, policy in policies.items()}, progress=show,
-                    time_limit=max(1e-3, start + time_limit - time.perf_counter()), episodes=episodes,
+                    made.pool, {name: made.prepared(one) for name, one in policies.items()}, progress=show,
+                    time_limit=max(1e-3, start + time_limit - time.perf_counter()), episodes=value_episodes,
                     seed=seed, travel=made.travel, gap=gap, paths=samples, jobs=jobs,
                     memory_limit_mb=setting.memory_limit, first=_show_first,
                 )  # fmt: skip
@@ -107,7 +107,7 @@ def bound(
         if c.gap_percent < 0 and not c.within_error:
             click.echo(
                 f"{c.policy}: the mean is more than three standard errors above the bound, which no policy's value "
-                "exceeds; more --episodes"
+                "exceeds; more --value-episodes"
             )
     if samples and len(found.team) > len(made.pool.setting.robots):
         show_samples(found)

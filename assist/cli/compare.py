@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..declare.options import Given, setting_options
-from .options.common import INPUT_FILE, OUTPUT_FILE, OUTPUT_FOLDER, domain_option, separate_files
+from .options.common import INPUT_FILE, domain_option, figures_option, json_option, out_option, separate_files
 from .options.help import command
 from .options.log import ReadingOptions, folds_option, method_of, reading_options, with_task
 from .options.settings import EstimateSetting
@@ -28,12 +28,12 @@ def compare() -> None:
 @click.argument("instance", metavar="INSTANCE")
 @click.argument("file", metavar="LOG", type=INPUT_FILE)
 @folds_option
-@click.option("--out", type=OUTPUT_FILE, help="Write one record per person (JSON Lines).")
-@click.option("--figures", type=OUTPUT_FOLDER, help="Folder for figures.")
+@out_option("one record per person (JSON Lines)")
+@figures_option
 @domain_option
 @reading_options
 @setting_options(EstimateSetting)
-@click.option("--json", "as_json", is_flag=True, help="Print the comparison as one JSON document.")
+@json_option
 def models(
     instance: str, domain: str | None, file: Path, folds: int, out: Path | None, figures: Path | None, as_json: bool,
     setting: EstimateSetting, given: Given[EstimateSetting], **options: Any,
@@ -61,11 +61,11 @@ def models(
 @click.argument("file", metavar="LOG", type=INPUT_FILE, required=False)
 @folds_option
 @advice_options
-@click.option("--out", type=OUTPUT_FILE, help="Write one record per person (JSON Lines).")
+@out_option("one record per person (JSON Lines)")
 @domain_option
 @reading_options
 @setting_options(EstimateSetting)
-@click.option("--json", "as_json", is_flag=True, help="Print the comparison as one JSON document.")
+@json_option
 def rules(
     instance: str | None, domain: str | None, file: Path | None, folds: int, out: Path | None, as_json: bool,
     advice: Path | None, rows: tuple[str, ...], setting: EstimateSetting, given: Given[EstimateSetting],

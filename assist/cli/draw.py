@@ -15,7 +15,7 @@ from planner.system.errors import InputFileError
 from planner.system.files import each_record
 
 from ..declare.options import Given, setting_options
-from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option
+from .options.common import INPUT_FILE, apart, domain_option, instance_argument, json_option, out_option, separate_files
 from .options.goals import goals_option, several_goals
 from .options.help import command
 from .options.settings import DrawSetting
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 @domain_option
 @click.option("--state", type=INPUT_FILE, help="State to draw: the facts that hold, as PDDL or a JSON list.")
 @click.option("--plan", type=INPUT_FILE, help="Plan to draw: one action per line, as written by `solve --out`.")
-@click.option("--trace", type=INPUT_FILE, help="Trace to draw (JSON Lines), as written by `simulate --trace`.")
-@click.option("--episode", metavar="E", help="Episode of the trace. The first unless given.")
+@click.option("--log", type=INPUT_FILE, help="Log of actions to draw (JSON Lines), as written by `simulate --trace`.")
+@click.option("--episode", metavar="E", help="Episode of the log. The first unless given.")
 @goals_option
 @setting_options(DrawSetting)
-@click.option("--out", type=OUTPUT_FILE, required=True, help="Output file: .svg, .png, .gif or .html.")
+@out_option("a file .svg, .png, .gif or .html", required=True)
 @json_option
 def draw(
-    instance: str, domain: str | None, state: Path | None, plan: Path | None, trace: Path | None, episode: str | None,
+    instance: str, domain: str | None, state: Path | None, plan: Path | None, log: Path | None, episode: str | None,
     problems: tuple[str, ...], out: Path, as_json: bool, setting: DrawSetting, given: Given[DrawSetting],
 ) -> None:  # fmt: skip
     """Draw a state, a plan or an episode as a picture (.svg, .png) or an animation (.gif, .html).
@@ -50,21 +50,20 @@ def draw(
     from ..drawing.picture import Artist
     from ..drawing.raster import require
     from ..drawing.states import read_state
-    from .options.common import apart, separate_files
 
     if out.suffix not in FORMATS:
         raise click.UsageError(f"--out {out}: expected a name that ends in {', '.join(FORMATS)}")
-    apart({"--state": state, "--plan": plan, "--trace": trace})
-    if episode is not None and not trace:
+    apart({"--state": state, "--plan": plan, "--log": log})
+    if episode is not None and not log:
         raise click.UsageError(
-            f"--episode {episode} has no effect without --trace FILE, the trace that has the episode "
+            f"--episode {episode} has no effect without --log FILE, the log that has the episode "
             "(`simulate --trace FILE` writes one)"
         )
-    if problems and not trace:
-        raise click.UsageError("--goals: expected --trace as well, the actions from which goals are inferred")
+    if problems and not log:
+        raise click.UsageError("--goals: expected --log as well, the actions from which goals are inferred")
     if not problems:
         given.refuse(["goal_prior"], "without --goals")
-    separate_files({"--out": out}, {"--state": state, "--plan": plan, "--trace": trace})
+    separate_files({"--out": out}, {"--state": state, "--plan": plan, "--log": log})
     require(out.suffix)
     found = one_instance(instance, domain)
     goals = several_goals(instance, problems, setting.goal_prior, domain=domain)
@@ -74,13 +73,13 @@ def draw(
             lines = (line.partition(";")[0].strip() for line in plan.read_text(encoding="utf-8").splitlines())
             with _told(plan):
                 rows = plan_frames(artist, [line for line in lines if line and line != "SequentialPlan:"])
-        elif trace:
-            records = list(each_record(trace))
+        elif log:
+            records = list(each_record(log))
             damaged = next((record for record in records if isinstance(record, Exception)), None)
             if damaged is not None:
                 raise damaged
             known = [record for record in records if isinstance(record, dict)]
-            with _told(trace):
+            with _told(log):
                 rows = episode_frames(artist, known, episode)
             if goals is not None:
                 rows = with_goals(rows, _shares(goals, episode_of(known, episode)))
@@ -104,7 +103,7 @@ def draw(
 
 @contextmanager
 def _told(file: Path) -> Iterator[None]:
-    """Tell the fault of a plan or trace that cannot be drawn with its file."""
+    """Tell the fault of a plan or log that cannot be drawn with its file."""
     try:
         yield
     except ValueError as error:

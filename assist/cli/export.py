@@ -9,7 +9,7 @@ import click
 import planner
 
 from ..declare.options import Given
-from .options.common import MEGABYTES, OUTPUT_FILE, instance_argument
+from .options.common import MEGABYTES, instance_argument, json_option, out_option
 from .options.help import command
 from .options.person import person_options, person_problem
 from .options.settings import PersonSetting
@@ -25,13 +25,13 @@ FORMATS = ("pomdpx", "pomdp")
     "--format", "form", type=click.Choice(FORMATS),
     help="POMDPX with mixed observability, or the flat POMDP format for small tasks.  [default: by the name of --out]",
 )  # fmt: skip
-@click.option("--out", type=OUTPUT_FILE, required=True, help="Output file.")
+@out_option("a file .pomdpx or .pomdp", required=True)
 @click.option(
     "--size-limit", type=MEGABYTES, default=500.0, show_default=True, metavar="MB",
     help="A larger file is not written.",
 )  # fmt: skip
 @person_options
-@click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
+@json_option
 def export(
     instance: str, form: str | None, out: Path, size_limit: float, as_json: bool, seed: int, domain: str | None,
     setting: PersonSetting, given: Given[PersonSetting],

@@ -12,9 +12,11 @@ from ..declare.options import Given, setting_options
 from .options.common import (
     INPUT_FILE,
     OUTPUT_FILE,
-    OUTPUT_FOLDER,
     apart,
     domain_option,
+    figures_option,
+    json_option,
+    out_option,
     separate_files,
 )
 from .options.goals import goals_option
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
 @command("fit kitting/paper log.csv --out people.jsonl")
 @click.argument("instance", metavar="INSTANCE", required=False)
 @click.argument("file", metavar="LOG", type=INPUT_FILE, required=False)
-@click.option("--out", type=OUTPUT_FILE, help="Write one record per person (JSON Lines).")
+@out_option("one record per person (JSON Lines)")
 @click.option(
     "--write-population", "population", type=OUTPUT_FILE, metavar="FILE",
     help="Write the distribution of expertise (beta) and influence (theta), for `simulate --population`.",
@@ -55,12 +57,12 @@ if TYPE_CHECKING:
     help="Estimate influence (theta) under this trust rule, carried from episode to episode (hierarchical model).",
 )  # fmt: skip
 @advice_options
-@click.option("--figures", type=OUTPUT_FOLDER, help="Folder for figures.")
+@figures_option
 @domain_option
 @goals_option
 @reading_options
 @setting_options(EstimateSetting)
-@click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
+@json_option
 def fit(
     instance: str | None, domain: str | None, file: Path | None, out: Path | None, population: Path | None,
     family: str | None, figures: Path | None, misconceptions: bool, terms: bool, as_json: bool,

@@ -11,7 +11,7 @@ import click
 from planner import find_instances
 
 from ..declare.options import Given, setting_options
-from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, separate_files
+from .options.common import INPUT_FILE, domain_option, json_option, out_option, separate_files
 from .options.help import command
 from .options.log import ReadingOptions, reading_options, with_goals
 from .options.settings import GoalSetting
@@ -21,11 +21,11 @@ from .terminal.console import ExitCode, one_line_errors
 @command("infer kits/travel.pddl kits/mend.pddl log.jsonl")
 @click.argument("problems", metavar="PROBLEM...", nargs=-1, required=True)
 @click.argument("file", metavar="LOG", type=INPUT_FILE)
-@click.option("--out", type=OUTPUT_FILE, help="Write one record per episode (JSON Lines).")
+@out_option("one record per episode (JSON Lines)")
 @domain_option
 @reading_options
 @setting_options(GoalSetting)
-@click.option("--json", "as_json", is_flag=True, help="Print the records, with the posterior after each action.")
+@json_option
 def infer(
     problems: tuple[str, ...], file: Path, out: Path | None, domain: str | None, as_json: bool, setting: GoalSetting,
     given: Given[GoalSetting],  # noqa: ARG001

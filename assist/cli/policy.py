@@ -12,13 +12,7 @@ from planner.batch.results_folder import versions
 from planner.system.progress import status_line
 
 from ..declare.options import Given
-from .options.common import (
-    OUTPUT_FILE,
-    gap_option,
-    instance_argument,
-    json_option,
-    time_limit_option,
-)
+from .options.common import gap_option, instance_argument, json_option, out_option, time_limit_option
 from .options.goals import goals_option, several_goals
 from .options.help import command
 from .options.person import person_options, person_problem
@@ -37,7 +31,7 @@ if TYPE_CHECKING:
 @instance_argument
 @gap_option
 @time_limit_option
-@click.option("--out", type=OUTPUT_FILE, help="Save policy and bounds (.npz).")
+@out_option("policy and bounds (.npz)")
 @person_options
 @goals_option
 @json_option

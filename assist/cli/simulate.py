@@ -13,7 +13,7 @@ from planner.system.limits import processors
 from planner.system.progress import stages
 
 from ..declare.options import Given
-from .options.common import OUTPUT_FILE, instance_argument, jobs_option, json_option, separate_files
+from .options.common import OUTPUT_FILE, instance_argument, jobs_option, json_option, out_option, separate_files
 from .options.goals import check_questions, goals_option, several_goals
 from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
@@ -24,13 +24,13 @@ from .terminal.console import kept_if_interrupted, print_json
 
 @command("simulate kitting/paper --humans 4 --policy none --policy attention")
 @instance_argument
-@policy_option("Repeat it to compare several.")
+@policy_option(several=True)
 @click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True, help="Number of episodes.")
 @click.option(
     "--pool", "size", type=click.IntRange(min=1),
     help="Number of people from whom teams are drawn.  [default: 12, or K if larger]",
 )  # fmt: skip
-@click.option("--out", type=OUTPUT_FILE, help="Write one record per episode (JSON Lines).")
+@out_option("one record per episode (JSON Lines)")
 @click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines).")
 @click.option("--reasons", is_flag=True, help="Explain each suggestion in the trace.")
 @click.option("--figure", type=OUTPUT_FILE, help="Plot an episode that the last policy shortened (.png, .svg).")
@@ -39,7 +39,7 @@ from .terminal.console import kept_if_interrupted, print_json
 @goals_option
 @json_option
 def simulate(
-    instance: str, names: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
+    instance: str, policy: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
     reasons: bool, figure: Path | None, jobs: int | None, as_json: bool, problems: tuple[str, ...], humans: int,
     seed: int, domain: str | None, setting: TeamSetting, given: Given[TeamSetting],
 ) -> None:  # fmt: skip
@@ -62,7 +62,7 @@ def simulate(
         unclear = "with observation: expected actions that are all seen as they are"
         if setting.c_ask is not None:
             raise click.UsageError(f"c_ask {unclear}")
-        if "rollout" in names:
+        if "rollout" in policy:
             raise click.UsageError(f"--policy rollout {unclear}, or another policy, such as priority")
         if problems and setting.goal_knowledge == "likeliest":
             raise click.UsageError("goal_knowledge likeliest with observation: expected inferred or known")
@@ -74,7 +74,7 @@ def simulate(
         if figure.suffix not in style.FORMATS:
             raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(style.FORMATS)}")
     with policy_errors():
-        policies, results = policies_of(names), list[Episodes]()
+        policies, results = policies_of(policy), list[Episodes]()
         goals = several_goals(
             instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states
         )  # fmt: skip
@@ -85,21 +85,21 @@ def simulate(
         steps: list[Any] = []
         kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": setting.memory_limit}
         kept["reasons"] = TraceReasons(made.pool.policies, made.known) if reasons else None
-        ready = {name: made.prepared(policy) for name, policy in policies.items()}
+        ready = {name: made.prepared(one) for name, one in policies.items()}
         with kept_if_interrupted(lambda: results):
-            for name, policy in ready.items():
+            for name, one in ready.items():
                 written = len(steps)
                 try:
                     with stages() as show:
                         kept |= {"episodes": episodes, "name": name, "progress": show}
                         # The user's own policy need not be ready for threads.
-                        kept["jobs"] = 1 if isinstance(policy, UserPolicy) else jobs or processors()
-                        results.append(run(made.pool, policy, **kept, **options))
+                        kept["jobs"] = 1 if isinstance(one, UserPolicy) else jobs or processors()
+                        results.append(run(made.pool, one, **kept, **options))
                 except KeyboardInterrupt:
                     del steps[written:]  # of a policy that is not shown
                     raise
             if figure:
-                shown = Illustration.of(made.pool, policy, results[-1], **options)
+                shown = Illustration.of(made.pool, one, results[-1], **options)
                 alone = None if name == "none" else shown.alone
                 style.save(episode_figure(shown.episode, shown.trace, alone), figure)
     if out:

@@ -15,10 +15,11 @@ from planner.system.limits import processors
 
 from .options.common import (
     MEGABYTES,
-    OUTPUT_FOLDER,
     domain_option,
     is_given,
     jobs_option,
+    json_option,
+    out_option,
     resume_option,
     scheduler_option,
     time_limit_option,
@@ -32,7 +33,7 @@ from .terminal.console import ExitCode, one_line_errors
 @command("solve kitting --out results")
 @click.argument("instances", metavar="INSTANCE...", nargs=-1, required=True)
 @domain_option
-@click.option("--out", type=OUTPUT_FOLDER, help="Folder for results.jsonl, tables and plans.")
+@out_option("a folder for results.jsonl, tables and plans", folder=True)
 @jobs_option
 @time_limit_option
 @click.option("--memory-limit", type=MEGABYTES, metavar="MB", help="Memory for each instance. No limit unless given.")
@@ -50,7 +51,7 @@ from .terminal.console import ExitCode, one_line_errors
 )  # fmt: skip
 @scheduler_option
 @resume_option
-@click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
+@json_option
 def solve(
     instances: tuple[str, ...],
     domain: str | None,

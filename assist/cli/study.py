@@ -11,7 +11,7 @@ from rich.table import Table
 from planner.system.limits import processors
 from planner.system.progress import stages
 
-from .options.common import OUTPUT_FOLDER, jobs_option, resume_option, scheduler_option
+from .options.common import jobs_option, json_option, out_option, resume_option, scheduler_option
 from .options.help import command
 from .terminal.console import ExitCode, fail, one_line_errors, print_json, print_table
 
@@ -29,12 +29,9 @@ from .terminal.console import ExitCode, fail, one_line_errors, print_json, print
 )
 @jobs_option
 @scheduler_option
-@click.option(
-    "--out", type=OUTPUT_FOLDER, required=True,
-    help="Folder for episodes, summary, figures and report.",
-)  # fmt: skip
+@out_option("a folder for episodes, summary, figures and report", folder=True, required=True)
 @resume_option
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON document.")
+@json_option
 def study(
     protocol: str, repeats: int | None, jobs: int | None, scheduler: str | None, out: Path, resume: bool, as_json: bool
 ) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from .options.common import INPUT_FILE, OUTPUT_FOLDER
+from .options.common import INPUT_FILE, data_option
 from .options.help import command
 from .terminal.console import ExitCode, fail, print_json
 from .user_study import public_url_option
@@ -16,9 +16,7 @@ from .user_study import public_url_option
 
 @command("study-prepare study.toml --data pilot", "study-prepare")
 @click.argument("file", metavar="FILE.toml", type=INPUT_FILE)
-@click.option(
-    "--data", required=True, type=OUTPUT_FOLDER, metavar="DIR", help="Folder of `serve --study ... --data DIR`."
-)
+@data_option(required=True)
 @click.option(
     "--links", type=INPUT_FILE, metavar="FILE",
     help="Print a signed link for each participant ID in this file, one a line, instead of registering.",

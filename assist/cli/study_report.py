@@ -7,14 +7,14 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from .options.common import OUTPUT_FOLDER, json_option
+from .options.common import json_option, out_option
 from .options.help import command
 from .terminal.console import ExitCode, fail, print_json, print_table
 
 
 @command("study-report data", "study-report")
 @click.argument("folder", metavar="DIR", type=click.Path(exists=True, path_type=Path))
-@click.option("--out", type=OUTPUT_FOLDER, metavar="DIR", help="Output folder. `report` within DIR unless given.")
+@out_option("a folder; `report` within DIR unless given", folder=True)
 @json_option
 def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     """Report on a user study: means, effects of conditions, questionnaires and dropouts.

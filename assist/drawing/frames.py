@@ -133,11 +133,11 @@ def episode_of(rows: Sequence[Mapping[str, Any]], episode: str | None = None) ->
     """Return the rows of one episode of a trace; parameters and errors as in `episode_frames`."""
     names = list(dict.fromkeys(str(row.get("episode")) for row in rows))
     if not names:
-        raise ValueError("the trace is empty")
+        raise ValueError("the log is empty")
     matching = [name for name in names if name == episode or name.endswith(f"-{episode}")]
     episode = names[0] if episode is None else matching[0] if len(matching) == 1 else episode
     if episode not in names:
-        raise ValueError(f"episode {episode!r}: the trace has {', '.join(names[:10])}{' ...' * (len(names) > 10)}")
+        raise ValueError(f"episode {episode!r}: the log has {', '.join(names[:10])}{' ...' * (len(names) > 10)}")
     return [row for row in rows if str(row.get("episode")) == episode]
 
 

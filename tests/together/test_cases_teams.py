@@ -232,7 +232,7 @@ def test_ctrl_c_leaves_the_policies_that_were_compared_with_a_bound(
         "from assist.team.attention import NoAssistance\n\n\ndef stop(team):\n"
         "    if len(team.active) == 1:\n        return NoAssistance()(team)\n    raise KeyboardInterrupt\n"
     )
-    command = ("bound", TINY, "--humans", 2, "--gap", 0.2, "--episodes", 50)
+    command = ("bound", TINY, "--humans", 2, "--gap", 0.2, "--value-episodes", 50)
     result = invoke(*command, "--policy", "none", "--policy", f"{own}:stop")
     assert (result.exit_code, result.stderr) == (130, "interrupted; what was finished by then is shown\n")
     assert [line.split()[0] for line in result.stdout.splitlines()[:2]] == ["policy", "none"]
@@ -265,7 +265,8 @@ def test_ctrl_c_leaves_the_bounds_on_one_person(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize("stage", ["the first person", "the second person", "sample paths"])
 def test_ctrl_c_leaves_a_bound_on_what_was_computed(stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """People whose problems have not been bounded count as if they had the robot to themselves."""
-    command = ("bound", TINY, "--humans", 2, "--gap", 0.5, "--episodes", 2, "--policy", "none", "--jobs", 1, "--json")
+    more = ("--value-episodes", 2, "--policy", "none", "--jobs", 1, "--json")
+    command = ("bound", TINY, "--humans", 2, "--gap", 0.5, *more)
     several: tuple[object, ...] = ("--samples", 30) if stage == "sample paths" else ("--robots", 2)
     solved: list[float] = []
 
@@ -503,7 +504,7 @@ def test_a_robot_that_would_ask_about_one_goal_is_refused(tiny: Table, tmp_path:
     [
         (
             ("bound", TINY, "--humans", 2, "--trace", "x"),
-            "No such option '--trace'; draw and simulate have it",
+            "No such option '--trace'; simulate has it",
         ),
         (("policy", TINY, "--gpa", 0.1), "No such option '--gpa'. Did you mean '--gap'?"),
         (

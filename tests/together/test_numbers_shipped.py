@@ -68,7 +68,7 @@ def test_the_policy_of_a_person_and_the_bound_of_a_team(name: str) -> None:
     policy = answered("policy", name, "--time-limit", 2, "--set", "population.beta=[2, 8]")
     assert policy["lower"] <= policy["upper"] <= 0.98 * best
     bound = answered(
-        "bound", name, "--humans", 2, "--episodes", 20, "--time-limit", 5, "--set", "population.beta=[2, 8]"
+        "bound", name, "--humans", 2, "--value-episodes", 20, "--time-limit", 5, "--set", "population.beta=[2, 8]"
     )
     seldom = 0.05  # what people lose by mistakes that are too rare for twenty episodes
     assert bound["value"] - 4 * bound["value_stderr"] - seldom <= bound["upper"] <= 2 * 0.98 * best

@@ -260,7 +260,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda g: happen(g.table, Joined(person="ann"), Left(person="ann"), Joined(person="ann", task="tiny")),
         InapplicableError, "ann returns to the task that they left",
     ),
-    "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), ValueError, "the trace is empty"),
+    "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), ValueError, "the log is empty"),
     "the operator's link": (
         lambda _: Client("http://127.0.0.1:9/operator#secret").see(),
         ValueError, "expected the name of a person, since the link is the operator's",
@@ -331,7 +331,7 @@ def test_what_cannot_be_is_refused(given: Given, what: str) -> None:
     ("words", "message"),
     [
         ("solve kitting/tiny --resume", "--resume needs --out"),
-        ("draw kitting/tiny --plan tiny.plan --trace t.jsonl --out a.svg", "--plan and --trace: expected one of them"),
+        ("draw kitting/tiny --plan tiny.plan --log t.jsonl --out a.svg", "--plan and --log: expected one of them"),
         ("slove kitting/tiny", "There is no command 'slove'; did you mean 'solve'?"),
     ],
 )

@@ -130,10 +130,35 @@ resume_option = click.option("--resume", is_flag=True, help="Keep what is finish
 seed_option = click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed."
 )  # fmt: skip
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+figures_option = click.option("--figures", type=OUTPUT_FOLDER, help="Folder for figures.")
+
+
+def out_option(what: str, *, folder: bool = False, required: bool = False) -> Option[Any]:
+    """Return the option `--out`: where a command writes its result, which is described in words."""
+    kind = OUTPUT_FOLDER if folder else OUTPUT_FILE
+    return click.option("--out", type=kind, required=required, help=f"Where the result is written: {what}.")
+
+
+def humans_option(*, required: bool) -> Option[Any]:
+    """Return the option `--humans`."""
+    return click.option(
+        "--humans", type=click.IntRange(1, 10_000), required=required, metavar="K",
+        help="Number of people in the team.",
+    )  # fmt: skip
+
+
+def data_option(*, required: bool) -> Option[Any]:
+    """Return the option `--data`."""
+    return click.option(
+        "--data", type=OUTPUT_FOLDER, required=required, metavar="DIR",
+        help="Folder of the session or study, which is resumed if it has begun.",
+    )  # fmt: skip
+
+
 instance_argument = click.argument("instance", metavar="INSTANCE")
 domain_option = click.option(
     "--domain",
     type=click.Path(),
     help="Domain file. Unless given, the file in the problem's folder that defines the problem's domain.",
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")

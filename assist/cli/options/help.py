@@ -17,7 +17,7 @@ GROUPS = {
     "Task": (
         "--domain", "--max-states", "--state", "--plan", "--protocol", "--format", "--goals", "--as",
     ),
-    "Log": ("--columns", "--drop", "--rename", "--strict", "--advice", "--rows"),
+    "Log": ("--log", "--columns", "--drop", "--rename", "--strict", "--advice", "--rows"),
     "People": ("--humans", "--pool", "--population", "--simulate"),
     "Estimates": ("--misconception", "--terms", "--influence", "--folds", "--family"),
     "Robot": ("--policy",),
@@ -27,8 +27,8 @@ GROUPS = {
         "--bridge", "--data", "--log-format",
     ),
     "Run": (
-        "--episodes", "--episode", "--repeats", "--samples", "--gap", "--time-limit", "--memory-limit", "--verify",
-        "--most-values", "--jobs", "--scheduler", "--resume", "--seed",
+        "--episodes", "--value-episodes", "--episode", "--repeats", "--samples", "--gap", "--time-limit",
+        "--memory-limit", "--verify", "--most-values", "--jobs", "--scheduler", "--resume", "--seed",
     ),
     "Output": (
         "--out", "--write-population", "--size-limit", "--trace", "--reasons", "--figure", "--figures", "--width",

@@ -17,10 +17,10 @@ from planner.system.errors import InputFileError, MissingExtraError, expected
 
 from ...declare.options import Given, setting_options
 from ...texts.catalogue import catalogue
-from .common import OUTPUT_FOLDER, Command, Option, domain_option, with_options
+from .common import Command, Option, data_option, domain_option, humans_option, with_options
 from .config import ENVIRONMENT, read_config
 from .goals import check_questions, goals_option, several_goals
-from .policies import CHOICES, PolicyName, policies_of
+from .policies import policies_of, policy_option
 from .population import RATES, chosen_setting
 from .settings import LiveSetting
 from .task import costs_of
@@ -40,18 +40,13 @@ if TYPE_CHECKING:
 def live_options(command: Command) -> Command:
     """Add the options of a live session, with those of its setting. `plan_of` takes their values."""
     options: tuple[Option[Any], ...] = (
-        click.option("--humans", type=click.IntRange(1, 10_000), metavar="K", help="Number of people in the team."),
+        humans_option(required=False),
         click.option(
             "--simulate", type=click.IntRange(min=0), default=0, metavar="N",
             help="Number of simulated people among the K.",
         ),
-        click.option(
-            "--data", type=OUTPUT_FOLDER, metavar="DIR",
-            help="Folder in which the session is stored. An existing session is resumed.",
-        ),
-        click.option(
-            "--policy", type=PolicyName(), default="attention", show_default=True, help=f"Team policy: {CHOICES}."
-        ),
+        data_option(required=False),
+        policy_option(several=False),
         goals_option,
         domain_option,
         setting_options(LiveSetting, without=("trust", "population"), environment=ENVIRONMENT),

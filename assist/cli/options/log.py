@@ -17,12 +17,7 @@ from planner.system.progress import progress_bar, stages
 
 from ...declare.declared import names_of
 from ..terminal.console import ExitCode, fail
-from .common import (
-    Command,
-    Option,
-    jobs_option,
-    with_options,
-)
+from .common import Command, Option, jobs_option, with_options
 from .goals import goals_of
 from .settings import EstimateSetting, ReadingSetting
 from .task import tell_note, tell_of_compiling

@@ -18,8 +18,8 @@ from .common import Option
 if TYPE_CHECKING:
     from ...team.policies import UserPolicy
 
-CHOICES = f"{', '.join(POLICIES)}, or FILE.py:FUNCTION"
-"""Values of `--policy`, as the help shows them."""
+FIRST = "attention"
+"""The policy of a team unless another one is named."""
 
 
 class PolicyName(click.ParamType):  # type: ignore[type-arg]
@@ -42,11 +42,13 @@ class PolicyName(click.ParamType):  # type: ignore[type-arg]
         return str(value)
 
 
-def policy_option(help_text: str) -> Option[Any]:
-    """Return the option `--policy`, which may be repeated."""
+def policy_option(*, several: bool) -> Option[Any]:
+    """Return the option `--policy`, which may be repeated where several are compared."""
+    more: dict[str, Any] = {"multiple": True, "default": (FIRST,)} if several else {"default": FIRST}
     return click.option(
-        "--policy", "names", type=PolicyName(), multiple=True, default=("attention",), show_default=True,
-        help=f"Team policy: {CHOICES}. {help_text}",
+        "--policy", "policy", type=PolicyName(), show_default=True,
+        help=f"Team policy: {', '.join(POLICIES)}, or FILE.py:FUNCTION.{several * ' Repeat it to compare several.'}",
+        **more,
     )  # fmt: skip
 
 

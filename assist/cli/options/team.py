@@ -10,7 +10,7 @@ from planner import Instance, LimitError
 
 from ...declare.options import Given, setting_options
 from ..terminal.console import ExitCode, fail
-from .common import Command, Option, domain_option, seed_option, with_options
+from .common import Command, Option, domain_option, humans_option, seed_option, with_options
 from .population import chosen_setting
 from .settings import REGION_STATES, TeamSetting
 from .task import costs_of, one_instance
@@ -29,14 +29,11 @@ if TYPE_CHECKING:
 def team_options(command: Command) -> Command:
     """Add the options that describe a team, with those of its setting. `team_of` takes their values."""
     options: tuple[Option[Any], ...] = (
-        click.option(
-            "--humans", type=click.IntRange(min=1), required=True, metavar="K",
-            help="Number of people in a team.",
-        ),
+        humans_option(required=True),
         seed_option,
         domain_option,
         setting_options(TeamSetting),
-    )  # fmt: skip
+    )
     return with_options(command, options)
 
 

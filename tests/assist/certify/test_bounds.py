@@ -200,7 +200,7 @@ def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choic
 def test_bound_on_the_command_line() -> None:
     result = invoke(
         "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
-        "--episodes", "500", "--policy", "attention", "--policy", "none", "--json",
+        "--value-episodes", "500", "--policy", "attention", "--policy", "none", "--json",
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     document = json.loads(result.stdout)

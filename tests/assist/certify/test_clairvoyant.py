@@ -374,7 +374,7 @@ def test_prices_are_paid_in_steps_whose_conflicts_do_not_count(short_sighted: In
 def test_sample_paths_on_the_command_line() -> None:
     result = invoke(
         "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
-        "--episodes", "500", "--policy", "priority", "--samples", "30", "--time-limit", "3600", "--json",
+        "--value-episodes", "500", "--policy", "priority", "--samples", "30", "--time-limit", "3600", "--json",
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     document = json.loads(result.stdout)

@@ -121,8 +121,8 @@ def test_policies_are_compared_with_the_bound(travel_time: int) -> None:
 
 def test_the_command() -> None:
     given = ["bound", KITS / "travel.pddl", "--goals", KITS, "--humans", "1", "--policy", "none"]
-    more = ["--episodes", "50", "--gap", ".5", "--set", "goal_prior=travel=.5,mend=.5,mount=0", "--set", "gamma=0.7"]
-    result = invoke(*given, *more, "--json")
+    more = ["--value-episodes", "50", "--gap", ".5", "--set", "goal_prior=travel=.5,mend=.5,mount=0"]
+    result = invoke(*given, *more, "--set", "gamma=0.7", "--json")
     assert result.exit_code == 0
     assert re.fullmatch(r"first, [^\n]+: gap at most \d+\.\d\d %\n", result.stderr)
     found = json.loads(result.stdout)

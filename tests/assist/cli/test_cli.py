@@ -6,6 +6,7 @@ import errno
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -314,13 +315,18 @@ def options_of(name: str) -> list[click.Option]:
     return [option for option in command.params if isinstance(option, click.Option)]
 
 
-def test_an_option_has_the_same_default_on_all_commands() -> None:
-    defaults: dict[str, set[str]] = {}
+def test_an_option_has_one_meaning_one_type_and_one_default_on_all_commands() -> None:
+    """`--policy` may be repeated on some, and `--out` says what is written there."""
+    found: dict[str, set[tuple[Any, ...]]] = {}
     for name in EVERY:
         for option in options_of(name):
-            defaults.setdefault(option.opts[0], set()).add(str(option.default))
-    # Bounds need many episodes; a live team has one policy.
-    assert {name for name, values in defaults.items() if len(values) > 1} == {"--episodes", "--policy"}
+            said = str(option.help).removesuffix(" Repeat it to compare several.")
+            if option.opts[0] == "--out":
+                said = said.partition(":")[0]
+            kind = type(option.type), *(getattr(option.type, limit, None) for limit in ("min", "max", "choices"))
+            default = option.default[0] if isinstance(option.default, tuple) else option.default
+            found.setdefault(option.opts[0], set()).add((said, kind, default))
+    assert {name: means for name, means in found.items() if len(means) > 1} == {}
 
 
 @pytest.mark.parametrize("name", EVERY)

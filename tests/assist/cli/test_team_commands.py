@@ -92,7 +92,7 @@ def test_a_policy_of_ones_own_is_simulated_and_bounded_beside_others(own: Path, 
     assert first["interventions"]["mean"] > 2
     assert {**silent, "policy": "none"} == none
     assert len((tmp_path / "out.jsonl").read_text().splitlines()) == 120
-    result = invoke("bound", *options, "--episodes", 500, "--time-limit", 0.5)
+    result = invoke("bound", *options, "--value-episodes", 500, "--time-limit", 0.5)
     assert result.exit_code == 0, result.output
     assert [c["policy"] for c in json.loads(result.stdout)["policies"]] == ["in_turn", "silent"]
 
@@ -252,7 +252,9 @@ def test_a_bound_where_everybody_has_finished_is_zero(tmp_path: Path) -> None:
     start = problem.index("(:goal")
     (tmp_path / "done.pddl").write_text(problem[:start] + "(:goal (and)))")
     domain = KITTING / "domain.pddl"
-    result = invoke("bound", tmp_path / "done.pddl", "--domain", domain, "--humans", 2, "--episodes", 10, "--json")
+    result = invoke(
+        "bound", tmp_path / "done.pddl", "--domain", domain, "--humans", 2, "--value-episodes", 10, "--json"
+    )
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert (found["value"], found["upper"], found["gap_percent"]) == (0, 0, 0)
@@ -264,7 +266,7 @@ def test_a_time_limit_is_for_all_of_a_bound_which_holds_all_the_same() -> None:
     options: tuple[Any, ...] = (TINY, "--humans", 3, "--c-suggest", 0.1, "--set", "gamma=0.95", "--json")
     short = invoke("bound", *options, "--time-limit", 0.05, "--gap", 0)
     assert short.exit_code == 0, short.output
-    good = json.loads(invoke("bound", *options, "--episodes", 2000).stdout)
+    good = json.loads(invoke("bound", *options, "--value-episodes", 2000).stdout)
     hasty = json.loads(short.stdout)
     assert hasty["upper"] >= good["upper"] - 1e-9
     assert hasty["value"] <= hasty["upper"] + 4 * hasty["value_stderr"]
@@ -280,6 +282,6 @@ def test_a_single_episode_has_no_standard_error() -> None:
 
 
 def test_more_episodes_than_anybody_can_wait_for_are_refused() -> None:
-    said = invoke("bound", str(TINY), "--humans", "2", "--policy", "none", "--episodes", "99999999999")
+    said = invoke("bound", str(TINY), "--humans", "2", "--policy", "none", "--value-episodes", "99999999999")
     assert said.exit_code == 2
     assert "99999999999 is not in the range" in said.stderr

@@ -422,7 +422,7 @@ def test_draw_writes_every_format(tmp_path: Path) -> None:
     with Image.open(tmp_path / "a.gif") as film, Image.open(tmp_path / "a.png") as strip:
         assert film.n_frames == len(PLAN) + 1  # type: ignore[attr-defined]
         assert len(strip.convert("L").getcolors(2**16) or ()) > 50  # not an empty sheet: letters have soft edges
-    result = run(main, [*command, str(tmp_path / "e.svg"), "--trace", str(tmp_path / "t.jsonl"), "--episode", "two"])
+    result = run(main, [*command, str(tmp_path / "e.svg"), "--log", str(tmp_path / "t.jsonl"), "--episode", "two"])
     assert (json.loads(result.stdout)["people"], json.loads(result.stdout)["frames"]) == (1, 2)
 
 
@@ -430,13 +430,13 @@ def test_draw_writes_every_format(tmp_path: Path) -> None:
     ("options", "code", "words"),
     [
         (["--out", "a.bmp"], 2, "expected a name that ends in .svg, .png, .gif, .html"),
-        (["--out", "a.svg", "--episode", "1"], 2, "--episode 1 has no effect without --trace FILE, the trace"),
+        (["--out", "a.svg", "--episode", "1"], 2, "--episode 1 has no effect without --log FILE, the log"),
         (
             ["--out", "a.svg", "--plan", "bad.plan"],
             1,
             "bad.plan: step 0: (place hammer slot-1 box-a) is not applicable here; nearest of the 2 applicable",
         ),
-        (["--out", "a.svg", "--trace", "t.jsonl", "--episode", "nine"], 1, "episode 'nine': the trace has one, two"),
+        (["--out", "a.svg", "--log", "t.jsonl", "--episode", "nine"], 1, "episode 'nine': the log has one, two"),
     ],
 )
 def test_what_draw_refuses(

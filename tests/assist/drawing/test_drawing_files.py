@@ -130,14 +130,14 @@ def test_an_episode_shows_how_probable_each_goal_was(tmp_path: Path) -> None:
     rows = [{"person": "ann", "episode": "one", "step": n, "action": action} for n, action in enumerate(actions)]
     trace, out = tmp_path / "trace.jsonl", tmp_path / "episode.svg"
     trace.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    options = ["draw", kits / "travel.pddl", "--goals", kits, "--trace", trace, "--out", out]
+    options = ["draw", kits / "travel.pddl", "--goals", kits, "--log", trace, "--out", out]
     assert invoke(*options).exit_code == 0
     shown = [set(text.split(", ")) for text in re.findall(">goal: ([^<]+)<", out.read_text())]
     each = [{"travel 33%", "mend 33%", "mount 33%"}] * 2 + [{"travel 49%", "mend 49%", "mount 3%"}]
     assert shown == [*each, {"travel 50%", "mend 50%", "mount 0%"}, {"travel 97%", "mend 3%", "mount 0%"}]
     assert "Goal:" not in out.read_text()  # that of the instance is one of several
     refused = invoke(*options[:-4], "--out", out)
-    assert (refused.exit_code, "expected --trace as well" in refused.stderr) == (2, True)
+    assert (refused.exit_code, "expected --log as well" in refused.stderr) == (2, True)
 
 
 def test_one_of_state_plan_and_trace_is_drawn(tmp_path: Path) -> None:

@@ -221,11 +221,11 @@ def test_commands_with_several_robots(tmp_path: Path) -> None:
     assert json.loads(found.stdout)["setting"]["robots"] == [{}, {}]
     assert len(json.loads(trace.read_text().splitlines()[0])["robot_places"]) == 2
     found = invoke(
-        "bound", "kitting/tiny", "--humans", 2, "--robots", 2, "--policy", "priority", "--episodes", 500,
+        "bound", "kitting/tiny", "--humans", 2, "--robots", 2, "--policy", "priority", "--value-episodes", 500,
         "--gap", 0.05, *costs,
     )  # fmt: skip
     record = json.loads(found.stdout)
     assert record["value"] - 3 * record["value_stderr"] <= record["upper"]
-    more = ("--samples", 30, "--episodes", 100, "--gap", 0.05)
+    more = ("--samples", 30, "--value-episodes", 100, "--gap", 0.05)
     found = invoke("bound", "kitting/tiny", "--humans", 2, "--robots", 2, *more, *costs[:-1])
     assert "sample" not in found.stdout  # as no robot has to choose
