@@ -131,3 +131,18 @@ def test_a_belief_after_a_choice(seed: int, goals: int, answers: bool, lapse: fl
 def test_the_compiled_definition_takes_over_after_enough_work() -> None:
     doubled = ReadableFirst(lambda _: "readable", lambda _: "compiled", lambda work: work)
     assert [doubled(doubled.enough // 2) for _ in range(5)] == ["readable"] * 3 + ["compiled"] * 2
+
+
+@pytest.mark.parametrize(("pause", "last"), [(0.5, "compiled"), (100, "readable")])
+def test_work_that_takes_a_small_share_of_the_time_is_never_worth_compiling(
+    pause: float, last: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A report of a person now and then, for a whole day; or one after the other."""
+    now = [1]
+    monkeypatch.setattr("planner.system.compiling.time.monotonic_ns", lambda: now[0])
+    doubled = ReadableFirst(lambda _: "readable", lambda _: "compiled", lambda work: work)
+    work = doubled.enough // 1000
+    for _ in range(100_000):
+        found = doubled(work)
+        now[0] += int(work * pause)
+    assert found == last
