@@ -26,7 +26,7 @@ from ..person.settings import Setting
 from ..team.policy_names import POLICIES
 from ..texts.catalogue import FIRST, Catalogue, catalogue
 from .plan import OUTCOMES, WITHIN, Condition, UserStudy, UserStudyPlan
-from .questionnaire_file import QuestionnaireTable, questionnaires_of
+from .questionnaire_file import questionnaires_of
 from .questionnaires import BEFORE, END, Questionnaire
 
 # More simulated people would keep the robot away from the participant.
@@ -86,7 +86,7 @@ class FileTable(UserStudyPlan):
         ),
     ] = field(default_factory=dict)
     questionnaires: Annotated[
-        tuple[QuestionnaireTable, ...], Field(description="Questionnaires before, after and at the end.")
+        tuple[AnyTable, ...], Field(description="Questionnaires before, after and at the end.")
     ] = ()
 
 

@@ -1,4 +1,4 @@
-"""Questionnaires in the file of a user study: the only place where they are validated.
+"""Questionnaires in the file of a user study.
 
 Keys of a questionnaire are the defaults of its items. An item may have another form than its questionnaire.
 """
@@ -10,17 +10,14 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import Field
+from typing import Any
 
 from planner.system.errors import expected as meant
 
-from ..declare.declared import Expected, Number, Text, Texts, Truth, Whole, declared, shown
-from ..declare.tables import fault
+from ..declare.declared import shown
+from ..declare.tables import convert, fault
 from ..texts.catalogue import Catalogue
 from .questionnaires import (
-    AFTER,
     BEFORE,
     CHOICE,
     CHOICES,
@@ -36,8 +33,6 @@ from .questionnaires import (
     forms,
 )
 
-Points = Annotated[Whole, Field(ge=2, le=11), Expected("a whole number from 2 to 11")]
-Correct = Annotated[Whole | Number | Text, Expected("an answer: a number or an option")]
 NAME = re.compile(r"[A-Za-z][\w-]{0,40}")
 SCALE, LIMITS = {"low", "high"}, {"min", "max", "step"}
 KEYS = {
@@ -45,58 +40,22 @@ KEYS = {
     CHOICE: {"options"}, CHOICES: {"options"}, TEXT: set[str](), TLX: set[str](),
 }  # fmt: skip
 """Keys of the forms of items, in addition to those of all forms."""
+DEFAULTS = {"required"}.union(*KEYS.values())
+"""Keys of items that a questionnaire may have for all of its items."""
 
-
-@declared(kw_only=True)
-class _Form:
-    """Keys that an item may have, and that a questionnaire may have as defaults for its items."""
-
-    required: Truth | None = None
-    points: Points | None = None
-    low: Text | None = None
-    high: Text | None = None
-    labels: Texts | None = None
-    min: Number | None = None
-    max: Number | None = None
-    step: Number | None = None
-    options: Texts | None = None
-
-
-@declared(kw_only=True)
-class ItemTable(_Form):
-    """A table of a questionnaire's `items`."""
-
-    name: Text
-    text: Text
-    form: Text | None = None
-    reversed: Truth = False
-    correct: Correct | None = None
-    conditions: Texts | None = None
-
-
-@declared(kw_only=True)
-class QuestionnaireTable(_Form):
-    """A table of `questionnaires`."""
-
-    form: Text
-    name: Text | None = None
-    title: Text | None = None
-    introduction: Text | None = None
-    items: tuple[ItemTable, ...] | None = None
-    shuffle: Truth = False
-    when: Text = AFTER
-    conditions: Texts | None = None
+Table = Mapping[str, Any]
 
 
 def questionnaires_of(
-    file: Path, tables: tuple[QuestionnaireTable, ...], conditions: list[str], texts: Catalogue, *, within: bool
+    file: Path, tables: tuple[Table, ...], conditions: list[str], texts: Catalogue, *, within: bool
 ) -> tuple[Questionnaire, ...]:
     """Return the questionnaires of a study's file.
 
     Parameters
     ----------
     file : Path
-    tables : tuple of QuestionnaireTable
+    tables : tuple of mappings
+        The tables of the file.
     conditions : list of str
         Names of the study's conditions.
     texts : Catalogue
@@ -120,66 +79,57 @@ def questionnaires_of(
     return tuple(found)
 
 
-def _questionnaire(file: Path, place: str, table: QuestionnaireTable, texts: Catalogue) -> Questionnaire:
-    if table.form not in KEYS:
-        raise fault(file, f"{place}.form", f"'{table.form}'; {meant(table.form, KEYS)}")
-    base = forms(texts)[table.form]
-    name = table.name or base.name
-    if not NAME.fullmatch(name):
-        raise fault(file, f"{place}.name", f"'{name}'; expected a letter, then letters, digits, _ or -")
-    if table.when not in (BEFORE, AFTER, END):
-        raise fault(file, f"{place}.when", f"'{table.when}'; {meant(table.when, (BEFORE, AFTER, END))}")
+def _questionnaire(file: Path, place: str, table: Table, texts: Catalogue) -> Questionnaire:
+    shared = {key: value for key, value in table.items() if key in DEFAULTS}
+    convert({"name": "name", "text": "text", **shared}, Item, file, place)  # faults are in its own place
+    own = {key: value for key, value in table.items() if key not in DEFAULTS}
+    given = own.pop("items", None)
+    found = convert(own, Questionnaire, file, place)
+    if found.form not in KEYS:
+        raise fault(file, f"{place}.form", f"'{found.form}'; {meant(found.form, KEYS)}")
+    base = forms(texts)[found.form]
     items = base.items
-    if base.items and table.items is not None:
-        raise fault(file, f"{place}.items", f"the form {table.form} has fixed items; expected none")
-    if not base.items:
-        if not table.items:
-            raise fault(file, place, "items: is missing; expected a list of tables with name and text")
-        used = {own.form or table.form for own in table.items} & set(KEYS)
-        _refuse_unused(file, place, table, set().union(*(KEYS[form] for form in used)), ", ".join(sorted(used)))
-        items = tuple(
-            _item(file, f"{place}.items[{number}]", own, table, texts)
-            for number, own in enumerate(table.items, start=1)
-        )
+    if items and given is not None:
+        raise fault(file, f"{place}.items", f"the form {found.form} has fixed items; expected none")
+    if not items:
+        if not isinstance(given, list) or not given or not all(isinstance(one, dict) for one in given):
+            said = "is missing" if given is None else shown(given)
+            raise fault(file, place, f"items: {said}; expected a list of tables with name and text")
+        places = [f"{place}.items[{number}]" for number in range(1, len(given) + 1)]
+        items = tuple(_item(file, *one, shared, found.form, texts) for one in zip(places, given, strict=True))
+        used = {item.form for item in items}
+        _refuse_unused(file, place, shared, set().union(*(KEYS[form] for form in used)), ", ".join(sorted(used)))
+    found = replace(
+        found, name=found.name or base.name, title=found.title or base.title, items=items,
+        introduction=found.introduction or base.introduction,
+    )  # fmt: skip
+    if not NAME.fullmatch(found.name):
+        raise fault(file, f"{place}.name", f"'{found.name}'; expected a letter, then letters, digits, _ or -")
     for number, item in enumerate(items):
         if not NAME.fullmatch(item.name) or item.name in {other.name for other in items[:number]}:
             message = f"'{item.name}'; expected a unique name: a letter, then letters, digits, _ or -"
             raise fault(file, f"{place}.items[{number + 1}].name", message)
-    return replace(
-        base, name=name, title=table.title or base.title, introduction=table.introduction or base.introduction,
-        items=items, shuffle=table.shuffle, when=table.when, conditions=table.conditions or (),
-    )  # fmt: skip
+    return found
 
 
-def _item(file: Path, place: str, own: ItemTable, table: QuestionnaireTable, texts: Catalogue) -> Item:
-    form = own.form or table.form
-    if form not in KEYS or form == TLX:
-        known = [one for one in KEYS if one != TLX]
-        raise fault(file, f"{place}.form", f"'{form}'; {meant(form, known)}")
+def _item(file: Path, place: str, own: Table, shared: Table, usual: str, texts: Catalogue) -> Item:
+    """Return an item of a questionnaire, whose form and other keys are usual and shared."""
+    form = own.get("form", usual)
+    known = [one for one in KEYS if one != TLX]
+    if form not in known:
+        raise fault(file, f"{place}.form", f"{form!r}; {meant(str(form), known)}")
     _refuse_unused(file, place, own, KEYS[form], form)
-
-    def given(key: str, otherwise: Any) -> Any:
-        """Return the item's value, or the questionnaire's where it belongs to this form, or the default."""
-        for one in (own, table):
-            if (value := getattr(one, key)) is not None and (key == "required" or key in KEYS[form]):
-                return value
-        return otherwise
-
-    agree = form in (LIKERT, GRID)
-    item = Item(
-        own.name, own.text, form, given("required", form != TEXT),
-        given("low", texts("form.low") if agree else ""), given("high", texts("form.high") if agree else ""),
-        given("points", 7), given("labels", ()), given("min", 0.0), given("max", 100.0), given("step", 1.0),
-        given("options", ()), own.reversed, own.correct, own.conditions or (),
-    )  # fmt: skip
+    words = {end: texts(f"form.{end}") for end in SCALE} if form in (LIKERT, GRID) else {}
+    usable = {key: value for key, value in shared.items() if key == "required" or key in KEYS[form]}
+    item = convert({"required": form != TEXT, **words, **usable, **own, "form": form}, Item, file, place)
     _check_item(file, place, item)
     return item
 
 
-def _refuse_unused(file: Path, place: str, table: _Form, known: set[str], form: str) -> None:
+def _refuse_unused(file: Path, place: str, table: Table, known: set[str], form: str) -> None:
     """Refuse keys that have no meaning for a form."""
-    for key in KEYS[LIKERT] | KEYS[SLIDER] | KEYS[CHOICE]:
-        if key not in known and getattr(table, key) is not None:
+    for key in table:
+        if key in DEFAULTS - known - {"required"}:
             raise fault(file, f"{place}.{key}", f"not a key of the form {form}; expected none")
 
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from statistics import fmean
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field, Strict
 
+from ..declare.declared import Expected, Number, Text, Truth, Whole, declared
 from ..texts.catalogue import Catalogue
 
 STEP = 5
@@ -35,58 +36,44 @@ NO_TEXT = re.compile(r"[\x00\ud800-\udfff]")
 Answer = int | float | str | list[str] | None
 
 
-@dataclass(frozen=True)
+Points = Annotated[Whole, Field(ge=2, le=11), Expected("a whole number from 2 to 11")]
+Words = Annotated[str, Strict(), Expected("a text")]
+Several = Annotated[tuple[Text, ...], Expected("a list of texts")]
+Correct = Annotated[Whole | Number | Text, Expected("an answer: a number or an option")]
+
+
+@declared
 class Item:
-    """A question.
+    """A question."""
 
-    Attributes
-    ----------
-    name : str
-        Name in results.
-    text : str
-    form : str
-        "choice", "choices" (several), "number", "slider", "text", "likert", "likert-grid" or "nasa-tlx".
-    required : bool
-    low, high : str
-        Labels of the ends of a scale.
-    points : int
-        Number of points of a Likert scale, which begins at 1.
-    labels : tuple of str
-        A label for each point of a Likert scale; empty if only the ends have labels.
-    minimum, maximum, step : float
-        Valid numbers of a slider or a number.
-    options : tuple of str
-        What can be chosen.
-    reversed : bool
-        Whether a high answer means a low score.
-    correct : int, float, str or None
-        For attention checks, the answer that the question asks for. Such items are not part of a score.
-    conditions : tuple of str
-        The conditions in which the question is asked; empty: all.
-    """
-
-    name: str
-    text: str
-    form: str = LIKERT
-    required: bool = True
-    low: str = ""
-    high: str = ""
-    points: int = 7
-    labels: tuple[str, ...] = ()
-    minimum: float = 0.0
-    maximum: float = 100.0
-    step: float = 1.0
-    options: tuple[str, ...] = ()
-    reversed: bool = False
-    correct: int | float | str | None = None
-    conditions: tuple[str, ...] = ()
+    name: Annotated[Text, Field(description="Name in results.")]
+    text: Annotated[Text, Field(description="The question.")]
+    form: Annotated[Text, Field(description="The form of its answer; the questionnaire's unless given.")] = LIKERT
+    required: Annotated[Truth, Field(description="Whether an answer is required; unless given, except in words.")] = (
+        True
+    )
+    low: Annotated[Words, Field(description="Label of the lowest answer of a scale or slider.")] = ""
+    high: Annotated[Words, Field(description="Label of the highest answer.")] = ""
+    points: Annotated[Points, Field(description="Points of a Likert scale, which begins at 1.")] = 7
+    labels: Annotated[Several, Field(description="A label for each point, if not only the ends have one.")] = ()
+    min: Annotated[Number, Field(description="Smallest answer of a number or slider.")] = 0.0
+    max: Annotated[Number, Field(description="Largest answer.")] = 100.0
+    step: Annotated[Number, Field(description="Step between two answers.")] = 1.0
+    options: Annotated[Several, Field(description="What can be chosen.")] = ()
+    reversed: Annotated[Truth, Field(description="Whether a high answer means a low score.")] = False
+    correct: Annotated[
+        Correct | None, Field(description="The answer that an attention check asks for; it is part of no score.")
+    ] = None
+    conditions: Annotated[
+        Several, Field(description="The conditions in which it is asked, and then part of no score; unless given, all.")
+    ] = ()
 
     @property
     def ends(self) -> tuple[float, float, float]:
         """Smallest and largest number that can be answered, and the step between two numbers."""
         if self.form in (LIKERT, GRID):
             return 1, self.points, 1
-        return self.minimum, self.maximum, self.step
+        return self.min, self.max, self.step
 
     @property
     def is_scored(self) -> bool:
@@ -161,34 +148,21 @@ class Item:
         return None if self.correct is None else answer == self.correct
 
 
-@dataclass(frozen=True)
+@declared
 class Questionnaire:
-    """A group of questions on one page.
+    """A group of questions on one page."""
 
-    Attributes
-    ----------
-    name : str
-        Name in results.
-    form : str
-        Form of the items that have none of their own.
-    title, introduction : str
-    items : tuple of Item
-    shuffle : bool
-        Whether each participant sees the items in a random order.
-    when : str
-        "before" practice, "after" the tasks of each condition, or once at the "end".
-    conditions : tuple of str
-        The conditions in which it is shown; empty: all.
-    """
-
-    name: str
-    form: str
-    title: str
-    introduction: str
-    items: tuple[Item, ...] = ()
-    shuffle: bool = False
-    when: str = AFTER
-    conditions: tuple[str, ...] = ()
+    form: Annotated[Text, Field(description="The form of the items that have none of their own.")]
+    name: Annotated[Words, Field(description="Name in results; that of its form unless given.")] = ""
+    title: Annotated[Words, Field(description="Title; that of its form unless given.")] = ""
+    introduction: Annotated[Words, Field(description="What is above the items; that of its form unless given.")] = ""
+    items: Annotated[tuple[Item, ...], Field(description="The questions; a form with fixed ones has none.")] = ()
+    shuffle: Annotated[Truth, Field(description="Whether each participant sees the items in a random order.")] = False
+    when: Annotated[
+        Literal["before", "after", "end"],
+        Field(description="Before practice, after the tasks of each condition, or once at the end."),
+    ] = "after"
+    conditions: Annotated[Several, Field(description="The conditions in which it is shown; unless given, all.")] = ()
 
     def shown(self, condition: str | None, seed: Sequence[int]) -> tuple[Item, ...]:
         """Return the items that a participant sees, in their order.

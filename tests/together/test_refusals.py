@@ -266,7 +266,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "expected the name of a person, since the link is the operator's",
     ),
     "a long answer": (
-        lambda _: Questionnaire("text", "text", "", "", (Item("why", "Why?", "text"),)).check({"why": "x" * 100_000}),
+        lambda _: Questionnaire("text", items=(Item("why", "Why?", "text"),)).check({"why": "x" * 100_000}),
         ValueError, "answers.why: expected a text of 1 to",
     ),
     "no task": (lambda _: Team({}), ValueError, "there is no task; expected one or more"),

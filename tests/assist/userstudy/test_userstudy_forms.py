@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,12 @@ from serving import served
 from test_live_pages import CHROMIUM, chromium, violations
 from userstudies import PLAN, Open, Part, opened, written
 
+from assist.declare.declared import names_of
 from assist.reports.userstudy_summary import summarise
 from assist.userstudy.export import files
 from assist.userstudy.plan import UserStudy
 from assist.userstudy.plan_file import read
-from assist.userstudy.questionnaire_file import ItemTable, QuestionnaireTable
-from assist.userstudy.questionnaires import Item
+from assist.userstudy.questionnaires import Item, Questionnaire
 from assist.userstudy.session import JOURNAL
 from assist.userstudy.tables import tables
 from assist.web.user_study.routes import form_of
@@ -81,7 +80,7 @@ def test_what_is_wrong_with_a_form_is_said_with_its_line(tmp_path: Path) -> None
         ("step = 0.01", "step = 0", f"{items}[4].step: 0; expected a number above 0"),
         ("min = 18", "points = 5", f"{items}[1].points: not a key of the form number"),
         ('options = ["robots", "games"]', 'options = ["robots"]', f"{items}[3]: options: [\"robots\"]; expected two"),
-        ('when = "before"', 'when = "soon"', "questionnaires[1].when: 'soon'; expected one of before, after, end"),
+        ('when = "before"', 'when = "soon"', "questionnaires[1].when: \"soon\"; expected \"before\" or \"after\" or"),
         ('when = "before"', 'when = "before"\npoints = 5', "questionnaires[1].points: not a key of the form choice"),
         ("correct = 4", "correct = 6", 'questionnaires[2].items[3].correct: 6; expected a whole number from 1 to 5'),
         ("points = 5", "points = 4", "questionnaires[2].items[1].labels: 5 labels; expected one for each of 4 points"),
@@ -98,7 +97,7 @@ def test_what_is_wrong_with_a_form_is_said_with_its_line(tmp_path: Path) -> None
 
 CHOICE = Item("a", "?", "choice", options=("x", "y"))
 CHOICES = Item("a", "?", "choices", options=("x", "y"))
-NUMBER = Item("a", "?", "number", minimum=0.5, maximum=2, step=0.1)
+NUMBER = Item("a", "?", "number", min=0.5, max=2, step=0.1)
 TEXT = Item("a", "?", "text", required=False)
 LIKERT = Item("a", "?", "likert-grid", points=5)
 
@@ -225,7 +224,7 @@ def test_the_page_describes_every_key_and_its_example_is_accepted(tmp_path: Path
     page = (ROOT / "docs" / "forms.md").read_text()
     example = page.split("```toml\n")[1].split("```")[0]
     assert [one.name for one in study_of(tmp_path, PLAIN + "\n" + example).questionnaires] == ["background"]
-    keys = {field.name for table in (ItemTable, QuestionnaireTable) for field in fields(table)}
+    keys = {*names_of(Item), *names_of(Questionnaire)}
     assert [key for key in keys - {"name", "text", "form"} if f"`{key}`" not in page] == []
 
 
