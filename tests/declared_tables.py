@@ -14,7 +14,8 @@ from typing import Any
 
 from assist.declare.declared import annotation_of, bare, default_of, is_declared, names_of, phrase, plain, sentences
 from assist.declare.options import toml
-from assist.live.events import Event, kinds
+from assist.live.event_base import Event
+from assist.live.events import kinds
 from planner.system.results import markdown_table
 
 DOCS = Path(__file__).parent.parent / "docs"

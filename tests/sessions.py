@@ -6,7 +6,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from assist.live.events import Acted, Elapsed, Paused, TeamEvent, kinds
+from assist.live.event_base import TeamEvent
+from assist.live.events import Acted, Elapsed, Paused, kinds
 from assist.live.session import Session
 from assist.live.team import Team
 from assist.people.ranges import Population

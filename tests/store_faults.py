@@ -23,7 +23,8 @@ from typing import Any
 
 from sessions import EASY, SETTING, all_of
 
-from assist.live.events import Acted, Joined, TeamEvent
+from assist.live.event_base import TeamEvent
+from assist.live.events import Acted, Joined
 from assist.live.live_task import LiveTask
 from assist.live.session import Session
 from assist.live.store import JournalError, stored

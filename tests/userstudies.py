@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from conftest import KITTING
 
-from assist.live.events import TeamEvent, kinds
+from assist.live.event_base import TeamEvent
+from assist.live.events import kinds
 from assist.userstudy.events import StudyEvent
 from assist.userstudy.plan_file import read
 from assist.userstudy.session import StudySession

@@ -20,7 +20,8 @@ from pydantic_core import PydanticCustomError
 from ..declare import tables as toml
 from ..declare.declared import DeclarationError, Expected, Text, declared, spelt
 from ..declare.tables import convert, located, told
-from ..live.events import OfPerson, fault_of, kinds
+from ..live.event_base import OfPerson, fault_of
+from ..live.events import kinds
 from ..people.action_names import wrong_form
 
 Fields = dict[str, str]

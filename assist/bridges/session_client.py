@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 import httpx2
 
-from ..live.events import Event
+from ..live.event_base import Event
 from ..web.client import AGAIN, Client, EventReader, RefusedError, request_of
 
 

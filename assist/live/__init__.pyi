@@ -3,12 +3,12 @@ from .advice import PersonState as PersonState
 from .advice import Question as Question
 from .advice import Reason as Reason
 from .assistant import Assistant as Assistant
+from .event_base import Event as Event
 from .events import Acted as Acted
 from .events import Answered as Answered
 from .events import Arrived as Arrived
 from .events import Began as Began
 from .events import Elapsed as Elapsed
-from .events import Event as Event
 from .events import Joined as Joined
 from .events import Left as Left
 from .events import Paused as Paused

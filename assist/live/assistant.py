@@ -38,7 +38,8 @@ from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice
 from .desk import Desk, Task
-from .events import Began, Decided, Joined, TeamEvent
+from .event_base import TeamEvent
+from .events import Began, Decided, Joined
 from .live_task import digest, population_of
 from .record import TeamRecord
 from .reports import Reports

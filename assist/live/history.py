@@ -13,7 +13,7 @@ from planner import CostToGo
 from ..explain.explanation import Explanation
 from ..people.goals import Goals
 from .advice import Advice
-from .events import Event
+from .event_base import Event
 from .record import Record
 
 R = TypeVar("R", bound=Record)

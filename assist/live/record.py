@@ -19,7 +19,8 @@ from pydantic import (
 
 from ..declare.declared import Number, Whole
 from .advice import Advice
-from .events import Event, Recorded, TeamEvent, fault_of, kinds
+from .event_base import Event, Recorded, TeamEvent, fault_of
+from .events import kinds
 
 E = TypeVar("E", bound=Event)
 

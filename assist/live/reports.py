@@ -6,7 +6,8 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from .events import Acted, Answered, Arrived, Began, Elapsed, Joined, Left, Paused, Rearranged, TeamEvent, Undone
+from .event_base import TeamEvent
+from .events import Acted, Answered, Arrived, Began, Elapsed, Joined, Left, Paused, Rearranged, Undone
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -34,7 +34,8 @@ from ..person.settings import Setting
 from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .advice import Advice
-from .events import Event, Joined, Vacant
+from .event_base import Event
+from .events import Joined, Vacant
 from .header import OTHER_VERSION, header_of, require_same
 from .history import History, Outlook
 from .names import LONGEST_REASON, name_of

@@ -28,7 +28,8 @@ from ..team.state import TeamPolicy
 from ..texts.refusals import AbsentError, Refusal
 from .advice import Advice, PersonState, Reason
 from .desk import IDLE, Desk
-from .events import Elapsed, Event, Left, TeamEvent, kinds
+from .event_base import Event, TeamEvent
+from .events import Elapsed, Left, kinds
 from .history import Change, History
 from .live_task import require_usable
 from .names import is_name

@@ -20,7 +20,7 @@ from planner import CostToGo
 from ..explain.explanation import Explanation
 from ..live.advice import Advice
 from ..live.desk import IDLE
-from ..live.events import Event
+from ..live.event_base import Event
 from ..live.history import Change, History
 from ..live.simulated_person import SimulatedPerson
 from ..live.team import Team

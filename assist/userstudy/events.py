@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 from pydantic import Field, WithJsonSchema
 
 from ..declare.declared import Expected
-from ..live.events import INTERNAL, Action, Event, Name, Seq
+from ..live.event_base import INTERNAL, Action, Event, Name, Seq
 from ..live.names import LONGEST_REASON
 from ..texts.refusals import InapplicableError, Refusal
 from .participant_team import ParticipantTeam, Subs, own_action

@@ -14,7 +14,8 @@ from typing import Any
 
 from planner import CostToGo
 
-from ..live.events import Acted, Began, Elapsed, Joined, Left, Recorded, TeamEvent
+from ..live.event_base import Recorded, TeamEvent
+from ..live.events import Acted, Began, Elapsed, Joined, Left
 from ..live.record import TeamRecord
 from ..live.simulated_person import SimulatedPerson
 from ..live.team import Team

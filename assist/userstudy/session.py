@@ -19,7 +19,7 @@ from planner import CostToGo
 from planner.system.errors import ResultsExistError
 from planner.system.files import atomic, remove_unfinished
 
-from ..live.events import Event
+from ..live.event_base import Event
 from ..live.header import files_of
 from ..live.live_task import LiveTask, digest
 from ..live.record import Record

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote, unquote, urlencode, urlsplit
 
-from ..live.events import Event, TeamEvent
+from ..live.event_base import Event, TeamEvent
 from ..live.reports import Reports
 
 AGAIN = {408, 425, 429, 502, 503, 504, 507}

@@ -11,7 +11,8 @@ from typing import Any
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, create_model
 
-from ..live.events import Event, Recorded, kinds
+from ..live.event_base import Event, Recorded
+from ..live.events import kinds
 from .authorization import WRITE, Desk, Operator, Own
 
 

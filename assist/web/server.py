@@ -22,7 +22,8 @@ from starlette.types import ASGIApp
 from planner import CostToGo
 from planner.system.errors import ResultsExistError
 
-from ..live.events import Acted, Answered, Elapsed, Joined, TeamEvent
+from ..live.event_base import TeamEvent
+from ..live.events import Acted, Answered, Elapsed, Joined
 from ..live.people_store import PeopleStore
 from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson

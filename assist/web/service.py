@@ -27,7 +27,8 @@ from typing import Any, ClassVar, Protocol
 from pydantic import BaseModel
 
 from ..explain.explanation import Explanation
-from ..live.events import Elapsed, Event, TeamEvent
+from ..live.event_base import Event, TeamEvent
+from ..live.events import Elapsed
 from ..live.history import Outlook
 from ..live.session import Outcome, Session
 from ..live.store import JournalError

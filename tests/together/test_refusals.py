@@ -29,7 +29,8 @@ from assist.learning.log import Log, LogError
 from assist.learning.maximum_likelihood import Method
 from assist.live.advice import Advice
 from assist.live.assistant import Assistant
-from assist.live.events import Elapsed, Joined, Left, TeamEvent
+from assist.live.event_base import TeamEvent
+from assist.live.events import Elapsed, Joined, Left
 from assist.live.record import TeamRecord
 from assist.live.team import Team
 from assist.people import user_code

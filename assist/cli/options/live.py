@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from planner import CostToGo
 
     from ...bridges.transport import Transport
-    from ...live.events import TeamEvent
+    from ...live.event_base import TeamEvent
     from ...live.session import Session
     from ...people.goals import Goals
     from ...web.server import ServedTeam

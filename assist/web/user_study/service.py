@@ -14,7 +14,7 @@ from urllib.parse import urlencode
 
 from pydantic import BaseModel
 
-from ...live.events import Event
+from ...live.event_base import Event
 from ...texts.refusals import AbsentError, InapplicableError, Refusal
 from ...userstudy.codes import identifier, spelled
 from ...userstudy.cohort import Cohort

@@ -15,7 +15,8 @@ from starlette.testclient import TestClient
 
 from assist.declare.declared import plain
 from assist.live.assistant import Assistant
-from assist.live.events import Acted, Arrived, Elapsed, Joined, Paused, TeamEvent, kinds
+from assist.live.event_base import TeamEvent
+from assist.live.events import Acted, Arrived, Elapsed, Joined, Paused, kinds
 from assist.live.session import Session
 from assist.people.ranges import Population
 from assist.person.robots import Robot

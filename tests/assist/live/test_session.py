@@ -20,7 +20,8 @@ from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, happen
 
 from assist.live.assistant import Assistant
 from assist.live.desk import Desk
-from assist.live.events import Acted, Began, Event, Joined, TeamEvent, kinds
+from assist.live.event_base import Event, TeamEvent
+from assist.live.events import Acted, Began, Joined, kinds
 from assist.live.session import Session
 from assist.live.store import JournalError, stored
 from assist.live.team import Team

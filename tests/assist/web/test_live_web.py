@@ -17,7 +17,8 @@ import pytest
 from starlette.testclient import TestClient
 from streams import EndedError, Stream, opened
 
-from assist.live.events import Acted, Event, Joined, Left, TeamEvent, kinds
+from assist.live.event_base import Event, TeamEvent
+from assist.live.events import Acted, Joined, Left, kinds
 from assist.live.session import Session
 from assist.live.store import JournalError
 from assist.people.ranges import Population
