@@ -4,9 +4,7 @@ Reports from all connections enter a queue. The writer takes all waiting reports
 to the disk. Only then are they answered, and clients receive their new views. Views are computed once, by the writer;
 requests for views never wait for the disk.
 
-A watcher keeps the latest event of each person only, so that a client that reads slowly costs no memory and others do
-not wait. It can reconnect at any time and receives the current view. Watchers are independent: a connection that ends
-late never ends another one.
+Watchers (`watchers`) are independent: a connection that ends late never ends another one.
 """
 
 from __future__ import annotations
@@ -37,6 +35,7 @@ from ..texts.refusals import AbsentError, InapplicableError, Refusal
 from .measures import Measures
 from .schemas import Person, Place, Robot
 from .tokens import AccessTokens
+from .watchers import Watcher, streamed
 
 REPORTS = logging.getLogger(f"{__package__}.reports")
 """Log of all answered reports, without names of people, for which records could not be erased."""
@@ -71,44 +70,6 @@ class Erasure:
 
     person: str
     reason: str
-
-
-def event(kind: str, data: bytes) -> bytes:
-    """Return an event of a stream, whose data is JSON in one line."""
-    return b"event: %s\ndata: %s\n\n" % (kind.encode(), data)
-
-
-class Watcher:
-    """What a connected client has not been sent yet: the latest event for each key, in the order of the changes."""
-
-    def __init__(self) -> None:
-        self._events: dict[str, bytes] = {}
-        self._changed, self._over = asyncio.Event(), asyncio.Event()
-
-    def tell(self, key: str, event: bytes = b"") -> None:
-        """Note an event, in place of an earlier one for this key that has not been sent."""
-        self._events.pop(key, None)
-        self._events[key] = event
-        self._changed.set()
-
-    def end(self) -> None:
-        """End the stream of events."""
-        self._over.set()
-        self._changed.set()
-
-    async def take(self) -> list[bytes]:
-        """Wait for events, and return them; return none if the stream has ended."""
-        await self._changed.wait()
-        if self._over.is_set():
-            return []
-        self._changed.clear()
-        found, self._events = list(self._events.values()), {}
-        return found
-
-    async def rest(self, seconds: float) -> None:
-        """Wait for some seconds, or until the stream ends."""
-        with suppress(TimeoutError):
-            await asyncio.wait_for(self._over.wait(), seconds)
 
 
 class Service:
@@ -273,7 +234,7 @@ class Service:
                 if view is None:
                     watcher.end()
                 else:
-                    watcher.tell("view", event("view", view))
+                    watcher.tell("view", streamed("view", view))
             for follower in self._followers:
                 follower.tell(f"person {person}", _changed(person, view))
         for number, robot in enumerate(outlook.robots, start=1):
@@ -388,7 +349,7 @@ class Service:
             if now != before:
                 self._tell_operators()
                 for watcher in chain(*self._watchers.values()):
-                    watcher.tell("faults", event("faults", _json(now[1])))
+                    watcher.tell("faults", streamed("faults", _json(now[1])))
             before = now
 
     # Watching.
@@ -410,8 +371,8 @@ class Service:
     def watch(self, person: str) -> Watcher:
         """Register a watcher of a person's view."""
         watcher = self._begun(Watcher(), self._watchers.setdefault(person, set()))
-        watcher.tell("faults", event("faults", _json(self.faults())))
-        watcher.tell("view", event("view", self.views[person]))
+        watcher.tell("faults", streamed("faults", _json(self.faults())))
+        watcher.tell("view", streamed("view", self.views[person]))
         self._connected(person)
         return watcher
 
@@ -449,7 +410,7 @@ class Service:
     def follow(self) -> Watcher:
         """Register a program that follows the team; it is told who is present, and of each person and robot."""
         watcher = self._begun(Watcher(), self._followers)
-        watcher.tell("people", event("people", _json({"people": list(self.views)})))
+        watcher.tell("people", streamed("people", _json({"people": list(self.views)})))
         for person, view in self.views.items():
             watcher.tell(f"person {person}", _changed(person, view))
         for number, robot in enumerate(self.outlook.robots, start=1):
@@ -509,11 +470,11 @@ class Service:
 
 
 def _changed(person: str, view: bytes | None) -> bytes:
-    return event("left", _json({"person": person})) if view is None else event("view", view)
+    return streamed("left", _json({"person": person})) if view is None else streamed("view", view)
 
 
 def _instruction(number: int, robot: Mapping[str, Any]) -> bytes:
-    return event("robot", _json({"robot": number, "instruction": robot}))
+    return streamed("robot", _json({"robot": number, "instruction": robot}))
 
 
 def _json(document: Any) -> bytes:

@@ -18,7 +18,8 @@ from starlette.types import Receive, Scope, Send
 
 from ..texts.refusals import Refusal
 from .authorization import READ, Desk, Operator, Own, refusals
-from .service import Service, Watcher, event
+from .service import Service
+from .watchers import Watcher, streamed
 
 MEDIA = "text/event-stream"
 DESCRIBED: dict[int | str, dict[str, Any]] = {200: {"content": {MEDIA: {"schema": {"type": "string"}}}}}
@@ -66,7 +67,7 @@ class EventStream(Response):
 
     async def _send(self, send: Send) -> None:
         await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
-        ping = event("ping", json.dumps({"seconds": self._every}).encode())
+        ping = streamed("ping", json.dumps({"seconds": self._every}).encode())
         body, following = ping, asyncio.ensure_future(anext(self._events))
         try:
             while True:
@@ -111,7 +112,7 @@ def view_stream(service: Service, kind: str, view: Callable[[], Any]) -> EventSt
 
     async def events() -> AsyncIterator[bytes]:
         while await watcher.take():
-            yield event(kind, await view())
+            yield streamed(kind, await view())
             await watcher.rest(service.pause_between)
 
     return EventStream(events(), service.ping, lambda: service.operator_leaves(watcher))

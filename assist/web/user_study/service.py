@@ -24,8 +24,9 @@ from ...userstudy.plan import WAITING
 from ...userstudy.session import StudySession
 from ..request_limits import Allowance
 from ..schemas import Robot
-from ..service import Erasure, Service, Watcher
+from ..service import Erasure, Service
 from ..tokens import VISITOR, AccessTokens, secret_in
+from ..watchers import Watcher
 from .schemas import Participant
 
 PARTICIPANT = "participant "
