@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from assist.live.store import stored
-from planner.system.errors import DamagedFileError
+from planner.system.errors import InputFileError
 
 if TYPE_CHECKING:
     from broken import Fuzzer
@@ -90,7 +90,7 @@ def kept(folder: Path) -> list[Any] | None:
     """Return the header and the records of a session; None if they cannot be read."""
     try:
         header, records = stored(folder / JOURNAL)
-    except (DamagedFileError, OSError):
+    except (InputFileError, OSError):
         return None
     return [header, *(record for _, record in records)]
 

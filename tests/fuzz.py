@@ -111,7 +111,6 @@ def load(file: str) -> None:
     """Open a saved policy or table as a program does; their own errors are reported in one line."""
     from assist.person.solver import Solution
     from planner import open_table
-    from planner.system.errors import DamagedFileError
 
     try:
         if file == "policy.npz":
@@ -122,7 +121,7 @@ def load(file: str) -> None:
             values = table.values(range(len(table)))
             fact = values[table.initial].clip(max=table.facts.shape[1] - 1)
             table.facts[np.arange(values.shape[1]), fact].tolist()
-    except (InputFileError, DamagedFileError, OSError) as error:
+    except (InputFileError, OSError) as error:
         click.echo(str(error), err=True)
         sys.exit(1)
 

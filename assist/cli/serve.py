@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner.system.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import InputFileError, ResultsExistError
 
 from ..declare.options import Given
 from .options.common import INPUT_FILE
@@ -81,7 +81,7 @@ def serve(
         )
         try:
             session = plan.session()
-        except (ResultsExistError, DamagedFileError):
+        except (ResultsExistError, InputFileError):
             raise
         except ValueError as error:
             raise click.UsageError(str(error)) from None

@@ -21,7 +21,7 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
 
     DIR is the folder of `serve --study ... --data DIR`, during the study or afterwards, or an unpacked export.
     """
-    from planner.system.errors import DamagedFileError, InputFileError
+    from planner.system.errors import InputFileError
 
     from ..reports.userstudy_report import headline, require, write_report
     from ..userstudy.session import REPORT
@@ -30,7 +30,7 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     out = out or folder / REPORT
     try:
         summary = write_report(folder, out)
-    except (InputFileError, DamagedFileError, OSError) as error:
+    except (InputFileError, OSError) as error:
         fail(str(error), ExitCode.FAILED)
     if as_json:
         print_json(summary)

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.system.errors import DamagedFileError
+from planner.system.errors import InputFileError
 
 from ..people.decision import Floats
 from .store import JournalError
@@ -57,7 +57,7 @@ class PeopleStore:
 
     Raises
     ------
-    DamagedFileError
+    InputFileError
         The file is no such database.
     JournalError
         It cannot be read or written.
@@ -97,7 +97,7 @@ class PeopleStore:
         except sqlite3.DatabaseError as error:
             if isinstance(error, sqlite3.OperationalError):
                 raise JournalError(errno.EIO, str(error), str(self.file)) from error
-            raise DamagedFileError(self.file, None, f"is no store of people ({error})") from error
+            raise InputFileError.of(self.file, None, f"is no store of people ({error})") from error
 
     def names(self) -> list[str]:
         """Return whose beliefs are stored and have not expired, in alphabetical order."""
@@ -126,7 +126,7 @@ class PeopleStore:
         try:
             return np.frombuffer(row[1], dtype="<f8").reshape(json.loads(row[0])).astype(float)
         except (ValueError, TypeError) as error:
-            raise DamagedFileError(self.file, None, f"the belief in {person!r} is damaged ({error})") from error
+            raise InputFileError.of(self.file, None, f"the belief in {person!r} is damaged ({error})") from error
 
     def save(self, person: str, model: str, belief: Floats) -> None:
         """Save the belief in a person, in place of an earlier one."""

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner import CostToGo
-from planner.system.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import InputFileError, ResultsExistError
 
 from ..people.goals import Goals
 from ..people.ranges import Population
@@ -78,7 +78,7 @@ class Session(Reports):
     ------
     ResultsExistError
         The journal belongs to a running session, to one with other tasks or settings, or to another version.
-    DamagedFileError
+    InputFileError
         Something else has changed the journal.
     OSError
         The journal cannot be written.
@@ -182,7 +182,7 @@ class Session(Reports):
             return event
         try:
             belief = self._people.belief(event.person, self._meaning)
-        except (JournalError, DamagedFileError) as error:
+        except (JournalError, InputFileError) as error:
             logging.getLogger(__name__).warning("a person joins without what was learned before: %s", error)
             return event
         return event if belief is None else event.model_copy(update={"belief": tuple(belief.ravel().tolist())})

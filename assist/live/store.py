@@ -23,7 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from planner.system.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import InputFileError, ResultsExistError
 
 from .record import Record
 
@@ -83,7 +83,7 @@ class EventStore(Generic[R]):
     ------
     ResultsExistError
         Another process uses it.
-    DamagedFileError
+    InputFileError
         The file is no database of a session, or is damaged.
     OSError
         It cannot be written.
@@ -128,7 +128,7 @@ class EventStore(Generic[R]):
                 )
                 fault = db.execute("PRAGMA quick_check(1)").fetchone()[0]
                 if fault != "ok":
-                    raise DamagedFileError(self.file, None, f"is damaged ({fault}); expected the journal of a session")
+                    raise InputFileError.of(self.file, None, f"is damaged ({fault}); expected the journal of a session")
                 db.executescript(TABLES)
             except BaseException:
                 db.close()
@@ -248,9 +248,9 @@ class EventStore(Generic[R]):
         writable = os.access(self.file, os.W_OK) and os.access(self.file.parent, os.W_OK)
         return None if writable else f"{self.file.name} cannot be written"
 
-    def damaged(self, n: int, error: object) -> DamagedFileError:
+    def damaged(self, n: int, error: object) -> InputFileError:
         """Return the error for the stored event number `n`, which cannot be applied."""
-        return DamagedFileError(self.file, None, f"event {n} cannot have happened: {error}")
+        return InputFileError.of(self.file, None, f"event {n} cannot have happened: {error}")
 
     # Erasing.
 
@@ -313,14 +313,14 @@ def stored(file: Path) -> tuple[dict[str, Any], list[tuple[str | None, dict[str,
 
     Raises
     ------
-    DamagedFileError
+    InputFileError
         The file is not of a session.
     OSError
         There is no such file.
     """
     header, records = _stored(file)
     if header is None:
-        raise DamagedFileError(file, None, "is not the journal of a session")
+        raise InputFileError.of(file, None, "is not the journal of a session")
     return header, records
 
 
@@ -362,7 +362,7 @@ def _document(text: Any, file: Path, n: int) -> dict[str, Any]:
     except (ValueError, TypeError, RecursionError):
         found = None
     if not isinstance(found, dict):
-        raise DamagedFileError(file, None, f"event {n} is not an event of a session; expected a JSON object")
+        raise InputFileError.of(file, None, f"event {n} is not an event of a session; expected a JSON object")
     return found
 
 
@@ -370,7 +370,7 @@ def _as_error(error: sqlite3.Error, file: Path) -> Exception:
     """Return the exception of this module, or of Python, that stands for an error of SQLite."""
     code = getattr(error, "sqlite_errorcode", None) or 0
     if code & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR):
-        return DamagedFileError(file, None, f"is damaged ({error}); expected the journal of a session")
+        return InputFileError.of(file, None, f"is damaged ({error}); expected the journal of a session")
     if code & 0xFF == sqlite3.SQLITE_FULL:
         return JournalError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}; nothing was recorded", str(file))
     return JournalError(errno.EIO, f"{error}; nothing was recorded", str(file))

@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from planner.system.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import InputFileError, ResultsExistError
 from planner.system.files import atomic
 
 from ..userstudy.export import REGISTERED
@@ -70,7 +70,7 @@ def compared(study: UserStudy, tables: Tables, folder: Path) -> dict[str, Any] |
 
     Raises
     ------
-    DamagedFileError
+    InputFileError
         The file is not such a record.
     """
     file = folder / REGISTERED
@@ -80,7 +80,7 @@ def compared(study: UserStudy, tables: Tables, folder: Path) -> dict[str, Any] |
         record = json.loads(file.read_text(encoding="utf-8"))
         at, digest, analysis = datetime.fromisoformat(record["registered"]), record["study"], dict(record["analysis"])
     except (ValueError, KeyError, TypeError) as error:
-        raise DamagedFileError(file, None, f"not a preregistration: {error}") from None
+        raise InputFileError.of(file, None, f"not a preregistration: {error}") from None
     deviations, phrase = [], study.catalogue.phrase
     first = min((row["arrived"] for row in tables.participants if row["arrived"] is not None), default=None)
     if first is not None and datetime.fromisoformat(first) < at:

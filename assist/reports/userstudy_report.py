@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.system.errors import DamagedFileError
+from planner.system.errors import InputFileError
 
 from ..learning.statistics import FEW
 from ..live.store import stored
@@ -46,7 +46,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
 
     Raises
     ------
-    InputFileError, DamagedFileError, OSError
+    InputFileError, OSError
         The folder is neither a study's folder nor an unpacked export, or a file in it is damaged.
     """
     study = read(folder / PLAN, carried_out=True)
@@ -61,12 +61,12 @@ def _rows(file: Path, columns: dict[str, str]) -> Iterator[Row]:
         known = list(reader.fieldnames or ())
         later = LATER | ({"position"} if "item" in columns else set())
         if known != [name for name in columns if name in known or name not in later]:
-            raise DamagedFileError(file, 1, f"expected the columns {', '.join(columns)}")
+            raise InputFileError.of(file, 1, f"expected the columns {', '.join(columns)}")
         for row in reader:
             try:
                 yield dict.fromkeys(columns) | {name: _cell(name, cell) for name, cell in row.items()}
             except (TypeError, ValueError):
-                raise DamagedFileError(file, reader.line_num, "expected a number") from None
+                raise InputFileError.of(file, reader.line_num, "expected a number") from None
 
 
 def _cell(name: str, cell: str) -> Any:
@@ -90,7 +90,7 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
 
     Raises
     ------
-    InputFileError, DamagedFileError, OSError
+    InputFileError, OSError
         The folder is neither a study's folder nor an unpacked export, or a file in it is damaged.
     """
     while True:

@@ -15,7 +15,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.system.errors import DamagedFileError, InputFileError, MissingExtraError
+from planner.system.errors import InputFileError, MissingExtraError
 from planner.system.files import ResumableFolder, each_record, read_records, write_text
 from planner.system.limits import Deadline, LimitError
 from planner.system.progress import Wanted, adding, shows_progress
@@ -75,7 +75,7 @@ def run_study(
         The folder contains results and `resume` is not set.
     InputFileError
         The folder contains results of another study or of more repeats.
-    DamagedFileError
+    InputFileError
         `study.json` does not identify the study of the results.
     """
     assert callable(progress)
@@ -133,25 +133,25 @@ def _about(folder: Path) -> dict[str, Any]:
     try:
         about = json.loads(file.read_bytes().decode())
     except FileNotFoundError:
-        raise DamagedFileError(file, None, f"is missing; {lost}") from None
+        raise InputFileError.of(file, None, f"is missing; {lost}") from None
     except UnicodeDecodeError:
-        raise DamagedFileError(file, None, f"is not text (UTF-8); {lost}") from None
+        raise InputFileError.of(file, None, f"is not text (UTF-8); {lost}") from None
     except json.JSONDecodeError as error:
-        raise DamagedFileError(file, error.lineno, f"is not valid JSON; {lost}") from None
+        raise InputFileError.of(file, error.lineno, f"is not valid JSON; {lost}") from None
     except (ValueError, RecursionError):
-        raise DamagedFileError(file, None, f"is not valid JSON; {lost}") from None
+        raise InputFileError.of(file, None, f"is not valid JSON; {lost}") from None
     if not isinstance(about, dict) or "schema" not in about:
-        raise DamagedFileError(file, None, f"has no field 'schema'; {lost}")
+        raise InputFileError.of(file, None, f"has no field 'schema'; {lost}")
     return about
 
 
 def _readable(
     file: Path, good: Callable[[dict[str, Any]], bool]
-) -> tuple[list[tuple[dict[str, Any], str]], list[DamagedFileError]]:
+) -> tuple[list[tuple[dict[str, Any], str]], list[InputFileError]]:
     """Return the valid records, each with its line, and the errors of the others."""
     found, damaged = [], []
     for number, record in enumerate(each_record(file), start=1):
-        if isinstance(record, DamagedFileError):
+        if isinstance(record, InputFileError):
             damaged.append(record)
             continue
         try:
@@ -160,11 +160,11 @@ def _readable(
                 continue
         except (KeyError, TypeError):
             pass
-        damaged.append(DamagedFileError(file, number, "lacks fields, or has others than expected"))
+        damaged.append(InputFileError.of(file, number, "lacks fields, or has others than expected"))
     return found, damaged
 
 
-def _say(damaged: Sequence[DamagedFileError], consequence: str, warn: Callable[[str], None]) -> None:
+def _say(damaged: Sequence[InputFileError], consequence: str, warn: Callable[[str], None]) -> None:
     """Report the first damaged line of a file, and the number of damaged lines."""
     if damaged:
         more = f" (and {len(damaged) - 1} other damaged lines)" if len(damaged) > 1 else ""
@@ -224,7 +224,7 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     ------
     InputFileError
         There are no results, or results of another format.
-    DamagedFileError
+    InputFileError
         A line is not a valid record.
     MissingExtraError
         pandas is not installed.

@@ -65,7 +65,7 @@ class StudySession(Session):
     ------
     ResultsExistError
         The folder belongs to a running study, to another study, or to this one before its file changed.
-    DamagedFileError, OSError
+    InputFileError, OSError
         As in `Session`.
     """
 

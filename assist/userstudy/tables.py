@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from planner.system.errors import DamagedFileError
+from planner.system.errors import InputFileError
 
 from ..live.header import require_version
 from ..live.store import stored
@@ -198,7 +198,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
 
     Raises
     ------
-    DamagedFileError
+    InputFileError
         The file is not the journal of a user study.
     ResultsExistError
         It is that of another version.
@@ -206,7 +206,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     header, records = stored(journal)
     require_version(journal, header, StudyRecord.format)
     if header.get("format") != StudyRecord.format:
-        raise DamagedFileError(journal, None, "not the journal of a user study")
+        raise InputFileError.of(journal, None, "not the journal of a user study")
     roll, found = Roll(study), Tables()
     here: dict[str, Row] = {}  # of each participant what they did at their stage; at a task, its row
     for utc, plain in records:

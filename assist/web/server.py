@@ -241,7 +241,7 @@ class ServedTeam:
 
         Raises
         ------
-        ResultsExistError, DamagedFileError, OSError
+        ResultsExistError, InputFileError, OSError
             As in `Session`.
         ValueError
             An invalid combination, such as a choice model and a task that is too large for it.

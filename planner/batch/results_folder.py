@@ -21,7 +21,7 @@ from typing import Any
 from ..grounding import fast_downward
 from ..pddl.compilation import MOST_VALUES
 from ..pddl.instances import Instance
-from ..system.errors import DamagedFileError
+from ..system.errors import InputFileError
 from ..system.files import ResumableFolder, read_records
 from ..system.limits import MAX_STATES
 
@@ -145,7 +145,7 @@ class Results:
         """Prepare the folder for a run of the given instances; with `resume`, valid records in it are kept.
 
         Results in the folder without `resume` raise a `ResultsExistError`, and files that are not results of this
-        program a `DamagedFileError`.
+        program an `InputFileError`.
         """
         self._folder, self._options = folder, options
         self._kept: ResumableFolder[Key] = ResumableFolder(folder / RESULTS, folder / FINGERPRINTS, resume=resume)
@@ -261,7 +261,7 @@ def _records(file: Path) -> list[SolveRecord]:
     records = read_records(file)
     for number, record in enumerate(records, start=1):
         if not _is_record(record):
-            raise DamagedFileError(file, number, "expected a record of `kitassist solve`; choose another folder")
+            raise InputFileError.of(file, number, "expected a record of `kitassist solve`; choose another folder")
     return records
 
 

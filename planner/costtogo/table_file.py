@@ -24,7 +24,7 @@ from ..grounding.task import in_unit, pddl_fact
 from ..search.packing import Packing
 from ..search.state_space import as_floats, state_numbers
 from ..system.arrays import Ints, Words, outline
-from ..system.errors import DamagedFileError
+from ..system.errors import InputFileError
 from ..system.files import atomic
 from .table import Table
 
@@ -111,7 +111,7 @@ def open_table(file: str | Path) -> SavedTable:
 
     Raises
     ------
-    DamagedFileError
+    InputFileError
         The file is not such a table, is truncated, or contains arrays that do not match.
     """
     file = Path(file)
@@ -121,7 +121,7 @@ def open_table(file: str | Path) -> SavedTable:
             arrays = {member.filename.removesuffix(".npy"): _mapped(file, stream, member) for member in members}
         return _table(arrays)
     except (zipfile.BadZipFile, NotImplementedError, TokenError, TypeError, KeyError, ValueError, IndexError) as error:
-        raise DamagedFileError(file, None, f"no table of costs-to-go ({error})") from None
+        raise InputFileError.of(file, None, f"no table of costs-to-go ({error})") from None
 
 
 def _table(arrays: Mapping[str, NDArray[Any]]) -> SavedTable:

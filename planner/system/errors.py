@@ -44,16 +44,13 @@ class MismatchError(AssertionError):
     """Two computations of a cost disagree."""
 
 
-class DamagedFileError(ValueError):
-    """A results file was truncated or changed, or another program wrote it; lines are counted from 1."""
-
-    def __init__(self, file: Path, line: int | None, message: str) -> None:
-        super().__init__(file, line, message)
-        self.file, self.line, self.message = file, line, message
-
-    def __str__(self) -> str:
-        return f"{self.file}{'' if self.line is None else f':{self.line}'}: {self.message}"
-
-
 class InputFileError(ValueError):
-    """An input file is invalid; the message states the fault, its place and what is expected."""
+    """A file cannot be used: an invalid input, or results that are damaged or another program's.
+
+    The message states the fault, its place and what is expected.
+    """
+
+    @classmethod
+    def of(cls, file: Path, line: int | None, message: str) -> InputFileError:
+        """Return the error of a file, or of one of its lines, which are counted from 1."""
+        return cls(f"{file}{'' if line is None else f':{line}'}: {message}")

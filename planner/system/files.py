@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, TypeVar
 
-from .errors import DamagedFileError, ResultsExistError
+from .errors import InputFileError, ResultsExistError
 
 UNFINISHED = ".unfinished-"
 """Prefix of the temporary files of `atomic`."""
@@ -162,18 +162,18 @@ def append(file: Path, text: str) -> None:
 def read_records(file: Path) -> list[dict[str, Any]]:
     """Return the records of a JSON Lines file; an empty list if there is no file. An incomplete last line is ignored.
 
-    A line that is not a record raises a `DamagedFileError`.
+    A line that is not a record raises an `InputFileError`.
     """
     found = []
     for record in each_record(file):
-        if isinstance(record, DamagedFileError):
+        if isinstance(record, InputFileError):
             raise record
         found.append(record)
     return found
 
 
-def each_record(file: Path) -> Iterator[dict[str, Any] | DamagedFileError]:
-    """Yield each line of a JSON Lines file as a record, or else the `DamagedFileError` that says why it is none.
+def each_record(file: Path) -> Iterator[dict[str, Any] | InputFileError]:
+    """Yield each line of a JSON Lines file as a record, or else the `InputFileError` that says why it is none.
 
     An incomplete last line is ignored.
     """
@@ -182,7 +182,7 @@ def each_record(file: Path) -> Iterator[dict[str, Any] | DamagedFileError]:
     for number, line in enumerate(file.read_bytes().split(b"\n")[:-1], start=1):
         try:
             yield _record(file, number, line)
-        except DamagedFileError as error:
+        except InputFileError as error:
             yield error
 
 
@@ -190,11 +190,11 @@ def _record(file: Path, number: int, line: bytes) -> dict[str, Any]:
     try:
         record = json.loads(line.decode())
     except UnicodeDecodeError:
-        raise DamagedFileError(file, number, "is not text (UTF-8); expected a record as JSON") from None
+        raise InputFileError.of(file, number, "is not text (UTF-8); expected a record as JSON") from None
     except (ValueError, RecursionError):
-        raise DamagedFileError(file, number, "is no JSON; expected a record, all of it on this line") from None
+        raise InputFileError.of(file, number, "is no JSON; expected a record, all of it on this line") from None
     if not isinstance(record, dict):
-        raise DamagedFileError(file, number, "expected a record: a JSON object")
+        raise InputFileError.of(file, number, "expected a record: a JSON object")
     return record
 
 

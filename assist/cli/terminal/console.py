@@ -14,7 +14,7 @@ import click
 
 from planner import InstanceError, LimitError, PDDLError
 from planner.grounding.fast_downward import FastDownwardError
-from planner.system.errors import DamagedFileError, MissingExtraError, ResultsExistError
+from planner.system.errors import InputFileError, MissingExtraError, ResultsExistError
 from planner.system.signs import VisibleText, visible
 from planner.system.threads import NO_MORE_THREADS
 
@@ -42,7 +42,7 @@ def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
     """Turn expected errors into one line on stderr and a documented exit code."""
     try:
         yield
-    except (InstanceError, ResultsExistError, DamagedFileError) as error:
+    except (InstanceError, ResultsExistError, InputFileError) as error:
         fail(str(error), ExitCode.USAGE)
     except (PDDLError, LimitError, FastDownwardError, MissingExtraError) as error:
         fail(str(error), ExitCode.FAILED)

@@ -1,4 +1,4 @@
 // The page that describes the interface, by Swagger UI.
 "use strict";
 
-/** @type {any} */ (window).SwaggerUIBundle({ url: "openapi.json", dom_id: "#swagger", deepLinking: true });
+/** @type {any} */ (window).SwaggerUIBundle({ url: "openapi.json", dom_id: "#swagger", deepLinking: false });

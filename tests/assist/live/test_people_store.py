@@ -19,7 +19,7 @@ from assist.people.ranges import Population
 from assist.person.settings import Setting
 from assist.texts import AbsentError
 from planner import Table, sweep_goals
-from planner.system.errors import DamagedFileError
+from planner.system.errors import InputFileError
 
 SETTING = Setting(c_suggest=0.05)
 WALK = ["(fetch box-b)", "(fetch box-a)", "(place hammer slot-1 box-a)"]
@@ -174,7 +174,7 @@ def test_a_store_is_its_owners_and_leaves_out_who_is_simulated(tmp_path: Path) -
     assert store.names() == []
     assert store.file.stat().st_mode & 0o777 == 0o600
     (other := tmp_path / "other").write_text("no database " * 100)
-    with pytest.raises(DamagedFileError, match="is no store of people"):
+    with pytest.raises(InputFileError, match="is no store of people"):
         PeopleStore(other)
     result = CliRunner().invoke(main, ["serve", str(TINY), "--humans", "1", "--set", f"people_store={other}"])
     assert result.exit_code == 2

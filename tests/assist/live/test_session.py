@@ -28,7 +28,7 @@ from assist.live.team import Team
 from assist.person.settings import Setting
 from assist.texts import AbsentError, InapplicableError, Refusal
 from planner import Table
-from planner.system.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import InputFileError, ResultsExistError
 
 
 @pytest.fixture
@@ -368,7 +368,7 @@ def test_a_damaged_database_is_refused(
     if b"DROP" in change:
         assert opened().people == ()
         return
-    with pytest.raises(DamagedFileError, match=message):
+    with pytest.raises(InputFileError, match=message):
         opened()
 
 
@@ -395,7 +395,7 @@ def test_a_journal_with_what_cannot_have_happened_is_refused_with_its_event(
     with closing(sqlite3.connect(file)) as db, db:
         db.execute(f"UPDATE events SET record = {changed} WHERE n = 2", given)
         kept = db.execute("SELECT * FROM events").fetchall()
-    with pytest.raises(DamagedFileError, match=r"journal\.sqlite: event 2 cannot have happened: ") as error:
+    with pytest.raises(InputFileError, match=r"journal\.sqlite: event 2 cannot have happened: ") as error:
         opened()
     assert "\n" not in str(error.value)
     with closing(sqlite3.connect(file)) as db:

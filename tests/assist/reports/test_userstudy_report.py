@@ -34,7 +34,7 @@ from assist.texts import catalogue
 from assist.userstudy.tables import COLUMNS
 from assist.userstudy.tables import written as written_rows
 from assist.web.user_study import rehearsal, server
-from planner.system.errors import DamagedFileError, MissingExtraError
+from planner.system.errors import InputFileError, MissingExtraError
 
 
 def run(*words: object) -> Any:
@@ -257,7 +257,7 @@ def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:
         (file.read_text().replace("actions,", "", 1), "tasks.csv:1: expected the columns participant"),
     ):
         file.write_text(wrong)
-        with pytest.raises(DamagedFileError, match=words):
+        with pytest.raises(InputFileError, match=words):
             userstudy_report.of_folder(folder)
 
 

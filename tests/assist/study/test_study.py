@@ -21,7 +21,7 @@ from assist.study.cells import carry_out
 from assist.study.protocol import read
 from assist.study.runner import load_study, profile, run_study
 from assist.study.study import Study
-from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError
+from planner.system.errors import InputFileError, ResultsExistError
 
 
 @pytest.fixture
@@ -151,7 +151,7 @@ def test_results_of_nobody_knows_what_are_neither_continued_nor_replaced(
     assert result.stderr.count("\n") == 1
     assert (results / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
     if content is not None:
-        with pytest.raises(DamagedFileError, match="choose another folder"):
+        with pytest.raises(InputFileError, match="choose another folder"):
             load_study(results)
 
 

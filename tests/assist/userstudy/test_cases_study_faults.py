@@ -31,7 +31,7 @@ from assist.userstudy.tables import tables
 from assist.web.tokens import AccessTokens
 from assist.web.user_study.service import StudyService
 from planner import Table
-from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError
+from planner.system.errors import InputFileError, ResultsExistError
 
 
 def opened(table: Table, folder: Path, text: str = PLAN) -> StudySession:
@@ -100,22 +100,22 @@ def cuts(name: str) -> Callable[[Path, Table], Any]:
 
 
 FAULTS: dict[str, tuple[Callable[[Path, Table], Any], type[Exception], str]] = {
-    "a journal that is a text": (damaged(lambda d: as_text(d / JOURNAL)), DamagedFileError, "is damaged"),
-    "half a journal": (damaged(lambda d: cut(d / JOURNAL)), DamagedFileError, "is damaged"),
-    "an event that is no JSON": (damaged(lambda d: record(d / JOURNAL, "{")), DamagedFileError, "event 2 cannot have"),
+    "a journal that is a text": (damaged(lambda d: as_text(d / JOURNAL)), InputFileError, "is damaged"),
+    "half a journal": (damaged(lambda d: cut(d / JOURNAL)), InputFileError, "is damaged"),
+    "an event that is no JSON": (damaged(lambda d: record(d / JOURNAL, "{")), InputFileError, "event 2 cannot have"),
     "an event of another kind": (
         damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":0,"event":{"kind":"flew","person":"eve"}}')),
-        DamagedFileError, "event 2 cannot have happened: event: 'flew' is no kind of event; expected one of acted,",
+        InputFileError, "event 2 cannot have happened: event: 'flew' is no kind of event; expected one of acted,",
     ),
     "an event at no time": (
         damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":"noon","event":{"kind":"left","person":"eve"}}')),
-        DamagedFileError, "event 2 cannot have happened",
+        InputFileError, "event 2 cannot have happened",
     ),
     "an event of nobody": (
         damaged(lambda d: record(d / JOURNAL, '{"n":2,"time":0,"event":{"kind":"left","person":"nobody"}}')),
-        DamagedFileError, "event 2 cannot have happened: 'nobody' is not in the study",
+        InputFileError, "event 2 cannot have happened: 'nobody' is not in the study",
     ),
-    "an event that is gone": (damaged(lambda d: gone(d / JOURNAL)), DamagedFileError, "event 4; expected 3"),
+    "an event that is gone": (damaged(lambda d: gone(d / JOURNAL)), InputFileError, "event 4; expected 3"),
     "a folder that is a file": (damaged(no_folder), OSError, "File exists"),
     "another study's file": (
         lambda folder, table: opened(table, folder, PLAN.replace("seed = 3", "seed = 4")),
@@ -131,7 +131,7 @@ FAULTS: dict[str, tuple[Callable[[Path, Table], Any], type[Exception], str]] = {
     "half a key of codes": (cuts("codes.key"), OSError, "expected the 32 bytes of the session's secret; found 5"),
     "a report of a journal that is a text": (
         lambda folder, _: (as_text(folder / "data" / JOURNAL), write_report(folder / "data", folder / "report")),
-        DamagedFileError, "is damaged",
+        InputFileError, "is damaged",
     ),
     "an export without the study's file": (
         lambda folder, _: ((folder / "data" / "study.toml").unlink(), archive(folder / "data")), InputFileError,

@@ -35,7 +35,7 @@ from assist.userstudy.plan_file import FileTable, read
 from assist.userstudy.session import JOURNAL, StudySession
 from assist.userstudy.tables import tables
 from planner import Instance, Table
-from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError
+from planner.system.errors import InputFileError, ResultsExistError
 
 __all__ = ["opened"]
 
@@ -293,7 +293,7 @@ def test_a_journal_that_cannot_have_been_is_refused_with_its_event(opened: Open,
         with closing(sqlite3.connect(folder / JOURNAL)) as db, db:
             broken = lines[line].replace(old, new, 1)
             db.execute("UPDATE events SET record = ? WHERE n = ?", (broken, line + 1))
-        with pytest.raises(DamagedFileError, match=rf"journal.sqlite: event {line + 1} cannot have happened"):
+        with pytest.raises(InputFileError, match=rf"journal.sqlite: event {line + 1} cannot have happened"):
             opened(folder=folder)
 
 

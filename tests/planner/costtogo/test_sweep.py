@@ -20,7 +20,7 @@ from planner.search.state_ranking import StateRanking
 from planner.search.state_registry import RegistryIndex
 from planner.search.state_space import compact
 from planner.search.transition_normal_form import exactly_one, split_operators
-from planner.system.errors import DamagedFileError
+from planner.system.errors import InputFileError
 
 module = importlib.import_module("planner.costtogo.table")
 successor_generator = importlib.import_module("planner.search.successor_generator")
@@ -439,7 +439,7 @@ def test_a_saved_table_is_opened_without_being_read(tmp_path):
         np.testing.assert_array_equal(arrays["states"], saved.states)
         np.testing.assert_array_equal(arrays["cost_to_go"], saved.distance)
     file.write_bytes(file.read_bytes()[:3000])
-    with pytest.raises(DamagedFileError, match=r"table\.npz.*no table"):
+    with pytest.raises(InputFileError, match=r"table\.npz.*no table"):
         open_table(file)
 
 
@@ -456,7 +456,7 @@ def test_a_damaged_table_is_said_to_be_one(tmp_path, damage):
         case "an open bracket":
             content[content.index(b"}")] = ord("(")
     file.write_bytes(content)
-    with pytest.raises(DamagedFileError, match=r"table\.npz.*no table"):
+    with pytest.raises(InputFileError, match=r"table\.npz.*no table"):
         open_table(file)
 
 
@@ -480,7 +480,7 @@ def test_a_table_whose_arrays_do_not_belong_together_is_refused(tmp_path):
     for name, values in wrong.items():
         for value in [*values, None]:
             np.savez(file, **{**found, name: value} if value is not None else without(found, name))
-            with pytest.raises(DamagedFileError, match=r"table\.npz: no table of costs-to-go"):
+            with pytest.raises(InputFileError, match=r"table\.npz: no table of costs-to-go"):
                 open_table(file)
 
 

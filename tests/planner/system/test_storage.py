@@ -19,7 +19,7 @@ from conftest import KITTING, ROOT
 
 from assist.cli import main
 from assist.cli.options.common import separate_files
-from planner.system.errors import DamagedFileError
+from planner.system.errors import InputFileError
 from planner.system.files import append, atomic, read_records, remove_unfinished, write_records
 
 TINY = str(KITTING / "tiny.pddl")
@@ -165,7 +165,7 @@ def test_a_full_disk_is_said_with_the_files_name(tmp_path: Path) -> None:
 def test_a_damaged_file_of_records_is_named_with_its_line(content: bytes, place: str, tmp_path: Path) -> None:
     file = tmp_path / "results.jsonl"
     file.write_bytes(content)
-    with pytest.raises(DamagedFileError, match=f"{file}{place}"):
+    with pytest.raises(InputFileError, match=f"{file}{place}"):
         read_records(file)
 
 
