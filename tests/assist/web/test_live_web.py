@@ -577,10 +577,16 @@ def test_the_interface_is_described(web: Web) -> None:
     assert set(described) >= {
         "/api/health", "/api/people/{person}", "/api/people/{person}/actions", "/api/people/{person}/undo",
         "/api/robots/{robot}", "/api/robots/{robot}/arrived", "/api/team", "/api/team/people",
-        "/api/team/people/{person}", "/api/log",
+        "/api/people/{person}/leave", "/api/log",
     }  # fmt: skip
     page = web.client.get("/docs").text
     loaded = re.findall(r"(?:src|href)=\"([^\"]*)\"", page)
     assert loaded[0] == "data:,"
-    assert loaded[1:] == ["pages/swagger-ui.css", "openapi.json", "pages/swagger-ui-bundle.js", "pages/docs.js"]
+    assert loaded[1:] == [
+        "pages/swagger-ui.css",
+        "pages/docs.css",
+        "openapi.json",
+        "pages/swagger-ui-bundle.js",
+        "pages/docs.js",
+    ]
     assert {web.client.get(f"/{one}").status_code for one in loaded[1:]} == {200}
