@@ -56,8 +56,8 @@ ROOMS = {
     "assist.drawing": "subject states profile scene layout svg raster picture frames files notebook",
     "assist.explain": "continuations contrast explanation",
     "assist.live": """names live_task advice roster uncertain_actions beliefs live_questions decision_point
-        robot_places decisions knowledge desk events reports record assistant store people_store header history team
-        session simulated_person trace_reasons""",
+        robot_places decisions knowledge desk event_base events reports record assistant store people_store
+        header history team session simulated_person trace_reasons""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": """options action_prices prices certificate visited_beliefs computation
         truncated_prices sample_paths team_bound relaxed_value comparison""",
@@ -71,8 +71,8 @@ ROOMS = {
     "assist.reports": """watched_episode policy_comparison repeated_measures wording
         report_files study_summary study_claims study_figures study_report userstudy_summary
         preregistration userstudy_report""",
-    "assist.web": """tokens cookies log_lines measures schemas service authorization request_limits task_drawings
-        event_routes routes metrics streams page_routes app connections server client""",
+    "assist.web": """tokens cookies log_lines measures schemas watchers service authorization request_limits
+        task_drawings event_routes routes metrics streams page_routes app connections server client""",
     "assist.web.user_study": "schemas service routes rehearsal server",
     "assist.bridges": """messages ordering session_client tasks transport errands kernel mqtt_settings mqtt
         opcua_settings opcua opcua_server ros2_settings ros2""",
