@@ -80,7 +80,7 @@ PACKED = """(define (problem p) (:domain packing)
 def compiled_code(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Compilation, once after an installation, is in no limit of time."""
     write_instance(folder := tmp_path_factory.mktemp("usual"), PACKING.replace("GO", "3"), PACKED)
-    invoke("bound", folder / "problem.pddl", "--humans", 2, "--time-limit", 1, "--episodes", 2)
+    invoke("bound", folder / "problem.pddl", "--humans", 2, "--time-limit", 1, "--value-episodes", 2)
 
 
 @pytest.mark.usefixtures("compiled_code")
@@ -90,7 +90,7 @@ def test_costs_of_very_different_size_are_bounded_and_simulated(tmp_path: Path, 
     write_instance(tmp_path, PACKING.replace("GO", str(cost)), problem)
     begun, limit, team = time.process_time(), 15, (tmp_path / "problem.pddl", "--humans", 2, "--json", "--episodes")
     bound = json.loads(invoke("bound", *team, 256, "--time-limit", limit).stdout)
-    run = json.loads(invoke("simulate", *team, 20, "--policy", "priority").stdout)["policies"][0]
+    run = json.loads(invoke("simulate", *team, "--episodes", 20, "--policy", "priority").stdout)["policies"][0]
     assert time.process_time() - begun < limit
     assert -9 * cost < bound["value"] - 3 * bound["value_stderr"] < bound["upper"] < -4 * cost
     assert -9 * cost < run["return"]["mean"] < -4 * cost
