@@ -14,6 +14,7 @@ import numpy as np
 from gates_records import first_difference, hashed, weights
 
 from assist.people import Goals, Population
+from assist.people.neighbours import Neighbours
 from assist.people.real_people import advice_takers
 from assist.person import ObservationModel, Setting
 from assist.person.robots import Robot
@@ -82,13 +83,17 @@ AXES: dict[str, dict[str, Feature]] = {
     "world": {"model": Feature(run={"world": "model"})},
     "presence": {"comes and goes": Feature(run={"presence": Schedule.of(HUMANS, [0, 2, 1], [6, 12, 40])})},
     "task": {"dead ends": Feature(task="stations/one-way"), "costs": Feature(task="delivery/one-parcel")},
+    "neighbours": {
+        "all see it followed": Feature({"neighbours": Neighbours(rule="followed")}),
+        "next see the outcome": Feature({"neighbours": Neighbours(rule="outcome", sees="next"), "robots": 2}),
+    },
 }
 """The features of each axis, besides the plain case. Policies are an axis as well."""
 
 
 ALONE = {
     "3 goals, likeliest", "asks about 1 goal", "on demand", "terms of people", "outcome", "disagreement",
-    "believed constant", "noise of actions", "mixture", "costs",
+    "believed constant", "noise of actions", "mixture", "costs", "all see it followed", "next see the outcome",
 }  # fmt: skip
 """Features that are not combined with others."""
 PAIRS = [
@@ -166,6 +171,8 @@ def cases() -> Iterator[tuple[str, set[str], bool, Callable[[], dict[str, Any]]]
         yield policy, {"policies"}, policy != "rollout", partial(found, policy, traced=True)
     for policy in POLICIES:
         for axis, named in AXES.items():
+            if policy == "attention-outlook" and axis != "neighbours":  # there it is attention
+                continue
             for name, feature in named.items():
                 quick = policy in ("attention", "priority") and name != "on demand"
                 yield f"{policy}, {name}", {axis}, quick, partial(found, policy, feature, traced=policy == "attention")

@@ -35,7 +35,7 @@ ROOMS = {
     "assist.texts": "catalogue refusals",
     "assist.people": """arguments state_keys hidden_type choices misconception decision user_code goals terms memory
         choice_model weighted_choice human ranges real_people spread belief influence_kernels type_kernels trust_rules
-        perceived_suggestions action_names signals""",
+        neighbours neighbourhood perceived_suggestions action_names signals""",
     "assist.person": """ties leaf_bounds evidence observation_model robots fleet travel settings pomdp
         assumptions visiting_robot problem_arrays rows policy lazy_policy archive belief_filter belief_update dynamics
         joint_belief beliefs rounding action_values krylov sparse_iteration policy_iteration qmdp
@@ -48,18 +48,18 @@ ROOMS = {
         likelihood_table person_estimate profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
         diagnostics population fit goals model_comparison rule_families posterior_sample influence_population
         rule_search trust_fit rule_comparison""",
-    "assist.team": """policy_names by_policy state action_check assignment attention attention_never questions
-        robots_at_work engine priority whittle rollout policies""",
+    "assist.team": """policy_names by_policy state action_check assignment seen attention attention_never outlook
+        questions robots_at_work engine priority whittle rollout policies""",
     "assist.simulation": """affordable union pool schedule common_random_numbers goal_knowledge trace
         episode episodes trust_of_people model_group beginning task_view run traced_run requested
         simulate belief_trace illustration""",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files notebook",
     "assist.explain": "continuations contrast explanation",
-    "assist.live": """names live_task advice roster uncertain_actions beliefs live_questions decision_point
+    "assist.live": """names live_task advice roster neighbours uncertain_actions beliefs live_questions decision_point
         robot_places decisions knowledge desk event_base events reports record assistant store people_store
         header history team session simulated_person trace_reasons""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
-    "assist.certify": """options action_prices prices certificate visited_beliefs computation
+    "assist.certify": """options action_prices envelope prices certificate visited_beliefs computation
         truncated_prices sample_paths team_bound relaxed_value comparison""",
     "assist.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",

@@ -27,6 +27,7 @@ from ..person.solver import Solution, solve
 from ..person.travel import Travel
 from ..simulation.pool import Pool
 from .action_prices import needed, paid
+from .envelope import Lifted
 from .options import BoundOptions
 from .prices import SubproblemKind, kinds_of, search, window_of
 from .visited_beliefs import BeliefRecorder
@@ -57,11 +58,11 @@ class Relaxation:
     """The Lagrangian relaxation of a team: its subproblems at some prices, with their solutions."""
 
     kinds: list[SubproblemKind]
-    parts: list[tuple[AttentionSubproblem, Solution]]
+    parts: list[tuple[AttentionSubproblem, Solution | Lifted]]
     price: Floats
     """Prices of attention, shape (W,), or (3, W) with those of actions."""
 
-    def _all(self, each: Callable[[Solution], float]) -> float:
+    def _all(self, each: Callable[[Solution | Lifted], float]) -> float:
         return sum(kind.count * each(solution) for kind, (_, solution) in zip(self.kinds, self.parts, strict=True))
 
     @property
@@ -174,7 +175,7 @@ class Computation:
         InterruptedBound
             Ctrl-C, after some of the bounds.
         """
-        parts: dict[int, tuple[AttentionSubproblem, Solution]] = {}
+        parts: dict[int, tuple[AttentionSubproblem, Solution | Lifted]] = {}
         over, advance = Event(), adding(self.tell, "bounding people's problems", len(kinds))
 
         def go_on(*_: float) -> None:
@@ -187,6 +188,9 @@ class Computation:
             best = kind.best(visits)
             still = math.ceil((len(kinds) - number) / self.workers)  # rounds that remain, including this one
             share = (until - time.perf_counter()) / still
+            if kind.envelope is not None:
+                parts[number] = visits, Lifted.of(best)
+                return advance(1)
             parts[number] = visits, solve(
                 visits.pomdp, gap=self.gap, time_limit=None if until == math.inf else max(0.0, share),
                 memory_limit_mb=self.memory_limit_mb, best=best,

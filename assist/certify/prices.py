@@ -39,6 +39,7 @@ from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
 from ..team.state import TeamAction, TeamState
 from .action_prices import supply
+from .envelope import Envelope
 from .options import BoundOptions
 
 Ints = NDArray[np.int64]
@@ -65,6 +66,8 @@ class SubproblemKind:
         Number of pairs of state and step that are enumerated if there are prices and an outer relaxation.
     share : float
         Probability that a person at these places has this subproblem: that of a goal, or 1.
+    envelope : Envelope or None
+        How far their theta comes by what they see of neighbours.
     """
 
     pool: Pool
@@ -75,6 +78,7 @@ class SubproblemKind:
     between: OuterRelaxation | None = None
     pairs: int = 0
     share: float = 1.0
+    envelope: Envelope | None = None
 
     @property
     def count(self) -> float:
@@ -83,7 +87,7 @@ class SubproblemKind:
 
     def best(self, visits: AttentionSubproblem) -> QMDP:
         """Solve the subproblem with observed type and theta, backwards from the steps with free attention."""
-        return backwards(visits, self.tail)
+        return backwards(visits, self.tail) if self.envelope is None else self.envelope.solved(visits, self.tail)
 
     def with_free_attention(self) -> float:
         """Return an upper bound on the value at any prices: that with free attention and observed beta and theta."""
@@ -191,14 +195,18 @@ def kinds_of(
     for chance, one, key in parts:
         _, entry, entry_steps = key
         free = AttentionSubproblem.of(one.problem, entry, entry_steps)
-        tail = initial_upper_bounds(free.pomdp)
-        value_iteration(free.pomdp, tail, tolerance=1e-5)
+        places = tuple(members[key])
+        envelope = Envelope.of(pool, team, places)
+        if envelope is None:
+            tail = initial_upper_bounds(free.pomdp)
+            value_iteration(free.pomdp, tail, tolerance=1e-5)
+        else:
+            tail = envelope.solved(free).value_mdp
         visits = (
             free if one.outer is not None else AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window))
         )
         _require_room_for(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        places = tuple(members[key])
-        kinds.append(SubproblemKind(pool, visits, tail, places, one.outer, one.between, one.pairs, chance))
+        kinds.append(SubproblemKind(pool, visits, tail, places, one.outer, one.between, one.pairs, chance, envelope))
     return kinds
 
 

@@ -31,8 +31,9 @@ confidence level. It uses the subproblems at the prices, or those without prices
 without prices need no step in their states, so that the solver gets further in the same time, and the sample paths
 account for the conflicts.
 
-Why the bound also holds for people with unknown goals and for robots that differ stands at `certify.prices` and
-`person.fleet`. Prices of actions lower that of robots that differ (`certify.action_prices`).
+Why the bound also holds for people with unknown goals, for robots that differ, and for people who see each other helped
+stands at `certify.prices`, `person.fleet` and `certify.envelope`. Prices of actions lower that of robots that differ
+(`certify.action_prices`).
 
 The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated
 in the same model.
@@ -224,6 +225,11 @@ def upper_bound(
     members = members_of(pool, team)
     if whole("paths", paths, 0):
         pool.choices(members[0]).require_one_goal("the bound from sample paths")
+    if pool.setting.neighbourhood(len(members)) is not None:
+        for model in set(pool.model[list(members)].tolist()):
+            pool.policies[model].require_enumerated("a bound with neighbours who see each other")
+        if paths:
+            raise ValueError(f"paths {paths}: expected 0, as sample paths do not have what people see of neighbours")
     travel = travel or pool.setting.travel(len(members))
     if len(travel) != len(members):
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")

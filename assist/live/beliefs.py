@@ -26,6 +26,7 @@ from ..team.questions import GoalQuestion
 from ..team.state import worth_of_actions
 from ..texts.refusals import InapplicableError
 from .advice import Reason
+from .neighbours import see
 from .roster import Roster, RosterEntry, Step, Told
 from .uncertain_actions import after_answers, update_by
 
@@ -108,10 +109,11 @@ def hear(team: Roster, record: RosterEntry, answers: list[Told], setting: Settin
 def believe_again(team: Roster, record: RosterEntry, setting: Setting) -> bool:
     """Compute the belief in a person from the beginning of the task; return as `believe` does for the last step."""
     team.belief[record.place], record.joint, record.earlier, erred = record.before, None, None, False
-    for count, step in enumerate(record.steps):
+    for count in range(len(record.steps) + 1):
         tell(team, record, _told_at(record, count), setting)
-        erred = believe(team, record, step, setting)
-    tell(team, record, _told_at(record, len(record.steps)), setting)
+        see(team, record, [one for one in record.saw if one.steps == count], setting)
+        if count < len(record.steps):
+            erred = believe(team, record, record.steps[count], setting)
     return erred
 
 

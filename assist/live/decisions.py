@@ -27,6 +27,7 @@ from .beliefs import reason_of
 from .decision_point import DecisionPoint
 from .live_questions import LiveQuestions
 from .live_task import LiveTask
+from .neighbours import neighbourhood
 from .robot_places import RobotPlaces
 from .roster import Roster
 
@@ -150,6 +151,7 @@ class Decisions:
             step, active[None], np.array([self._places.at]), t.model[None], t.beliefs,
             [task.policy for task in t.tasks], self._places.travel, t,
             free=~np.array([self._places.under_way]), fleet=self._setting.fleet,
+            neighbours=neighbourhood(t, self._setting),
         )  # fmt: skip
 
     def team_policy(self) -> TeamPolicy:

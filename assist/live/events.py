@@ -143,6 +143,8 @@ class Acted(OfPerson):
     """`seq` of the view on which the person acted; later suggestions are taken as unseen."""
     heard: bool = Field(default=True, json_schema_extra=INTERNAL)
     """Whether the person had seen the open suggestion, if there is one."""
+    shown: tuple[bool, float] | None = Field(default=None, json_schema_extra=INTERNAL)
+    """What neighbours saw of a suggestion: whether it was followed, and what was gained, in cost units."""
 
     path: ClassVar[str | None] = "/api/people/{person}/actions"
     nothing: ClassVar[str | None] = "nothing_done"
@@ -154,13 +156,21 @@ class Acted(OfPerson):
         super().recorded(desk)
         heard = desk.has_heard(self.person, self.action, self.followed, self.seq)
         seen = desk.seen_of(self.person, self.action, self.likelihoods, self.missed)
-        return self.model_copy(update={"seq": None, "heard": heard, "action": desk.in_pddl(self.action), **seen})
+        shown = desk.shown_of(self.person, self.action, heard=heard, uncertain=bool(seen))
+        found = {"seq": None, "heard": heard, "action": desk.in_pddl(self.action), "shown": shown, **seen}
+        return self.model_copy(update=found)
 
     def change(self, desk: Desk, time: float) -> None:
         """Update the state of the person's task and the belief in the person."""
         desk.acted(
             self.person, self.action, heard=self.heard, likelihoods=self.likelihoods, missed=self.missed, time=time
         )
+
+    def remains(self, person: str, label: str) -> TeamEvent:
+        """Keep what neighbours saw, since it is a part of what is believed of them."""
+        if self.person == person and self.shown is not None:
+            return Witnessed(person=label, shown=self.shown)
+        return super().remains(person, label)
 
     def take_back(self, desk: Desk) -> str | None:
         """Return to the state and belief before the action. The suggestion before it is open again."""
@@ -178,8 +188,16 @@ class Undone(OfPerson):
     kind: Literal["undone"] = "undone"
     of: str = Field(default="acted", max_length=40)
     """The kind of event that is taken back, the last of this kind in their task."""
+    shown: bool = Field(default=False, json_schema_extra=INTERNAL)
+    """Whether neighbours had seen it."""
 
     path: ClassVar[str | None] = "/api/people/{person}/undo"
+
+    def recorded(self, desk: Desk) -> Self | None:
+        """Note whether neighbours had seen it."""
+        super().recorded(desk)
+        shown = self.of == "acted" and desk.was_shown(self.person)
+        return self.model_copy(update={"shown": shown}) if shown else self
 
     def change(self, desk: Desk, time: float) -> Any:  # noqa: ARG002
         """Take back the last event of this kind."""
@@ -193,6 +211,10 @@ class Undone(OfPerson):
         taken = done[place].take_back(desk)
         del done[place]
         return taken
+
+    def remains(self, person: str, label: str) -> TeamEvent:
+        """Keep that neighbours did not see it."""
+        return Witnessed(person=label) if self.person == person and self.shown else super().remains(person, label)
 
     def entry(self) -> dict[str, Any]:
         """Return what was taken back."""
@@ -348,3 +370,24 @@ class Vacant(Kept):
         """Keep the place."""
         desk.joined(self.person, self.task)
         desk.left(self.person)
+
+
+class Witnessed(Kept):
+    """What neighbours saw of a person whose records were erased, or that it was taken back."""
+
+    kind: Literal["witnessed"] = "witnessed"
+    person: str
+    """The label of the person."""
+    shown: tuple[bool, float] | None = None
+    """As in `Acted`; null if what was seen last was taken back."""
+
+    def remains(self, person: str, label: str) -> TeamEvent:
+        """Keep it under the label."""
+        return Witnessed(person=label, shown=self.shown) if self.person == person else self
+
+    def change(self, desk: Desk, time: float) -> None:  # noqa: ARG002
+        """Move what is believed of those who saw it."""
+        if self.shown is None:
+            desk.forget_last(self.person)
+        else:
+            desk.let_see(self.person, self.shown)

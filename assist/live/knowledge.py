@@ -22,7 +22,7 @@ from ..person.joint_belief import same_suggestions
 from ..person.policy import Policy
 from ..person.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy
-from ..texts.refusals import InapplicableError
+from ..texts.refusals import InapplicableError, Refusal
 from .advice import Advice
 from .beliefs import (
     begin_task,
@@ -35,6 +35,7 @@ from .beliefs import (
 )  # fmt: skip
 from .decisions import Decisions
 from .live_task import LiveTask
+from .neighbours import Shown, forget_last, let_see, neighbourhood, shown_by
 from .robot_places import RobotPlaces
 from .roster import Roster, RosterEntry, Step, Told
 from .uncertain_actions import seen_of
@@ -179,6 +180,7 @@ class Knowledge:
                 raise ValueError(
                     f"{person}: there is a place for {place} people; expected a larger matrix of distances"
                 )
+            self.setting.neighbourhood(place + 1)  # raises an error if the graph has no station for the person
             name = next(iter(self.tasks)) if task is None else task
             problem = self._problem(name, population)
             if place == len(team):
@@ -235,6 +237,7 @@ class Knowledge:
         robot = int(self.roster.robot[k]) if heard else 0
         suggestion, still = problem.policy.pomdp.suggestion(row, robot), 0
         seen = seen_of(problem, self.setting, action, likelihoods, missed)
+        shown = self.shown_of(person, action, heard=heard, uncertain=seen is not None)
         if seen is None and not is_uncertain(record, self.setting.observation):
             slot = problem.slot(row, action or "")
             to = problem.after(row, slot)
@@ -253,6 +256,8 @@ class Knowledge:
         record.did(step, time)
         record.close_questions()
         self.roster.put(record, to, erred=erred, robot=still)
+        if shown is not None:
+            self.let_see(person, shown)
 
     def answered(self, person: str, answer: str | bool | None) -> None:
         """Record a person's answer, after which the open question is closed; errors as in `Reports.answer`."""
@@ -260,6 +265,7 @@ class Knowledge:
         if isinstance(answer, str):
             if not record.steps:
                 raise InapplicableError("nothing_to_ask", person=person)
+            self.shown_of(person, answer, heard=False, uncertain=True)
             correct(self.roster, record, record.problem.named(answer), self.setting)
         else:
             question = record.question
@@ -294,12 +300,52 @@ class Knowledge:
             The action; None if it was one that perhaps was missed.
         """
         record = self.known(person)
+        if self.was_shown(person):
+            self.forget_last(person)
         last = record.undo()
         record.told[:] = [told._replace(steps=min(told.steps, len(record.steps))) for told in record.told]
+        record.saw[:] = [saw._replace(steps=min(saw.steps, len(record.steps))) for saw in record.saw]
         erred = believe_again(self.roster, record, self.setting)
         record.close_questions()
         self.roster.put(record, record.problem.row(last.place), erred=erred, robot=last.robot)
         return last.action
+
+    def shown_of(self, person: str, action: str | None, *, heard: bool, uncertain: bool) -> Shown | None:
+        """Return what neighbours see of an action of a person; None if they see nothing that moves them.
+
+        Raises
+        ------
+        Refusal
+            The action is uncertain, or not possible.
+        """
+        if neighbourhood(self.roster, self.setting) is None:
+            return None
+        if uncertain or action is None:
+            raise Refusal("other", why="neighbours: expected actions that are all seen as they are")
+        record = self.known(person)
+        robot = int(self.roster.robot[record.place]) if heard else 0
+        return shown_by(self.roster, record, action, robot) if robot else None
+
+    def was_shown(self, person: str) -> bool:
+        """Return whether neighbours may have seen the last action of a person."""
+        record = self.known(person)
+        told = bool(record.steps) and record.steps[-1].suggestion is not None
+        return told and neighbourhood(self.roster, self.setting) is not None
+
+    def let_see(self, person: str, shown: Shown) -> None:
+        """Let neighbours see what came of a suggestion to a person."""
+        let_see(self.roster, self.entry(person), shown, self.setting)
+
+    def forget_last(self, person: str) -> None:
+        """Take back what neighbours saw last of a person."""
+        for other in forget_last(self.roster, self.entry(person)):
+            self._believe_again(other)
+
+    def _believe_again(self, record: RosterEntry) -> None:
+        """Compute the belief in a person again, after what they saw has changed."""
+        robot, row = int(self.roster.robot[record.place]), self.roster.row(record)
+        erred = believe_again(self.roster, record, self.setting)
+        self.roster.put(record, row, erred=erred, robot=robot)
 
     def follow(self, advice: Sequence[Advice], step: int) -> tuple[Advice, ...]:
         """Apply the advice of each robot, as decided or from a record, and return it.

@@ -49,6 +49,20 @@ class Told(NamedTuple):
     yes: bool
 
 
+class Saw(NamedTuple):
+    """What a person saw of a neighbour's suggestion, after a number of their own actions in their task.
+
+    `neighbour` is the name, and `number` counts what was seen of this neighbour from 1.
+    """
+
+    steps: int
+    neighbour: str
+    number: int
+    followed: bool
+    gain: float
+    weight: float
+
+
 Numbers = dict[str | None, int]
 """Number of each action that was done or suggested, in the order of first occurrence; None stands for no action."""
 
@@ -90,8 +104,9 @@ class RosterEntry:
     `tasks` names all tasks, the present one last, and `times` has the time of each action in them, in seconds. `reason`
     is that of the last suggestion, and `reasons` that of the suggestion at each action of this task. `history` has the
     time and the cost-to-go after each event of this task, infinite in dead ends. `seq`, `suggested` and `asked_at` are
-    the numbers of the last event that changed the person's view, and of those of the last suggestion and question. What
-    every decision copies is kept by the team, by place: a copy of few objects is fast. A record
+    the numbers of the last event that changed the person's view, and of those of the last suggestion and question.
+    `saw` is what the person saw of neighbours in this task, and `shown` how often neighbours may have seen the person.
+    What every decision copies is kept by the team, by place: a copy of few objects is fast. A record
     holds the row of the person.
     """
 
@@ -113,6 +128,8 @@ class RosterEntry:
     seq: int = 0
     suggested: int = 0
     asked_at: int = 0
+    saw: list[Saw] = field(default_factory=list)
+    shown: int = 0
 
     def did(self, step: Step, time: float) -> None:
         """Append an action."""
@@ -133,6 +150,7 @@ class RosterEntry:
         self.problem, self.steps, self.told, self.reason = problem, [], [], None
         self.tasks.append(intern(name))
         self.done.clear()
+        self.saw.clear()
         self.reasons.clear()
         self.history.clear()
 
@@ -337,7 +355,11 @@ class Roster:
         self.erred[k], self.robot[k] = erred, robot
         problem.policy.hold(record, self.x[k : k + 1].copy())
         self.ended[k] = self.finished(record) > 1 / 2
-        self._change[k] += 1
+        self.changed(record)
+
+    def changed(self, record: RosterEntry) -> None:
+        """Tell that what is known of a person has changed."""
+        self._change[record.place] += 1
 
     def finished(self, record: RosterEntry) -> float:
         """Return the probability that a person has reached their goal, of which several may be possible."""

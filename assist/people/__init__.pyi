@@ -18,6 +18,12 @@ from .human import HumanModel as HumanModel
 from .memory import remembered as remembered
 from .misconception import Misconception as Misconception
 from .misconception import perceived_cost_to_go as perceived_cost_to_go
+from .neighbours import Neighbours as Neighbours
+from .neighbours import SeenEvent as SeenEvent
+from .neighbours import SeenFollowed as SeenFollowed
+from .neighbours import SeenOutcome as SeenOutcome
+from .neighbours import SeenRule as SeenRule
+from .neighbours import SeenSteps as SeenSteps
 from .ranges import Population as Population
 from .real_people import advice_takers as advice_takers
 from .signals import ActionRecovery as ActionRecovery

@@ -170,11 +170,16 @@ def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: F
             "a lapse rate above 0 in the model rules this out"
         )
     joint /= evidence[:, None, None]
-    moved = np.zeros_like(joint)
-    low = np.broadcast_to(low if low.ndim == 3 else low[:, None], joint.shape)
-    weight = np.broadcast_to(weight if weight.ndim == 3 else weight[:, None], joint.shape)
-    rows, columns = np.ogrid[: joint.shape[0], : joint.shape[1]]
-    for t in range(joint.shape[2]):
-        moved[rows, columns, low[:, :, t]] += joint[:, :, t] * (1 - weight[:, :, t])
-        moved[rows, columns, low[:, :, t] + 1] += joint[:, :, t] * weight[:, :, t]
-    return moved
+    return moved(joint, low, weight)
+
+
+def moved(belief: Floats, low: NDArray[np.int64], weight: Floats) -> Floats:
+    """Return beliefs, shape (N, H, T), after theta of each grid point has moved; other arguments as in `update`."""
+    found = np.zeros_like(belief)
+    low = np.broadcast_to(low if low.ndim == 3 else low[:, None], belief.shape)
+    weight = np.broadcast_to(weight if weight.ndim == 3 else weight[:, None], belief.shape)
+    rows, columns = np.ogrid[: belief.shape[0], : belief.shape[1]]
+    for t in range(belief.shape[2]):
+        found[rows, columns, low[:, :, t]] += belief[:, :, t] * (1 - weight[:, :, t])
+        found[rows, columns, low[:, :, t] + 1] += belief[:, :, t] * weight[:, :, t]
+    return found

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from planner.system.compiling import ReadableFirst
 
-from ..people.belief import ImpossibleObservationError
+from ..people.belief import ImpossibleObservationError, moved
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from .belief_filter import update_seen
@@ -108,6 +108,10 @@ class Beliefs(Protocol):
 
     def update(self, rows: Ints, acts: Acts, model: PersonModel) -> None:
         """Update the beliefs in some people of one model, shape (m,), by actions that were seen as they are."""
+        ...
+
+    def moved(self, rows: Ints, low: Ints, weight: Floats) -> None:
+        """Move theta of some people, shape (m,), whose states are known, as `people.belief.moved` does."""
         ...
 
     def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
@@ -193,6 +197,11 @@ class Seen:
     def update(self, rows: Ints, acts: Acts, model: PersonModel) -> None:
         """Update the beliefs by actions that were seen, as in `Beliefs`."""
         _update(rows, acts, self.belief, self.erred, model.optimal, model.possible, model.arrays)
+
+    def moved(self, rows: Ints, low: Ints, weight: Floats) -> None:
+        """Move theta of some people, as in `Beliefs`."""
+        if len(self.belief):
+            self.belief[rows] = moved(self.belief[rows], low, weight)
 
     def told(self, person: int, likelihood: Floats, policy: Policy) -> None:
         """Update a belief by an answer, as in `Beliefs`."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
 from ..declare.declared import MOST, Expected, Number, Usual, Whole, declared, default_of, whole_number
+from ..people.neighbours import Neighbours
 from ..people.trust_rules import TrustRule, rule_given, trust_rule
 from .observation_model import ObservationModel
 from .robots import OfRobots, Robot, Suggestions
@@ -16,6 +17,7 @@ from .robots import OfRobots, Robot, Suggestions
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from ..people.neighbourhood import Neighbourhood
     from .fleet import Fleet
     from .travel import Travel
 
@@ -104,8 +106,16 @@ class Setting(OfRobots):
     ask_error: Annotated[
         Number, Field(ge=0, lt=0.5, description="Probability that the answer about a goal is wrong.")
     ] = 0.0
+    neighbours: Annotated[
+        Neighbours | None,
+        Field(description="Who sees whom being helped, and how theta of those who see it moves; nobody unless given."),
+    ] = None
 
     def __post_init__(self) -> None:
+        if self.observation is not None and self.neighbours is not None and self.neighbours.moves:
+            raise ValueError(
+                "neighbours: expected none with an observation model, as robots do not know then what people saw"
+            )
         for m, robot in enumerate(self.robots, start=1):
             executes = self.execute if robot.execute is None else robot.execute
             if self.observation is not None and executes:
@@ -164,6 +174,12 @@ class Setting(OfRobots):
             value, usual = getattr(self, name), default_of(Setting, name)
             if what and value != usual:
                 raise ValueError(f"{name} {value:g} has no effect without {what}; expected {usual:g}")
+
+    def neighbourhood(self, places: int) -> Neighbourhood | None:
+        """Return what `places` people see of each other; None if theta does not move by it."""
+        from ..people.neighbourhood import Neighbourhood
+
+        return Neighbourhood.of(self.neighbours, places)
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Return the travel between `places` people; `distance` as in `Travel.of`."""

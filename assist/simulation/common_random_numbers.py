@@ -35,7 +35,7 @@ class CommonRandomNumbers:
         """Return uniform numbers for some episodes.
 
         Kind 0 is for people's types, 1 for choices, 2 for trust updates, 3 for teams, 4 for goals, 5 for whether an
-        action is missed, 6 for what it is taken for, and 7 for answers.
+        action is missed, 6 for what it is taken for, 7 for answers, and 8 for what is seen of neighbours.
         """
         advances = np.zeros(len(self.drawn), dtype=bool)  # the streams of finished episodes need not
         advances[self.block[rows]] = True

@@ -167,7 +167,7 @@ class Simulation:
         row = np.ascontiguousarray(tasks.rows(place, np.arange(place.size)))
         them = PeopleAtWork(
             people, draws, self.world == "model", place, row, began.goal, began.theta, np.zeros_like(place),
-            began.finished, self.presence.joins, self.presence.leaves,
+            began.finished, self.presence.joins, self.presence.leaves, pool.setting.neighbourhood(place.shape[1]),
         )  # fmt: skip
         hidden = pool.policies[0].pomdp.hidden
         prior = np.array([policy.pomdp.prior for policy in pool.policies])

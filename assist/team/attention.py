@@ -81,6 +81,11 @@ class AttentionSwitching:
         del team
         return q[..., 0]
 
+    def values(self, team: TeamState, q: Floats) -> Floats:
+        """Return what robot actions are scored by, in the shape of `q`: these Q-values for each kind, as they are."""
+        del team
+        return q
+
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Return an action for the person with the largest positive score, in every team that has one."""
         robot, score = self.scores(team)
@@ -88,7 +93,8 @@ class AttentionSwitching:
 
     def scores(self, team: TeamState) -> tuple[NDArray[np.int64], Floats]:
         """Return each robot's action towards each person, and its score, both of shape (N, M, K)."""
-        each = team.by_kind(team.q_values())
+        q = team.by_kind(team.q_values())
+        each = self.values(team, q)
         robot = first_best(each)
         worth = np.take_along_axis(each, robot[..., None], axis=3)[..., 0]  # faster than a maximum over so few entries
         # People who are not active score minus infinity. Doing nothing is no reason to move, even if its value exceeds

@@ -12,7 +12,8 @@ A step has this order:
 1. `ask`: at most one person of each team is asked. The answer comes at once and changes the belief.
 2. `state`: what policies receive. A policy chooses an action.
 3. `step`: the robots are sent, and speak. Everybody at work acts once: choices depend on the theta before the step,
-   then theta moves. Beliefs follow what was seen (`Beliefs.observe`).
+   then theta moves. Beliefs follow what was seen (`Beliefs.observe`). If people see each other helped, their theta and
+   the beliefs move by that, too (`seen.let_see`).
 
 `simulate` is a loop over a policy, an environment passes actions in, and a rollout is an engine on copies.
 """
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import NOTHING, Floats
+from ..people.neighbourhood import Neighbourhood
 from ..person.beliefs import Beliefs, PersonModel
 from ..person.dynamics import PeopleArrays
 from ..person.policy import Policy
@@ -34,6 +36,7 @@ from ..person.problem_arrays import Acts, ProblemArrays
 from ..person.robots import NOTHING_DONE
 from .questions import Asked, Questions
 from .robots_at_work import RobotsAtWork, Sent
+from .seen import let_see
 from .state import BASE, TeamAction, TeamState, by_model
 
 Ints = NDArray[np.int64]
@@ -127,6 +130,8 @@ class PeopleAtWork:
     finished : bool array, shape (N, K)
     joins, leaves : int arrays, shape (K,)
         First step of the person at each place, and the step before which they leave.
+    neighbours : Neighbourhood or None
+        What they see of each other; None if that moves nobody's theta.
     """
 
     number: Ints
@@ -140,6 +145,7 @@ class PeopleAtWork:
     finished: Bools
     joins: Ints
     leaves: Ints
+    neighbours: Neighbourhood | None = None
 
 
 class Now(NamedTuple):
@@ -267,6 +273,7 @@ class Engine:
             step=int(self.clock[every].max()), active=now.active[every], location=self.robots.location[every],
             model=self.tasks.model[every], beliefs=known, policies=self.tasks.policies, travel=self.robots.travel,
             free=self.robots.free(self.clock)[every], fleet=self.robots.fleet,
+            neighbours=seen if (seen := self.people.neighbours) is not None and seen.known else None,
         )  # fmt: skip
 
     def ask(self, questions: Questions) -> list[tuple[Asked, bool]]:
@@ -317,6 +324,8 @@ class Engine:
         acts = Acts(before.reshape(-1), acting.robot, acting.slot, ~finished)
         models = [(groups[number].model, rows) for number, rows in now.groups]
         self.beliefs.observe(acts, said.reshape(-1), models, self._uniform)
+        if them.neighbours is not None:
+            let_see(them, self.beliefs, acts, acting.x, models, self._uniform)
         cost, clock = acting.cost.reshape(said.shape), self.clock.copy()
         self.clock[now.running] += 1
         self._now, self._charged = None, np.zeros(said.shape)

@@ -21,6 +21,7 @@ from ..person.qmdp import QMDP, qmdp
 from ..person.travel import Travel
 from .attention import AttentionSwitching, NoAssistance, Reactive
 from .attention_never import AttentionAgainstNever
+from .outlook import AttentionWithOutlook
 from .policy_names import POLICIES
 from .priority import Priority
 from .rollout import Rollout
@@ -39,7 +40,8 @@ def named(
     ----------
     name : str
         The paper's "none", "reactive" and "attention"; "attention-never" for the other reading of its Algorithm 1;
-        "whittle" for Whittle indices; our "priority"; or "rollout", which improves on it by simulation.
+        "attention-outlook" for Algorithm 1 that considers those who see a suggestion; "whittle" for Whittle indices;
+        our "priority"; or "rollout", which improves on it by simulation.
     policies : sequence of Policy
         Policies for single people.
     travel : Travel
@@ -59,6 +61,8 @@ def named(
         return AttentionSwitching()
     if name == "attention-never":
         return AttentionAgainstNever.of(policies)
+    if name == "attention-outlook":
+        return AttentionWithOutlook()
     if name == "priority":
         return Priority.of(policies, travel, solver=solver)
     if name == "whittle":

@@ -24,10 +24,11 @@ from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from ..person.robots import NOTHING_DONE
 from ..person.ties import NEAR, first_best
-from ..person.time_expansion import HERE
+from ..person.time_expansion import AWAY, HERE
 from ..person.travel import Travel
 from .assignment import assigned
 from .by_policy import ByPolicy
+from .outlook import outlook
 from .state import BASE, NOBODY, TeamAction, TeamState
 
 
@@ -130,7 +131,8 @@ class Priority:
 
     The value of presence for a person is the Q-value with the robot there, minus that without it in this step. Presence
     means to make a suggestion, to stay without one, or to arrive after the travel and continue from there. The cost of
-    moving is subtracted. The robots act on the largest sum of differences, each for another person.
+    moving is subtracted. If people see each other helped, a suggestion is also worth what it is expected to do to those
+    who see it (`outlook`). The robots act on the largest sum of differences, each for another person.
 
     Attributes
     ----------
@@ -232,6 +234,8 @@ class Priority:
         np.subtract(q[:, :, 1:] + price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
         lowest: Floats = np.zeros((1, 1, 1))  # what coming to a person to act costs at least, more than the best robot
         if q.shape[2] > 2:
+            if team.neighbours is not None:
+                gain[:, :, 2:] += outlook(team, q.shape[2] - 1, partial(self._value_away, step))[:, :, 1:]
             extra = team.extra_costs(q.shape[2] - 1)[..., 1:]
             each = gain[:, None, :, 2:] - extra
             robot = np.where(team.active[:, None], first_best(each) + 1, 0)[:, kind]
@@ -253,6 +257,10 @@ class Priority:
     def solved(self, policy: Policy, /) -> SolvedSubproblem:
         """Return the solved problem of the people of a policy for an enumerated task."""
         return self.known[policy]
+
+    def _value_away(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Return the values of people, shape (m,), with the robot away."""
+        return np.asarray(policy.with_robot(self).q_values(step, AWAY, x, belief).max(axis=1))
 
     def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Return the values of an arrival in 1, 2, ... steps, followed by the Q-values with the robot present."""

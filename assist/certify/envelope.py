@@ -1,0 +1,187 @@
+"""How far theta can come by what people see of their neighbours, and values that hold for all of it.
+
+With neighbours who see each other, theta of a person also moves when another one gets a suggestion. The bound of
+`team_bound` then holds if these moves, too, are chosen as well as possible in the subproblem of each person:
+
+Claim. Let [l_m(theta), u_m(theta)] be the values that theta may have after at most m events of a step. Let V_k(lambda)
+be the optimal value, with observed type and theta, of person k's subproblem in which theta, after each step of theirs,
+may be moved to any value in this interval: with m = M robots if none attends to them in this step, else with m = M - 1.
+Then J* <= M sum_t gamma^t lambda_t + sum_k V_k(lambda).
+
+Proof. Prices are added as without neighbours. Each suggestion of a step is made by another robot, which attends to its
+person. So at most M of them, or M - 1 if a robot attends to k, are events for k, and theta of k is in the interval.
+Hence what happens to k under a team policy is a policy of this subproblem that also chooses these moves. It depends on
+other people's states, types and actions, which given k's history act like additional random numbers. A policy that
+observes the type and theta is not worse. So the mean of its return is at most V_k(lambda).
+
+The maps l_1 and u_1 rise with theta, so that l_m and u_m are their iterates. The values are those on the grid, with
+theta between grid points divided between them, as people of the model move: linear between grid points, and largest at
+an end of the interval or at a grid point within.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.belief import Grid
+from ..people.decision import Floats
+from ..people.neighbourhood import Neighbourhood
+from ..person.attention_subproblem import AttentionSubproblem
+from ..person.policy import Policy
+from ..person.pomdp import AssistPOMDP
+from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead
+from ..simulation.pool import Pool
+from ..team.seen import gained
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """How far theta comes in a step by what a person sees of neighbours, for each value of a grid.
+
+    Attributes
+    ----------
+    grid : Grid
+    low, high : float arrays, shape (M + 1, T)
+        Least and largest theta after at most 0, 1, ... M events.
+    """
+
+    grid: Grid
+    low: Floats
+    high: Floats
+
+    @classmethod
+    def of(cls, pool: Pool, team: tuple[int, ...], places: tuple[int, ...]) -> Envelope | None:
+        """Return the envelope of people at some places of a team; None if they see nothing that moves theta.
+
+        Raises
+        ------
+        ValueError
+            The rule has no envelope.
+        """
+        seen, grid = pool.setting.neighbourhood(len(team)), pool.policies[0].pomdp.grid
+        if seen is None or not seen.sees[list(places)].any():
+            return None
+        events = _events(pool, team, places, seen)
+        low, high = [grid.theta], [grid.theta]
+        for _ in pool.setting.robots:
+            low.append(np.min([_envelope(seen, low[-1], *one)[0] for one in events], axis=0))
+            high.append(np.max([_envelope(seen, high[-1], *one)[1] for one in events], axis=0))
+        return cls(grid, np.array(low), np.array(high))
+
+    def lifted(self, value: Floats, events: int) -> Floats:
+        """Return the largest values, shape (n, H, T), after theta has moved by at most so many events."""
+        low, high, count, found = self.low[events], self.high[events], self.grid.count, value.copy()
+        if not events:
+            return found
+        for end in (low, high):
+            at, weight = self.grid.shares(end, count)
+            np.maximum(found, value[..., at] * (1 - weight) + value[..., at + 1] * weight, out=found)
+        for t, theta in enumerate(self.grid.theta.tolist()):
+            inside = (low <= theta) & (theta <= high) & (count == count[t])
+            found[..., inside] = np.maximum(found[..., inside], value[..., t, None])
+        return found
+
+    def solved(
+        self, visits: AttentionSubproblem, tail: Floats | None = None, *, tolerance: float = 1e-5, sweeps: int = 10_000,
+        deadline: float = math.inf,
+    ) -> QMDP:  # fmt: skip
+        """Return the values of a subproblem in which theta may be moved within the envelope, with their policy.
+
+        They are upper bounds after any number of sweeps.
+
+        Parameters
+        ----------
+        visits : AttentionSubproblem
+        tail : float array, shape (P * n, H, T), optional
+            Values with free attention, by position and task state.
+        tolerance : float
+            Largest change in the last sweep, in cost units.
+        sweeps : int
+            Largest number of sweeps.
+        deadline : float
+            Time on the clock of `time.perf_counter()` after which no sweep begins.
+        """
+        pomdp, layout = visits.pomdp, visits.layout
+        value, last = initial_upper_bounds(pomdp), layout.step == len(visits.price)
+        if tail is not None:
+            value[last] = np.minimum(value[last], tail[layout.position[last] * layout.states + layout.x[last]])
+        goes_on = ~pomdp.final[pomdp.hidden.goal_of].T
+        for step in range(len(visits.price), -1, -1):
+            states = np.flatnonzero((layout.step == step) & goes_on.any(axis=1))
+            within, own = goes_on[states][:, :, None], value[states]
+            for _ in range(sweeps if step == len(visits.price) else 1):
+                new = np.where(within, self._q(visits, value, states)[states].max(axis=1), own)
+                change, own = float((own - new).max(initial=0.0)), np.minimum(own, new)
+                value[states] = own
+                if change <= tolerance or time.perf_counter() > deadline:
+                    break
+        return QMDP(pomdp, value.copy(), self._q(visits, value, np.arange(len(value))))
+
+    def _q(self, visits: AttentionSubproblem, value: Floats, states: Ints) -> Floats:
+        """Return the Q-values of moves in some states, with the values after theta has been moved."""
+        robots, attended = len(self.low) - 1, visits.attended()[:, :, None, None]
+        each = [look_ahead(visits.pomdp, self.lifted(value, robots - less), states).q_mdp for less in (1, 0)]
+        return np.where(attended, *each)
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """The bound on a subproblem with an envelope, as `computation.Relaxation` reads it."""
+
+    value_qmdp: float
+    stopped: str = "gap"
+
+    @property
+    def upper(self) -> float:
+        """The bound."""
+        return self.value_qmdp
+
+    @property
+    def lower(self) -> float:
+        """The bound, too: a longer search would not lower it."""
+        return self.value_qmdp
+
+    @classmethod
+    def of(cls, policy: QMDP) -> Lifted:
+        """Return the bound at the beginning of a subproblem."""
+        pomdp: AssistPOMDP = policy.pomdp
+        return cls(float((policy.value_mdp[pomdp.model.choices.initial] * pomdp.prior).sum()))
+
+
+def _events(
+    pool: Pool, team: tuple[int, ...], places: tuple[int, ...], seen: Neighbourhood
+) -> list[tuple[tuple[float, float], float]]:
+    """Return the range of gains of each kind of neighbours, and the largest weight with which it is seen."""
+    found: dict[int, float] = {}
+    for k in places:
+        for j in np.flatnonzero(seen.sees[k]).tolist():
+            model = int(pool.model[team[j]])
+            found[model] = max(found.get(model, 0.0), float(seen.sees[k, j]))
+    return [(_range(pool.policies[model]), weight) for model, weight in sorted(found.items())]
+
+
+def _range(policy: Policy) -> tuple[float, float]:
+    """Return the least and the largest gain of a step of a person who may have got a suggestion."""
+    pomdp = policy.pomdp
+    row, slot = np.nonzero(pomdp.model.choices.applicable & (pomdp.robot_actions > 1)[:, None])
+    gain = gained(policy, row, pomdp.model.choices.targets[row, slot])
+    return float(gain.min(initial=0.0)), float(gain.max(initial=0.0))
+
+
+def _envelope(seen: Neighbourhood, theta: Floats, gain: tuple[float, float], weight: float) -> tuple[Floats, Floats]:
+    """Return the least and the largest theta after one event of a kind of neighbours."""
+    within = getattr(seen.rule, "envelope", None)
+    if within is None:
+        raise ValueError(
+            f"neighbours: {type(seen.rule).__name__} does not say how far theta can come; a bound expects a rule with "
+            "a method envelope(theta, gain, weight)"
+        )
+    low, high = within(theta, gain, weight)
+    return np.asarray(low), np.asarray(high)

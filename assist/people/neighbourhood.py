@@ -1,0 +1,160 @@
+"""What people of a team see of each other's suggestions, as a map on theta of arrays.
+
+The same map moves people's own theta and, at the grid's values, what a robot believes of it. Proof that beliefs about
+people stay independent of each other, and the filter exact, with b_k the belief about person k, u what the robot said
+and a the actions of a step, all of which the robot sees:
+
+1. Before the step the belief is a product, b = prod_k b_k, over types h_k and theta_k.
+2. P(a | h, theta, u) = prod_k P(a_k | h_k, theta_k, u_k), as each chooses by their own type and theta alone.
+3. After the step theta_k' = f(theta_k; u_k, a_k), then g(theta_k'; e_1, ..., e_n), with the events e of the neighbours.
+4. Each e is a function of states, u and a, which are known; so given (u, a), theta_k' depends on theta_k alone.
+5. Hence b' = prod_k b_k', where b_k' is the person's own posterior, moved by g: a product again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.system.arrays import frozen
+
+from .belief import Grid
+from .decision import Floats
+from .hidden_type import mean_over_goals
+from .human import HumanModel
+from .neighbours import Neighbours, SeenEvent, SeenRule
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class Helped(NamedTuple):
+    """What came of E suggestions to people of N teams in a step, in the order of teams and people.
+
+    Attributes
+    ----------
+    team, person : int arrays, shape (E,)
+    gain : float array, shape (E,)
+    followed : bool array, shape (E,)
+        As in `SeenEvent`.
+    """
+
+    team: Ints
+    person: Ints
+    gain: Floats
+    followed: Bools
+
+
+def seen_value(model: HumanModel, x: Ints) -> Floats:
+    """Return the value of states as neighbours see it, shape (N,): minus the cost-to-go that the person perceives.
+
+    With several goals it is the mean under their probabilities at the beginning, which do not depend on actions.
+
+    Parameters
+    ----------
+    model : HumanModel
+        The robot's model of the person.
+    x : int array, shape (N,)
+        States whose choices are known.
+    """
+    goals, q = model.choices.goals, model.q.reshape(*model.q.shape[:2], -1)[x]
+    value = np.where(goals.goal[:, x].T, 0.0, -q.min(axis=1))
+    return mean_over_goals(value, np.array(list(goals.prior.values())))
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhood:
+    """What K people see of each other, and how their theta moves by it.
+
+    Attributes
+    ----------
+    rule : SeenRule
+    sees : float array, shape (K, K)
+        Weight with which each person (a row) sees each other one.
+    known : bool
+        Whether the robots know of it.
+    """
+
+    rule: SeenRule
+    sees: Floats
+    known: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sees", frozen(np.asarray(self.sees, dtype=float)))
+
+    @classmethod
+    def of(cls, declared: Neighbours | None, places: int) -> Neighbourhood | None:
+        """Return what a team of `places` people see of each other; None if theta does not move by it.
+
+        Raises
+        ------
+        ValueError
+            As in `Neighbours.weights`.
+        """
+        if declared is None or not declared.moves:
+            return None
+        return cls(declared.rule, declared.weights(places), declared.known)
+
+    def moved(self, theta: Floats, helped: Helped, there: Bools) -> tuple[Ints, Floats]:
+        """Return who of the people of N teams has seen something, and their theta after it.
+
+        Parameters
+        ----------
+        theta : float array, shape (N * K, T)
+            One or more values of theta of each person.
+        helped : Helped
+        there : bool array, shape (N, K)
+            Who can see something: the people at work.
+
+        Returns
+        -------
+        rows : int array, shape (m,)
+            These people, as ascending indices of the flattened array.
+        theta : float array, shape (m, T)
+        """
+        each = list(self._in_order(helped, there))
+        rows = np.unique(np.concatenate([rows for rows, _ in each])) if each else np.zeros(0, dtype=np.int64)
+        found = theta[rows]
+        for who, event in each:
+            at = np.searchsorted(rows, who)
+            found[at] = self.rule.update(found[at], event)
+        return rows, found
+
+    def shares(self, grid: Grid, size: int, helped: Helped, there: Bools) -> tuple[Ints, Ints, Floats]:
+        """Return who has seen something, and the shares of each of the grid's values of theta after it.
+
+        Parameters
+        ----------
+        grid : Grid
+        size : int
+            Number of people, N * K.
+        helped, there
+            As in `moved`.
+
+        Returns
+        -------
+        rows, low, weight : arrays, shapes (m,), (m, T) and (m, T)
+            As `moved` and `Grid.shares` return them.
+        """
+        rows, theta = self.moved(np.broadcast_to(grid.theta, (size, len(grid.theta))), helped, there)
+        return rows, *grid.shares(theta, grid.count)
+
+    def _in_order(self, helped: Helped, there: Bools) -> Iterator[tuple[Ints, SeenEvent]]:
+        """Yield who sees the first suggestion in each team, with the events as they see them, then the second, ..."""
+        if not len(helped.team):
+            return
+        begins = np.flatnonzero(np.diff(helped.team, prepend=-1))
+        rank = np.arange(len(helped.team)) - np.repeat(begins, np.diff([*begins, len(helped.team)]))
+        for number in range(int(rank.max()) + 1):
+            those = np.flatnonzero(rank == number)
+            sees = self.sees[:, helped.person[those]].T
+            which, who = np.nonzero((sees > 0) & there[helped.team[those]])
+            of = those[which]
+            yield (
+                helped.team[of] * there.shape[1] + who,
+                SeenEvent(helped.gain[of, None], helped.followed[of, None], sees[which, who][:, None]),
+            )

@@ -1,0 +1,287 @@
+"""Neighbours: who sees whom being helped, and how theta of those who see it moves.
+
+People at their stations see what a robot suggests to a neighbour, whether the neighbour follows, and what comes of it.
+A visibility graph (`Neighbours`) has a weight in [0, 1] for each pair of stations. A rule moves theta of those who see
+an event, by `update(theta, event)` with a `SeenEvent`: a deterministic map, as trust rules are. Shipped rules, by name:
+
+- "none": theta does not move; the default.
+- "outcome": equation (7) with the neighbour's change of value, `SeenOutcome`.
+- "followed": theta rises when the neighbour follows, and falls when not, `SeenFollowed`.
+- "steps": steps of logit(theta) by what came of suggestions that were followed, `SeenSteps`.
+
+A rule of one's own is any frozen object with that method. A step has this order: people act, their theta moves by what
+was suggested to them, and then by what they saw, in the order of the people that they saw. `neighbourhood` applies the
+maps to people and to beliefs.
+
+Bounds on team policies need to know how far theta can come. A rule with a method `envelope` tells it: the least and
+the largest theta after an event, both of which rise with theta. A bound with another rule is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
+
+from pydantic import BeforeValidator, Field, PlainValidator
+
+from planner.system.errors import expected
+
+from ..declare.declared import MOST, DeclarationError, Expected, Number, Truth, declared
+from .trust_rules import LEAST
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from .decision import Floats
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class SeenEvent:
+    """A suggestion to a neighbour, as somebody sees it; arrays that broadcast with theta.
+
+    Attributes
+    ----------
+    gain : float array
+        What came of it: the change of the neighbour's value in this step, in cost units. That is the fall of h*, or of
+        the cost-to-go that the neighbour perceives if the robot knows it; the mean over goals, if there are several.
+    followed : bool array
+        Whether the neighbour did what was suggested.
+    weight : float array
+        Weight of the pair in the visibility graph, in (0, 1].
+    """
+
+    gain: Floats
+    followed: NDArray[np.bool_]
+    weight: Floats
+
+
+class SeenRule(Protocol):
+    """A map of theta and what somebody sees of a neighbour to the theta after it."""
+
+    def update(self, theta: Floats, event: SeenEvent) -> Floats:
+        """Return theta after the event; the arrays of both broadcast."""
+        ...
+
+
+@declared
+class SeenNothing:
+    """Theta does not move by what is seen of neighbours."""
+
+    tag: ClassVar[Mapping[str, str]] = {"rule": "none"}
+
+    def update(self, theta: Floats, event: SeenEvent) -> Floats:  # noqa: ARG002
+        """Return theta as it is."""
+        return theta
+
+    def envelope(self, theta: Floats, gain: Range, weight: float) -> tuple[Floats, Floats]:  # noqa: ARG002
+        """Return theta as it is."""
+        return theta, theta
+
+
+@declared
+class SeenOutcome:
+    """Equation (7) with a neighbour's gain: theta' = clip(theta + weight eta_seen gain / utility_scale, 0, 1)."""
+
+    eta_seen: Annotated[Number, Field(ge=0, le=MOST, description="Rate by which theta moves.")] = 0.1
+    utility_scale: Annotated[Number, Field(ge=1 / MOST, le=MOST, description="Unit of value, in cost units.")] = 1.0
+    tag: ClassVar[Mapping[str, str]] = {"rule": "outcome"}
+
+    def update(self, theta: Floats, event: SeenEvent) -> Floats:
+        """Return theta after the event."""
+        from .decision import trust
+
+        return trust(theta, 0.0, event.weight * event.gain, self.eta_seen, self.utility_scale)
+
+    def envelope(self, theta: Floats, gain: Range, weight: float) -> tuple[Floats, Floats]:
+        """Return the least and the largest theta after an event whose gain is in a range."""
+        return _ends(theta, [self.update(theta, _event(end, True, weight)) for end in gain])
+
+
+@declared
+class SeenFollowed:
+    """Theta rises when a neighbour follows a suggestion, and falls when not, by fixed steps times the weight."""
+
+    rise: Annotated[Number, Field(ge=0, le=1, description="Rise of theta when the neighbour follows.")] = 0.05
+    fall: Annotated[Number, Field(ge=0, le=1, description="Fall of theta when the neighbour does not follow.")] = 0.05
+    tag: ClassVar[Mapping[str, str]] = {"rule": "followed"}
+
+    def update(self, theta: Floats, event: SeenEvent) -> Floats:
+        """Return theta after the event."""
+        import numpy as np
+
+        return np.clip(theta + event.weight * np.where(event.followed, self.rise, -self.fall), 0.0, 1.0)
+
+    def envelope(self, theta: Floats, gain: Range, weight: float) -> tuple[Floats, Floats]:  # noqa: ARG002
+        """Return theta after a neighbour has not followed, and after one has."""
+        return _ends(theta, [self.update(theta, _event(0.0, followed, weight)) for followed in (False, True)])
+
+
+@declared
+class SeenSteps:
+    """Logit(theta) moves by fixed steps, times the weight, after suggestions that a neighbour followed."""
+
+    gain: Annotated[
+        Number, Field(ge=0, le=MOST, description="Step up if the neighbour came closer to the goal, in log-odds.")
+    ] = 0.1
+    loss: Annotated[
+        Number, Field(ge=0, le=MOST, description="Step down if the neighbour did not come closer, in log-odds.")
+    ] = 0.2
+    tag: ClassVar[Mapping[str, str]] = {"rule": "steps"}
+
+    def update(self, theta: Floats, event: SeenEvent) -> Floats:
+        """Return theta after the event, between `LEAST` and 1 - `LEAST` where it moves."""
+        import numpy as np
+
+        step = event.weight * np.where(event.followed, np.where(event.gain > 0, self.gain, -self.loss), 0.0)
+        start = np.clip(np.asarray(theta, dtype=float), LEAST, 1 - LEAST)
+        return np.where(step == 0, theta, np.clip(1 / (1 + np.exp(-step) * (1 - start) / start), LEAST, 1 - LEAST))
+
+    def envelope(self, theta: Floats, gain: Range, weight: float) -> tuple[Floats, Floats]:  # noqa: ARG002
+        """Return theta after a step down and after one up."""
+        return _ends(theta, [self.update(theta, _event(sign, True, weight)) for sign in (-1.0, 1.0)])
+
+
+def _ends(theta: Floats, moved: list[Floats]) -> tuple[Floats, Floats]:
+    """Return the least and the largest of values of theta that may have moved, or not."""
+    import numpy as np
+
+    return np.min([theta, *moved], axis=0), np.max([theta, *moved], axis=0)
+
+
+def _event(gain: float, followed: bool, weight: float) -> SeenEvent:
+    import numpy as np
+
+    return SeenEvent(np.array(gain), np.array(followed), np.array(weight))
+
+
+ShippedSeen: TypeAlias = SeenNothing | SeenOutcome | SeenFollowed | SeenSteps
+
+SEEN_RULES: dict[str, Callable[[], ShippedSeen]] = {
+    "none": SeenNothing,
+    "outcome": SeenOutcome,
+    "followed": SeenFollowed,
+    "steps": SeenSteps,
+}
+"""The shipped rules, by name."""
+
+
+def seen_rule(given: Any) -> SeenRule:
+    """Return the rule of a name or a table, whose field `rule` is the name; an object with `update` as it is.
+
+    Raises
+    ------
+    ValueError
+        There is no such rule, or it has no such field.
+    """
+    numbers = dict(given) if isinstance(given, Mapping) else {"rule": given}
+    name = numbers.pop("rule", None)
+    if isinstance(name, str) or isinstance(given, Mapping):
+        if name not in SEEN_RULES:
+            said = f"rule '{name}'" if name else "rule is missing"
+            right = expected(str(name), SEEN_RULES) if name else f"expected one of {', '.join(SEEN_RULES)}"
+            raise DeclarationError(("rule",), None, f"{said}; {right}", f"{said}; {right}")
+        return replace(SEEN_RULES[name](), **numbers)
+    if not callable(getattr(given, "update", None)):
+        why = f"{given!r}; expected a name, or an object with a method update(theta, event)"
+        raise ValueError(why)  # noqa: TRY004
+    found: SeenRule = given
+    return found
+
+
+def _rows(value: Any) -> Any:
+    """Return a list or array of rows as tuples."""
+    listed = value.tolist() if hasattr(value, "tolist") else value
+    if not isinstance(listed, list | tuple):
+        return listed
+    return tuple(tuple(row) if isinstance(row, list) else row for row in listed)
+
+
+Weight = Annotated[Number, Field(ge=0, le=1)]
+Rows = Annotated[tuple[tuple[Number, ...], ...], BeforeValidator(_rows)]
+
+
+@declared
+class Neighbours:
+    """Who sees whom being helped, and how theta of those who see it moves.
+
+    Stations are people's places in the team, numbered from 1.
+    """
+
+    rule: Annotated[
+        SeenRule,
+        PlainValidator(seen_rule),
+        Expected('the name of a rule, or a table such as {rule = "outcome", eta_seen = 0.1}'),
+        Field(
+            description="How theta moves by what is seen of a neighbour: none, outcome (equation 7 with the "
+            "neighbour's change of value), followed (it rises when the neighbour follows, and falls when not) or steps "
+            "(fixed steps of log-odds)."
+        ),
+    ] = SeenNothing()
+    sees: Annotated[
+        Literal["everybody", "next"],
+        Field(description="Whether all see each other, or those who are next to each other in a row."),
+    ] = "everybody"
+    weight: Annotated[Weight, Field(description="Weight with which those see each other whom `sees` names.")] = 1.0
+    pairs: Annotated[
+        Rows | None,
+        Expected("a list of [station, station] or [station, station, weight]"),
+        Field(description="The pairs of stations that see each other, in place of `sees`, each perhaps with a weight."),
+    ] = None
+    matrix: Annotated[
+        Rows | None,
+        Expected("rows of as many numbers from 0 to 1, 0 on the diagonal"),
+        Field(description="Weight with which each station (a row) sees each other one, in place of `sees`."),
+    ] = None
+    known: Annotated[
+        Truth, Field(description="Whether the robots know of it; if not, they believe that theta stays.")
+    ] = True
+
+    def __post_init__(self) -> None:
+        if self.pairs is not None and self.matrix is not None:
+            raise ValueError("pairs and matrix: expected one of them")
+        for pair in self.pairs or ():
+            a, b, w = (*pair, 1.0)[:3] if len(pair) in (2, 3) else (0.0, 0.0, 0.0)
+            if a != int(a) or b != int(b) or min(a, b) < 1 or a == b or not 0 <= w <= 1:
+                raise ValueError(
+                    f"pairs: {list(pair)}; expected two stations, numbered from 1, and perhaps a weight from 0 to 1"
+                )
+        for k, row in enumerate(self.matrix or ()):
+            if len(row) != len(self.matrix or ()) or row[k] != 0 or not all(0 <= w <= 1 for w in row):
+                raise ValueError(
+                    f"matrix: row {k + 1} is {list(row)}; expected as many numbers from 0 to 1 as there are rows, and "
+                    "0 on the diagonal"
+                )
+
+    @property
+    def moves(self) -> bool:
+        """Whether theta moves by what is seen at all."""
+        return not isinstance(self.rule, SeenNothing)
+
+    def weights(self, places: int) -> Floats:
+        """Return the weight with which each station sees each other one, shape (K, K); 0 for those that do not.
+
+        Raises
+        ------
+        ValueError
+            The graph has fewer stations than places, or more in its pairs.
+        """
+        import numpy as np
+
+        if self.matrix is not None:
+            if len(self.matrix) < places:
+                raise ValueError(f"neighbours.matrix: {len(self.matrix)} stations for {places} people; expected more")
+            return np.array(self.matrix, dtype=float)[:places, :places]
+        found = np.zeros((places, places))
+        if self.pairs is not None:
+            for pair in self.pairs:
+                a, b = int(pair[0]) - 1, int(pair[1]) - 1
+                if max(a, b) < places:
+                    found[a, b] = found[b, a] = pair[2] if len(pair) > 2 else 1.0
+            return found
+        apart = np.abs(np.subtract.outer(np.arange(places), np.arange(places)))
+        found[(apart == 1) if self.sees == "next" else (apart > 0)] = self.weight
+        return found

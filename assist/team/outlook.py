@@ -1,0 +1,130 @@
+"""What a suggestion is worth beside its person: the expected effect on those who see it.
+
+A suggestion r to person k has answers a with probabilities P(a | b_k, r) under the belief in k. Each of them moves the
+belief in a neighbour j who sees it, to b_j' (`people.neighbourhood`). One step ahead, the suggestion is worth for them
+
+    gamma sum_a P(a | b_k, r) sum_j (V_j(x_j, b_j') - V_j(x_j, b_j)),
+
+with the value V_j of j's own problem in their present state. `AttentionWithOutlook` adds it to the score of Algorithm
+1, and `Priority` to the value of presence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.belief import moved
+from ..people.decision import NOTHING, Floats
+from ..people.neighbours import SeenEvent
+from ..person.policy import Policy
+from .attention import AttentionSwitching
+from .seen import gained
+from .state import TeamState
+
+Ints = NDArray[np.int64]
+
+Value = Callable[[Policy, Ints, Floats], Floats]
+"""Returns the values of people of a policy in some rows, shape (m,), under beliefs, shape (m, H, T)."""
+
+AT_A_TIME = 50_000
+"""Number of moved beliefs that are in memory together."""
+
+
+def outlook(team: TeamState, actions: int, value: Value) -> Floats:
+    """Return what the first R robot actions towards each person are worth for those who see it, shape (N, K, R).
+
+    Parameters
+    ----------
+    team : TeamState
+    actions : int
+        R, the number of robot actions.
+    value : callable
+        Values of people.
+    """
+    (n, people), seen = team.x.shape, team.neighbours
+    found = np.zeros((n * people, actions))
+    if seen is None or not seen.sees.any():
+        return found.reshape(n, people, actions)
+    for group, rows in team.groups():
+        policy, (x, belief) = team.policies[group], team.known_of(rows)
+        chance, gain = _answers(policy, x, belief, actions)
+        which, slot, follows = np.nonzero(chance.any(axis=1))
+        helped = rows[which]
+        at, who = np.nonzero((seen.sees[:, helped % people].T > 0) & team.active[helped // people])
+        sees = seen.sees[who, helped[at] % people]
+        effect = _effects(
+            team, helped[at] // people * people + who, gain[which[at], slot[at]], follows[at] == 1, sees, value
+        )
+        each = np.bincount(at, effect, minlength=len(helped))
+        by_answer = np.zeros((len(rows), *chance.shape[2:]))
+        by_answer[which, slot, follows] = each
+        found[rows] = policy.pomdp.gamma * np.einsum("nraf,naf->nr", chance, by_answer)
+    return found.reshape(n, people, actions)
+
+
+def _answers(policy: Policy, x: Ints, belief: Floats, actions: int) -> tuple[Floats, Floats]:
+    """Return how likely people's answers to suggestions are, shape (m, R, A, 2), and what comes of them, shape (m, A).
+
+    The last axis says whether the suggestion is followed. Robot actions that suggest nothing have zeros.
+    """
+    pomdp = policy.pomdp
+    applicable, targets = pomdp.model.choices.applicable[x], pomdp.model.choices.targets[x]
+    suggested = pomdp.suggested[x, :actions]
+    chance = np.zeros((len(x), actions, applicable.shape[1], 2))
+    for robot in range(1, suggested.shape[1]):
+        heard, slot = np.nonzero(applicable & (suggested[:, robot, None] != NOTHING))
+        p = pomdp.likelihood(x[heard], np.full(len(heard), robot), slot)
+        follows = (slot == suggested[heard, robot]).astype(np.int64)
+        chance[heard, robot, slot, follows] = np.einsum("nht,nht->n", p, belief[heard])
+    gain, (row, slot) = np.zeros(applicable.shape), np.nonzero(applicable & (chance.any(axis=(1, 3))))
+    gain[row, slot] = gained(policy, x[row], targets[row, slot])
+    return chance, gain
+
+
+def _effects(
+    team: TeamState, who: Ints, gain: Floats, followed: NDArray[np.bool_], sees: Floats, value: Value
+) -> Floats:
+    """Return by how much the values of people change who see suggestions to neighbours, all arrays of shape (m,).
+
+    People are given as indices of the flattened arrays. What is the same for a person is computed once.
+    """
+    seen = team.neighbours
+    assert seen is not None
+    gains, of_gain = np.unique(gain, return_inverse=True)
+    weights, of_weight = np.unique(sees, return_inverse=True)
+    kinds = len(gains) * 2 * len(weights)
+    key, place = np.unique(who * kinds + (of_gain * 2 + followed) * len(weights) + of_weight, return_inverse=True)
+    who, kind = np.divmod(key, kinds)
+    event, weight = np.divmod(kind, len(weights))
+    effect = np.zeros(len(key))
+    model = team.model.reshape(-1)[who]
+    for group in np.unique(model).tolist():
+        policy = team.policies[group]
+        grid = policy.pomdp.grid
+        mine = np.flatnonzero(model == group)
+        for part in np.split(mine, range(AT_A_TIME, len(mine), AT_A_TIME)):
+            told = SeenEvent(
+                gains[event[part] // 2][:, None], (event[part] % 2 == 1)[:, None], weights[weight[part]][:, None]
+            )
+            theta = seen.rule.update(np.broadcast_to(grid.theta, (len(part), len(grid.theta))), told)
+            changes = np.flatnonzero((theta != grid.theta).any(axis=1))
+            part, (x, belief) = part[changes], team.known_of(who[part[changes]])
+            after = moved(belief, *grid.shares(theta[changes], grid.count))
+            effect[part] = value(policy, x, after) - value(policy, x, belief)
+    return effect[place.reshape(-1)]
+
+
+@dataclass(frozen=True)
+class AttentionWithOutlook(AttentionSwitching):
+    """Algorithm 1 with the expected effect on those who see a suggestion as a part of its score.
+
+    Without neighbours who see each other it is Algorithm 1.
+    """
+
+    def values(self, team: TeamState, q: Floats) -> Floats:
+        """Return the Q-values and what those who see it gain, in the shape of `q`."""
+        return q if team.neighbours is None else q + outlook(team, q.shape[3], Policy.value)[:, None]

@@ -1,0 +1,84 @@
+"""What people of teams at work see of each other's suggestions, and how it moves them and the robots' beliefs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.decision import NOTHING, Floats
+from ..people.neighbourhood import Helped, Neighbourhood, seen_value
+from ..person.beliefs import Beliefs, PersonModel
+from ..person.policy import Policy
+from ..person.problem_arrays import Acts
+
+Ints = NDArray[np.int64]
+
+
+class Watching(Protocol):
+    """People of N teams who may see each other helped; attributes as in `engine.PeopleAtWork`."""
+
+    on_grid: bool
+    theta: Floats
+    seen: Ints
+    neighbours: Neighbourhood | None
+
+
+def let_see(
+    them: Watching, beliefs: Beliefs, acts: Acts, after: Ints, models: Iterable[tuple[PersonModel, Ints]],
+    draw: Callable[[int], Floats],
+) -> None:  # fmt: skip
+    """Move theta of the people at work who have seen a neighbour helped, and what the robots believe of it.
+
+    Parameters
+    ----------
+    them : Watching
+        N teams of K people, after they have acted.
+    beliefs : Beliefs
+    acts : Acts
+        What all N K people did.
+    after : int array, shape (N * K,)
+        The row of each person after it.
+    models : iterable of pairs of PersonModel and int array
+        Models, with the people at work who have each, as indices of the flattened arrays.
+    draw : callable
+        Returns uniform numbers, shape (N * K,), of a kind of `CommonRandomNumbers`.
+    """
+    assert them.neighbours is not None
+    shape, models = them.theta.shape, list(models)
+    gain, told, follows = np.zeros(len(after)), np.zeros(len(after), dtype=bool), np.zeros(len(after), dtype=bool)
+    at_work = np.zeros(shape, dtype=bool)
+    for model, rows in models:
+        at_work.reshape(-1)[rows] = acts.goes_on[rows]
+        own = acts.of(rows)
+        suggested = model.pomdp.suggested[own.x, own.robot]
+        heard = (suggested != NOTHING) & (own.slot != NOTHING)
+        told[rows], follows[rows] = heard, own.slot == suggested
+        gain[rows[heard]] = gained(model.policy, own.x[heard], after[rows[heard]])
+    those = np.flatnonzero(told)
+    if not len(those):
+        return
+    helped = Helped(*np.divmod(those, shape[1]), gain[those], follows[those])
+    uniform = draw(8) if them.on_grid else None
+    for model, rows in models:
+        grid, there = model.pomdp.grid, np.zeros(shape, dtype=bool)
+        there.reshape(-1)[rows] = at_work.reshape(-1)[rows]
+        theta, count = them.theta.reshape(-1), them.seen.reshape(-1)
+        who, moved = them.neighbours.moved(theta[:, None], helped, there)
+        theta[who] = moved[:, 0]
+        if uniform is not None:
+            low, up = grid.shares(theta[who], count[who])
+            theta[who] = grid.theta[low + (uniform[who] < up)]
+        if them.neighbours.known:
+            beliefs.moved(*them.neighbours.shares(grid, len(after), helped, there))
+
+
+def gained(policy: Policy, before: Ints, after: Ints) -> Floats:
+    """Return what came of steps from some rows to others, both of shape (m,), in cost units, as neighbours see it."""
+    if not policy.complete:  # rows to which a choice has just led may have no choices yet
+        before, after = (policy.rows(policy.places(x)) for x in (before, after))
+    model = policy.pomdp.model
+    was, now = seen_value(model, before), seen_value(model, after)
+    return np.subtract(now, was, out=np.zeros(len(was)), where=now != was)

@@ -1,0 +1,162 @@
+"""Live people who see each other helped: what is believed of them, also after actions are taken back or erased."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from assist.live.assistant import Assistant
+from assist.live.session import Session
+from assist.people.neighbours import Neighbours, SeenFollowed, SeenOutcome
+from assist.person.settings import Setting
+from assist.team.state import TeamAction, TeamState
+from assist.texts import Refusal
+from planner import Table
+
+SETTING = Setting(c_suggest=0.0, c_move=0.0, neighbours=Neighbours(rule="followed", sees="next"), trust="constant")
+NAMES = ("ann", "ben", "cat")
+
+
+class Pesters:
+    """A policy that suggests something to everybody, one after the other."""
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        able = team.active & (team.first_optimal() > 0)
+        person = np.where(able.any(axis=1), able.argmax(axis=1), -1)
+        return team.act(person, team.first_optimal())
+
+
+def theta(team: Assistant) -> list[float]:
+    return [team.person(name).theta.mean for name in NAMES]
+
+
+def team_of(task: Table, **fields: Any) -> Assistant:
+    return Assistant(task, list(NAMES), setting=Setting(**(vars(SETTING) | fields)))
+
+
+def tell(team: Assistant, person: str, suggestion: str) -> None:
+    """Let the robot make a suggestion, whatever its policy says."""
+    team.roster.suggest(team.known(person), suggestion)
+
+
+def test_those_who_see_it_are_believed_to_be_moved(tiny: Table) -> None:
+    team = team_of(tiny)
+    before, prior = theta(team), team.person("ann").belief
+    first, other = team.person("ann").applicable[:2]
+    tell(team, "ann", first)
+    team.observe("ann", first)
+    grid = team.person("ben").grid
+    low, weight = grid.shares(np.clip(grid.theta + 0.05, 0, 1))
+    moved = np.zeros_like(prior)
+    for t in range(len(grid.theta)):
+        moved[:, low[t]] += prior[:, t] * (1 - weight[t])
+        moved[:, low[t] + 1] += prior[:, t] * weight[t]
+    np.testing.assert_allclose(team.person("ben").belief, moved, atol=1e-12)
+    assert theta(team)[2] == before[2]  # who is two places away sees nothing
+    tell(team, "ben", first)
+    team.observe("ben", other)
+    after = theta(team)
+    assert after[2] < before[2]
+    team.observe("cat", first)  # without a suggestion nobody sees anything
+    assert theta(team)[:2] == after[:2]
+
+
+def test_what_is_taken_back_was_not_seen(tiny: Table) -> None:
+    """Whoever takes back what, beliefs are those of a team in which it did not happen."""
+    one, other = team_of(tiny), team_of(tiny)
+    act = one.person("ann").applicable[0]
+    for team in (one, other):
+        tell(team, "cat", act)
+        team.observe("cat", act)
+        team.observe("ben", act)
+    tell(one, "ann", act)
+    one.observe("ann", act)
+    assert theta(one)[1] != theta(other)[1]
+    one.observe("ben", one.person("ben").applicable[0])
+    other.observe("ben", other.person("ben").applicable[0])
+    one.undo("ann")
+    for name in NAMES:
+        np.testing.assert_allclose(one.person(name).belief, other.person(name).belief, atol=1e-12)
+    for team in (one, other):  # who takes back their own actions has still seen what they saw
+        team.undo("ben")
+        team.undo("ben")
+    np.testing.assert_allclose(one.person("ben").belief, other.person("ben").belief, atol=1e-12)
+    assert theta(one)[1] > team_of(tiny).person("ben").theta.mean
+
+
+def test_what_was_seen_in_a_finished_task_stays(tiny: Table) -> None:
+    team = team_of(tiny)
+    act = team.person("ann").applicable[0]
+    tell(team, "ann", act)
+    team.observe("ann", act)
+    seen = theta(team)[1]
+    team.begin("ben")
+    team.undo("ann")
+    assert theta(team)[1] == pytest.approx(seen, abs=1e-12)
+
+
+@pytest.mark.parametrize("rule", [SeenFollowed(0.1, 0.2), SeenOutcome(0.1)])
+def test_a_saved_team_is_the_same_again(tiny: Table, rule: Any) -> None:
+    team = team_of(tiny, neighbours=Neighbours(rule=rule))
+    for _ in range(4):
+        advice = team.recommend()
+        if advice.person is not None:
+            team.observe(advice.person, advice.suggestion)
+    again = Assistant.from_json(team.to_json(), tiny)
+    assert again.setting == team.setting
+    assert all(np.array_equal(again.person(name).belief, team.person(name).belief) for name in NAMES)
+
+
+def test_uncertain_actions_are_refused(tiny: Table) -> None:
+    team = team_of(tiny, suggestions="all")
+    first, other = team.person("ann").applicable[:2]
+    with pytest.raises(Refusal, match="neighbours: expected actions that are all seen as they are"):
+        team.observe("ann", likelihoods={first: 0.6, other: 0.4})
+    with pytest.raises(Refusal, match="neighbours: expected actions"):
+        team.observe("ann", missed=0.3)
+    team.observe("ann", first)
+    with pytest.raises(Refusal, match="neighbours: expected actions"):
+        team.answer("ann", other)
+    assert team.person("ann").steps == 1
+
+
+def test_a_person_without_a_station_is_refused(tiny: Table) -> None:
+    team = team_of(tiny, neighbours=Neighbours(rule="followed", matrix=np.ones((3, 3)) - np.eye(3)))
+    with pytest.raises(ValueError, match="3 stations for 4 people"):
+        team.join("dan")
+
+
+@pytest.mark.parametrize("taken_back", [False, True])
+def test_an_erased_neighbour_changes_nothing_for_the_others(tiny: Table, tmp_path: Path, taken_back: bool) -> None:
+    setting = Setting(c_suggest=0.0, c_move=0.0, neighbours=Neighbours(rule="followed"))
+
+    def opened(name: str) -> Session:
+        return Session(tiny, tmp_path / f"{name}.sqlite", setting=setting, policy=Pesters(), clock=lambda: 0.0)
+
+    session = opened("left")
+    for name in "abc":
+        session.join(name)
+    for number in range(5):
+        for name in "abc":
+            view = session.person(name)
+            if view["suggestion"] is not None and (name == "b" or number % 2):
+                session.observe(name, view["suggestion"])
+            elif name != "b":
+                session.observe(name, view["applicable"][0])
+            if name == "b" and view["suggestion"] is not None and taken_back:
+                session.undo("b")
+    session.leave("b")
+    session.close()
+    shutil.copy(tmp_path / "left.sqlite", tmp_path / "erased.sqlite")
+    left, erased = opened("left"), opened("erased")
+    erased.erase("b", "as asked")
+    assert left.beliefs() == erased.beliefs()
+    erased.close()
+    erased = opened("erased")
+    assert left.beliefs() == erased.beliefs()
+    left.close()
+    erased.close()
