@@ -56,6 +56,7 @@ LOOKS = {
     "reactive": PolicyLook(ORANGE, "^", (0, (5, 1.5))),
     "attention": PolicyLook(BLUE, "o"),
     "attention-never": PolicyLook(SKY, "D", (0, (5, 1.5, 1, 1.5))),
+    "attention-outlook": PolicyLook("#661100", "d", (0, (5, 1.5, 1, 1.5, 1, 1.5))),
     "priority": PolicyLook(GREEN, "P"),
     "whittle": PolicyLook(WINE, "*", (0, (3, 1, 1, 1))),
     "rollout": PolicyLook("#332288", "h", (0, (8, 2))),
