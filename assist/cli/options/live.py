@@ -165,11 +165,17 @@ def _require_known(chosen: Mapping[str, str], people: Collection[str], tasks: Co
                 raise click.UsageError(f"tasks.{name}: there is no {what} {one!r}; {expected(one, list(known))}")
 
 
+TRANSPORTS = {
+    "rosbridge": ("ROS 2", "ros2"), "own_server": ("OPC UA", "opcua"), "server": ("OPC UA", "opcua"),
+    "broker": ("MQTT", "mqtt"),
+}  # fmt: skip
+"""The protocol and the extra of each table that a bridge's settings may have. Without one of these, it is MQTT."""
+
+
 def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
     """Read the settings of a bridge of so many robots; return a function that makes it, given the operator's link.
 
-    The settings of an OPC UA bridge have a table `server` or `own_server`, those of a ROS 2 bridge a table `rosbridge`.
-    Others are of an MQTT bridge.
+    Only the packages of its own protocol are needed.
 
     Raises
     ------
@@ -178,31 +184,46 @@ def bridge_of(file: Path, robots: int = 1) -> Callable[[str], Bridge]:
     click.UsageError
         The settings are faulty, or a file of the TLS settings cannot be read.
     """
-    try:
-        from ...bridges import mqtt, opcua, opcua_server
-        from ...bridges.mqtt_settings import MqttSettings
-        from ...bridges.opcua_settings import OpcUaSettings, OwnServerSettings
-        from ...bridges.ros2 import Ros2
-        from ...bridges.ros2_settings import Ros2Settings
-        from ...declare import tables as toml
-    except ImportError as error:  # of the library for typed tables
-        raise MissingExtraError("a bridge needs", str(error.name), "mqtt") from None
+    from ...declare import tables as toml
+
     try:
         tables = toml.load(file)
-        if "rosbridge" in tables:
-            return partial(_bridge, partial(Ros2, Ros2Settings.read(file, robots), robots))
-        if "own_server" in tables:
-            opcua.library()
-            return partial(_bridge, partial(opcua_server.OwnServer, OwnServerSettings.read(file), robots))
-        if "server" in tables:
-            opcua.library()
-            return partial(_bridge, partial(opcua.OpcUa, OpcUaSettings.read(file)))
-        mqtt.library()
-        settings = MqttSettings.read(file, robots)
-        settings.context()
-        return partial(_bridge, partial(mqtt.Mqtt, settings, robots))
+        table = next((name for name in TRANSPORTS if name in tables), "broker")
+        protocol, extra = TRANSPORTS[table]
+        try:
+            from ...bridges import kernel  # noqa: F401  which needs a client of HTTP
+
+            return partial(_bridge, _transport(table, file, robots))
+        except MissingExtraError:
+            raise
+        except ImportError as error:
+            raise MissingExtraError(f"the {protocol} bridge needs", str(error.name), extra) from None
     except (InputFileError, OSError) as error:
         raise click.UsageError(str(error)) from None
+
+
+def _transport(table: str, file: Path, robots: int) -> Callable[[], Transport]:
+    """Read the settings of a bridge; return a function that makes its transport."""
+    if table == "rosbridge":
+        from ...bridges.ros2 import Ros2
+        from ...bridges.ros2_settings import Ros2Settings
+
+        return partial(Ros2, Ros2Settings.read(file, robots), robots)
+    if table in ("own_server", "server"):
+        from ...bridges import opcua, opcua_server
+        from ...bridges.opcua_settings import OpcUaSettings, OwnServerSettings
+
+        opcua.library()
+        if table == "own_server":
+            return partial(opcua_server.OwnServer, OwnServerSettings.read(file), robots)
+        return partial(opcua.OpcUa, OpcUaSettings.read(file))
+    from ...bridges import mqtt
+    from ...bridges.mqtt_settings import MqttSettings
+
+    mqtt.library()
+    settings = MqttSettings.read(file, robots)
+    settings.context()
+    return partial(mqtt.Mqtt, settings, robots)
 
 
 def _bridge(transport: Callable[[], Transport], link: str, **options: Any) -> Bridge:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 from test_mqtt import Here
 
+import assist
 from assist.bridges import Bridge, Faulty, Located, Message, Report, Reported, Transport
+from assist.cli.options.live import bridge_of
 from assist.live import Acted, Left
 from assist.web.server import listen, run
+from planner.system.errors import MissingExtraError
 
 
 class Queues(Transport):
@@ -116,3 +121,38 @@ def test_advice_is_sent_again_after_a_connection_was_lost_and_removed_when_someb
         assert bridge.counts["connections"] == 2
 
     served(tmp_path, work)
+
+
+MQTT = "[observe]\ntopic = 'line/{person}'"
+ROS2 = "[rosbridge]\nurl = 'ws://robot'\n[observe]\ntopic = '/line'"
+OPCUA = "[own_server]\nurl = 'opc.tcp://station'\naction = '{item}'\nid = '{n}'"
+
+
+@pytest.mark.parametrize(
+    ("text", "needed", "unneeded", "message"),
+    [
+        (MQTT, "aiomqtt", "websockets", r"the MQTT bridge needs aiomqtt: .*\[mqtt\]"),
+        (MQTT, "httpx2", "asyncua", r"the MQTT bridge needs httpx2: .*\[mqtt\]"),
+        (ROS2, "websockets", "aiomqtt", r"the ROS 2 bridge needs websockets.*\[ros2\]"),
+        (OPCUA, "asyncua", "aiomqtt", r"the OPC UA bridge needs asyncua: .*\[opcua\]"),
+    ],
+)
+def test_a_bridge_needs_its_own_extra_only(
+    text: str, needed: str, unneeded: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (file := tmp_path / "bridge.toml").write_text(text)
+
+    def without(package: str) -> None:
+        for name in [*sys.modules]:
+            if name.startswith("assist.bridges"):  # to be imported anew
+                monkeypatch.delitem(sys.modules, name)
+            elif name.partition(".")[0] == package:
+                monkeypatch.setitem(sys.modules, name, None)
+        monkeypatch.setitem(sys.modules, package, None)
+        monkeypatch.delattr(assist, "bridges")
+
+    without(unneeded)
+    bridge_of(file)
+    without(needed)
+    with pytest.raises(MissingExtraError, match=message):
+        bridge_of(file)
