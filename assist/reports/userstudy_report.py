@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from planner.system.errors import InputFileError
 
+from ..declare.declared import NOTHING, is_declared, names_of, plain, shown
 from ..learning.statistics import FEW
 from ..live.store import stored
 from ..plots import style
 from ..plots import userstudy as draw
 from ..texts.catalogue import Catalogue
-from ..userstudy.plan import UserStudy
+from ..userstudy.plan import UserStudy, UserStudyPlan
 from ..userstudy.plan_file import read
 from ..userstudy.questionnaires import TLX, Item
 from ..userstudy.session import JOURNAL, PLAN
@@ -173,8 +174,16 @@ def report_text(study: UserStudy, summary: dict[str, Any], pictures: dict[str, s
         head=[texts.phrase("report.conditions.measure"), *head[1:]], rows=rows,
         number=partial(number, texts=texts), value=partial(value, texts=texts), where=partial(_where, texts=texts),
         difference_rows=partial(_difference_rows, texts=texts), rank_rows=partial(_rank_rows, texts=texts),
-        mixed_rows=list(_mixed_rows(summary["measures"], texts)),
+        mixed_rows=list(_mixed_rows(summary["measures"], texts)), plan=list(_plan_rows(study)),
     )  # fmt: skip
+
+
+def _plan_rows(study: UserStudy) -> Iterator[list[str]]:
+    """Yield each field of the plan that is given, as the study's file has it; but for the completion code."""
+    for name in names_of(UserStudyPlan):
+        given = getattr(study, name)
+        if name != "code" and given not in NOTHING:
+            yield [name, shown(plain(given) if is_declared(type(given)) else given)]
 
 
 def _difference_rows(measures: Iterable[dict[str, Any]], texts: Catalogue) -> Iterator[list[Any]]:

@@ -194,6 +194,7 @@ def test_the_report_of_a_german_study_is_german_also_in_its_figures(tmp_path: Pa
         "| Aktionen pro Aufgabe | 7,0 (",
         "### Konfirmatorisch", "Wenige Teilnehmende", "Cronbachs Alpha über seine Fragen: 1,00.",
         "![Verlauf der Teilnehmenden](figures/flow.png)", "Umgekehrte Fragen sind umgepolt.",
+        "| confirmatory | [\"actions\"] |", "| seed | 3 |",
     ):  # fmt: skip
         assert said in text, said
     assert "Teilnehmende, die diesen Abschnitt erreichten" in drawn
