@@ -66,7 +66,7 @@ ROOMS = {
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode watched people policies study userstudy",
     "assist.study": "study protocol tasks cells runner own_code",
-    "assist.userstudy": """questionnaires questionnaire_file assignment plan plan_file codes
+    "assist.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
         participant_team participants events record groups roll cohort session tables export""",
     "assist.reports": """watched_episode policy_comparison repeated_measures wording
         report_files study_summary study_claims study_figures study_report userstudy_summary

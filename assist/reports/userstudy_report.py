@@ -16,6 +16,7 @@ from ..live.store import stored
 from ..plots import style
 from ..plots import userstudy as draw
 from ..texts.catalogue import Catalogue
+from ..userstudy.outcomes import COUNTED
 from ..userstudy.plan import UserStudy, UserStudyPlan
 from ..userstudy.plan_file import read
 from ..userstudy.questionnaires import TLX, Item
@@ -30,11 +31,11 @@ from .wording import interval, number, p_value, short, value
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LATER = {"utc", "group", "excluded", "failed_checks", "option", "passed"}
-"""Columns that exports of earlier versions lack, besides the position of an answer."""
+LATER = {"utc", "group", "excluded", "failed_checks", "option", "passed", *(one.name for one in COUNTED)}
+"""Columns that exports of earlier versions may lack, besides the position of an answer."""
 NUMBERS = {
-    "failed_checks", "period", "position", "actions", "optimal_cost", "suboptimal_actions", "suggestions", "followed",
-    "seconds", "step", "time", "cost_before", "cost_after", "score",
+    "failed_checks", "period", "position", "optimal_cost", "step", "time", "cost_before", "cost_after", "score",
+    *(one.name for one in COUNTED),
 }  # fmt: skip
 TRUTHS = {"simulated", "finished", "followed", "passed"}
 
@@ -61,9 +62,11 @@ def _rows(file: Path, columns: dict[str, str]) -> Iterator[Row]:
         reader = csv.DictReader(stream)
         known = list(reader.fieldnames or ())
         later = LATER | ({"position"} if "item" in columns else set())
-        if known != [name for name in columns if name in known or name not in later]:
+        if len(known) > len({*known}) or not {*columns} - later <= {*known} <= {*columns}:
             raise InputFileError.of(file, 1, f"expected the columns {', '.join(columns)}")
         for row in reader:
+            if None in row or None in row.values():
+                raise InputFileError.of(file, reader.line_num, f"expected {len(known)} columns, as in line 1")
             try:
                 yield dict.fromkeys(columns) | {name: _cell(name, cell) for name, cell in row.items()}
             except (TypeError, ValueError):

@@ -32,6 +32,7 @@ from ..learning.statistics import (
     sign_test,
     signed_rank,
 )
+from ..userstudy.outcomes import COMPLETION, COUNTED, Outcome
 from ..userstudy.plan import UserStudy
 from ..userstudy.questionnaires import CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX, Item, Questionnaire
 from ..userstudy.tables import Row, Tables
@@ -39,12 +40,6 @@ from .repeated_measures import detectable_within, means_within, mixed_model, wit
 
 ALL = "all participants"
 """Stands for the condition where answers do not belong to one."""
-
-TASK_MEASURES = ("actions", "suboptimal_actions", "seconds", "suggestions", "followed", "completion")
-"""Measures of tasks, in the order of the report."""
-
-RANKED = ("actions", "suboptimal_actions", "seconds")
-"""Measures of which more is worse, so that participants who did not finish have the worst rank."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +63,11 @@ class Measure:
 def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
     """Yield the measures: completion, those of participants who finished all tasks, and those of questionnaires."""
     phrase = study.catalogue.phrase
-    for name in TASK_MEASURES:
-        found = []
-        for (participant, condition), rows in _attempts(tables).items():
-            done = _has_finished(study, rows)
-            value = 100.0 * done if name == "completion" else _of_tasks(name, rows) if done else None
-            found.append((participant, condition, value))
-        yield Measure(name, phrase(f"report.measures.{name}"), _by_condition(_names(study), found, tables))
+    attempts = [(*who, rows, _has_finished(study, rows)) for who, rows in _attempts(tables).items()]
+    found = {one.name: [(*who, one.of(rows) if done else None) for *who, rows, done in attempts] for one in COUNTED}
+    found[COMPLETION] = [(*who, 100.0 * done) for *who, _, done in attempts]
+    for name, values in found.items():
+        yield Measure(name, phrase(f"report.measures.{name}"), _by_condition(_names(study), values, tables))
     for one in study.questionnaires:
         if one.scale and study.is_by_condition(one):
             means = [(who, condition, one.mean(scores)) for who, condition, scores in scored(one, tables)]
@@ -126,14 +119,6 @@ def _has_finished(study: UserStudy, rows: list[Row]) -> bool:
     return len(rows) == len(study.tasks) and all(row["finished"] for row in rows)
 
 
-def _of_tasks(name: str, rows: list[Row]) -> float | None:
-    if name == "followed":
-        told = sum(row["suggestions"] for row in rows)
-        return 100 * sum(row["followed"] for row in rows) / told if told else None
-    values = [row[name] for row in rows if row[name] is not None]
-    return fmean(values) if values else None
-
-
 def scored(questionnaire: Questionnaire, tables: Tables) -> Iterator[tuple[str, str, dict[str, float]]]:
     """Yield each completed questionnaire: the participant, the condition, and the score of each scored answer."""
     given: dict[tuple[str, str], dict[str, float]] = {}
@@ -161,7 +146,7 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "conditions": _conditions(study, tables), **_groups(study, tables),
         "flow": _flow(study, tables),
         "measures": _adjusted(study, [_measure(study, one, tables) for one in found]),
-        "worst_rank": [row for name in RANKED for row in _worst_rank(study, name, tables)],
+        "worst_rank": [row for one in COUNTED if one.more_is_worse for row in _worst_rank(study, one, tables)],
         "likert": [row for one in study.questionnaires for row in _likert(study, one, tables)],
         "questionnaires": [_questionnaire(study, one, tables) for one in study.questionnaires if one.scale],
         "answers": [
@@ -329,13 +314,13 @@ def _compared_by_ranks(study: UserStudy, own: dict[str, float], reference: dict[
     return len(own.keys() & reference.keys()) if study.is_within else len(own)
 
 
-def _worst_rank(study: UserStudy, name: str, tables: Tables) -> Iterator[Row]:
+def _worst_rank(study: UserStudy, outcome: Outcome, tables: Tables) -> Iterator[Row]:
     """Yield comparisons of a measure in which participants who did not finish have the worst rank."""
     found = []
     for (participant, condition), rows in _attempts(tables).items():
-        value = _of_tasks(name, rows) if _has_finished(study, rows) else None
+        value = outcome.of(rows) if _has_finished(study, rows) else None
         found.append((participant, condition, math.inf if value is None else value))
-    yield from _ranked_rows(study, {"measure": name}, _by_condition(_names(study), found, tables))
+    yield from _ranked_rows(study, {"measure": outcome.name}, _by_condition(_names(study), found, tables))
 
 
 def _ranked_rows(study: UserStudy, what: Row, values: dict[str, dict[str, float]]) -> Iterator[Row]:

@@ -22,9 +22,6 @@ from .questionnaires import BEFORE, END, Item, Questionnaire
 BETWEEN, WITHIN = "between", "within"
 """Kinds of design: a participant has one condition, or all of them in a counterbalanced order."""
 
-OUTCOMES = ("completion", "actions", "suboptimal_actions", "seconds", "suggestions", "followed")
-"""Outcomes of tasks."""
-
 WAITING = "waiting"
 """Kind of the stage at which participants wait for their group."""
 

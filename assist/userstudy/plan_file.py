@@ -25,7 +25,8 @@ from ..people.user_code import parse
 from ..person.settings import Setting
 from ..team.policy_names import POLICIES
 from ..texts.catalogue import FIRST, Catalogue, catalogue
-from .plan import OUTCOMES, WITHIN, Condition, UserStudy, UserStudyPlan
+from .outcomes import OUTCOMES
+from .plan import WITHIN, Condition, UserStudy, UserStudyPlan
 from .questionnaire_file import questionnaires_of
 from .questionnaires import BEFORE, END, Questionnaire
 

@@ -21,14 +21,13 @@ from planner.system.errors import InputFileError
 from ..live.header import require_version
 from ..live.store import stored
 from .events import Onward
+from .outcomes import COUNTED, Row
 from .participant_team import own_action
 from .participants import WITHDREW, Participant
 from .plan import Stage, UserStudy
 from .questionnaires import CHOICES
 from .record import StudyRecord
 from .roll import Roll
-
-Row = dict[str, Any]
 
 COLUMNS: dict[str, dict[str, str]] = {
     "participants": {
@@ -52,12 +51,8 @@ COLUMNS: dict[str, dict[str, str]] = {
         "task": "the task's file name without its ending",
         "position": "1 for the first task in this condition",
         "finished": "whether the goal was reached",
-        "actions": "actions taken",
         "optimal_cost": "cost of an optimal plan from the initial state; its length if every action costs 1",
-        "suboptimal_actions": "actions that begin no optimal plan",
-        "suggestions": "suggestions shown when an action was taken",
-        "followed": "number of these suggestions that were followed",
-        "seconds": "seconds from the beginning to the last action, without interruptions of the service",
+        **{one.name: one.about for one in COUNTED},
     },
     "actions": {
         "participant": "code of a participant",
@@ -263,8 +258,8 @@ def _begun(study: UserStudy, stage: Stage) -> Row:
     """Return the columns of a task that a participant begins; of another stage, those that count actions."""
     position = [*dict(study.tasks)].index(stage.what) + 1 if stage.kind == "task" else None
     return {
-        "task": stage.what, "position": position, "finished": False, "actions": 0, "optimal_cost": None,
-        "suboptimal_actions": 0, "suggestions": 0, "followed": 0, "seconds": None,
+        "task": stage.what, "position": position, "finished": False, "optimal_cost": None,
+        **{one.name: one.start for one in COUNTED},
     }  # fmt: skip
 
 
@@ -302,9 +297,6 @@ def _action(stage: Stage, record: StudyRecord, step: int) -> Row:
 def _count(task: Row, action: Row, record: StudyRecord, person: Participant) -> None:
     if action["step"] == 0:
         task["optimal_cost"] = action["cost_before"]
-    if record.seen is not None:
-        task["finished"], task["seconds"] = record.seen.finished, round(record.time - person.entered, 3)
-    task["actions"] += 1
-    task["suboptimal_actions"] += not action["optimal"]
-    task["suggestions"] += action["suggestion"] is not None
-    task["followed"] += bool(action["followed"])
+    task["finished"] = record.seen is not None and record.seen.finished
+    seconds = round(record.time - person.entered, 3)
+    task |= {one.name: one.after(task, action, seconds) for one in COUNTED}

@@ -34,7 +34,7 @@ from assist.reports.preregistration import REGISTERED
 from assist.reports.repeated_measures import means_within, mixed_model, within_participants
 from assist.reports.userstudy_report import of_folder, write_report
 from assist.reports.userstudy_summary import _adjusted, _measure, measures, summarise
-from assist.userstudy.plan import OUTCOMES
+from assist.userstudy.outcomes import OUTCOMES
 from assist.userstudy.plan_file import read
 from assist.userstudy.tables import COLUMNS, Tables
 from assist.userstudy.tables import written as written_rows
