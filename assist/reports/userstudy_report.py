@@ -16,12 +16,12 @@ from ..live.store import stored
 from ..plots import style
 from ..plots import userstudy as draw
 from ..texts.catalogue import Catalogue
-from ..userstudy.outcomes import COUNTED
+from ..userstudy.outcomes import COUNTED, Row
 from ..userstudy.plan import UserStudy, UserStudyPlan
 from ..userstudy.plan_file import read
 from ..userstudy.questionnaires import TLX, Item
 from ..userstudy.session import JOURNAL, PLAN
-from ..userstudy.tables import COLUMNS, Row, Tables, tables, text_of
+from ..userstudy.tables import COLUMNS, Tables, tables, text_of
 from . import report_files
 from .preregistration import compared
 from .report_files import FIGURES, html_page, rendered, write_files

@@ -32,10 +32,10 @@ from ..learning.statistics import (
     sign_test,
     signed_rank,
 )
-from ..userstudy.outcomes import COMPLETION, COUNTED, Outcome
+from ..userstudy.outcomes import COMPLETION, COUNTED, Outcome, Row
 from ..userstudy.plan import UserStudy
 from ..userstudy.questionnaires import CHOICE, CHOICES, GRID, LIKERT, TEXT, TLX, Item, Questionnaire
-from ..userstudy.tables import Row, Tables
+from ..userstudy.tables import Tables
 from .repeated_measures import detectable_within, means_within, mixed_model, within_participants
 
 ALL = "all participants"
@@ -64,8 +64,11 @@ def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
     """Yield the measures: completion, those of participants who finished all tasks, and those of questionnaires."""
     phrase = study.catalogue.phrase
     attempts = [(*who, rows, _has_finished(study, rows)) for who, rows in _attempts(tables).items()]
-    found = {one.name: [(*who, one.of(rows) if done else None) for *who, rows, done in attempts] for one in COUNTED}
-    found[COMPLETION] = [(*who, 100.0 * done) for *who, _, done in attempts]
+    found: dict[str, list[tuple[str, str, float | None]]] = {
+        one.name: [(who, where, one.of(rows) if done else None) for who, where, rows, done in attempts]
+        for one in COUNTED
+    }
+    found[COMPLETION] = [(who, where, 100.0 * done) for who, where, _, done in attempts]
     for name, values in found.items():
         yield Measure(name, phrase(f"report.measures.{name}"), _by_condition(_names(study), values, tables))
     for one in study.questionnaires:
