@@ -45,7 +45,8 @@ ROOMS = {
         compliance_relaxation truncated_bound truncated_policy person_problem""",
     "assist.learning": """method statistics log_steps log_json log_files log comparison intervals advice_log
         advice_rules advice_model advice_fit replay observations joint_states evidence likelihood choosing
-        likelihood_table person_estimate profiles maximum_likelihood logit_likelihood hierarchy misconception_fit
+        likelihood_table likelihood_arrays first_estimates person_estimate profiles maximum_likelihood
+        logit_likelihood hierarchy misconception_fit
         diagnostics population fit goals model_comparison rule_families posterior_sample influence_population
         rule_search trust_fit rule_comparison""",
     "assist.team": """policy_names by_policy state action_check assignment seen attention attention_never outlook

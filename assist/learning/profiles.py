@@ -29,6 +29,11 @@ POINTS = (48, 21, 17)  # numbers of grid points of beta, theta and eta, without 
 FIRST = np.array([0.003, 0.012])  # additional points near the ends, where the likelihood changes fast
 
 
+def at_hand() -> bool:
+    """Return whether the search need not be compiled first."""
+    return bool(_climb.at_hand)
+
+
 class Profiles:
     """Maximisation of one person's log-likelihood in the coordinates (log1p(beta / small), theta, eta).
 

@@ -115,6 +115,13 @@ class Compiled:
                 files._load_index = _readable(files._load_index)
             return dispatcher
 
+    @property
+    def at_hand(self) -> bool:
+        """Whether it has been compiled, here or in an earlier process; for other types of arguments it may not be."""
+        with _loading:
+            found = self._dispatcher
+            return _numba().config.DISABLE_JIT or bool(found.overloads or found._cache._cache_file._load_index())
+
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """Call the compiled function."""
         return self._dispatcher(*arguments, **named)

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from ...learning.population import PopulationFit
     from ...people.ranges import Range
 
+FEW_ACTIONS = 10_000
+"""Actions in a log whose first estimates take two seconds."""
+
 
 def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs: int | None) -> FittedPeople:
     """Estimate the parameters of the people in a log. Expected errors end the command in one line."""
@@ -28,11 +31,24 @@ def learned(seen: Evidence, method: Method, model: Model | None, seed: int, jobs
     from ...learning.log import LogError
     from ...people.user_code import UserCodeError
 
+    if model in (None, "misconceptions"):
+        _show_first(seen, method)
     try:
         with stages() as show:
             return fit(seen, method=method, model=model, seed=seed, jobs=jobs or processors(), progress=show)
     except (LogError, UserCodeError) as error:
         fail(str(error), ExitCode.FAILED)
+
+
+def _show_first(seen: Evidence, method: Method) -> None:
+    """Print first estimates on stderr, where the search for the others must be compiled and they take a moment only."""
+    from ...learning.first_estimates import first_estimates
+    from ...learning.profiles import at_hand
+
+    if at_hand() or len(seen.recording) > FEW_ACTIONS:
+        return
+    for one in first_estimates(seen.observations(), method):
+        click.echo(f"first, {one}", err=True)
 
 
 def show_people(

@@ -70,8 +70,10 @@ def test_an_edit_of_any_file_that_code_was_compiled_from_is_seen(
     (tmp_path / "made").mkdir()
     for name, text in FILES.items():
         (tmp_path / "made" / f"{name}.py").write_text(text)
+    assert not import_module("made.caller").outer.at_hand
     assert called() == (1_010_102, False)
     assert called() == (1_010_102, True)
+    assert import_module("made.caller").outer.at_hand
     edits = [
         ("shared", "x + 1", "x + 2", 1_010_103),  # a function two calls away
         ("shared", "LIMIT = 100", "LIMIT = 300", 1_010_303),
