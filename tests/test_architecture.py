@@ -54,7 +54,7 @@ ROOMS = {
     "assist.simulation": """affordable union pool schedule common_random_numbers goal_knowledge trace
         episode episodes trust_of_people model_group beginning task_view run traced_run requested
         simulate belief_trace illustration""",
-    "assist.drawing": "subject states profile scene layout svg raster picture frames files notebook",
+    "assist.drawing": "subject states profile scene layout svg raster picture frames drawn files notebook",
     "assist.explain": "continuations contrast explanation",
     "assist.live": """names live_task advice roster neighbours uncertain_actions beliefs live_questions decision_point
         robot_places decisions knowledge desk event_base events reports record assistant store people_store
@@ -65,7 +65,7 @@ ROOMS = {
     "assist.coupled": """agents price_bound whittle index_policy rollout policies simulation joint_optimum
         sampled_bound""",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
-    "assist.plots": "style labels episode watched people policies study userstudy",
+    "assist.plots": "style labels shown_figure episode watched people policies study userstudy",
     "assist.study": "study protocol tasks cells runner own_code",
     "assist.userstudy": """questionnaires questionnaire_file assignment outcomes plan plan_file codes
         participant_team participants events record groups roll cohort session tables export""",

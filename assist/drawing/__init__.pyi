@@ -1,3 +1,4 @@
+from .drawn import draw as draw
 from .files import save as save
 from .frames import Frame as Frame
 from .frames import draw_frames as draw_frames
@@ -6,7 +7,6 @@ from .frames import episode_frames as episode_frames
 from .frames import plan_frames as plan_frames
 from .picture import Artist as Artist
 from .picture import Picture as Picture
-from .picture import draw as draw
 from .profile import Look as Look
 from .profile import Profile as Profile
 from .states import read_state as read_state

@@ -191,7 +191,7 @@ def _frame(
     artist: Artist, values: Sequence[int], person: str, step: int, row: Mapping[str, Any] | None, place: int,
     robots: list[int | None],
 ) -> Frame:  # fmt: skip
-    title = f"{person}, step {step + 1}"
+    title = f"{person}, step {step}"
     if row is None or not (row.get("action") or row.get("executed")):
         return Frame(tuple(values), title, "has finished" if row is None else "waits")
     action, suggestion, executed = row.get("action"), row.get("suggestion"), row.get("executed")

@@ -9,7 +9,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planner import State
 from planner.system.files import atomic
 
 from ..people.action_names import words_of
@@ -207,24 +206,3 @@ class Artist:
                 what, where = rule.of(fact)
                 room.setdefault(where, {})[what] = nodes[what]
         return {where: list(found.values()) for where, found in room.items()}
-
-
-def draw(task: AnyTask | State, values: Sequence[int] | None = None, *, width: float = WIDTH) -> Picture:
-    """Draw a state of a task.
-
-    Parameters
-    ----------
-    task : Task, or whatever `planner.load` takes, or State
-    values : sequence of int, shape (variables,), optional
-        The state; unless given, the initial one, or the `State` itself.
-    width : float
-        Approximate width of the picture, in pixels.
-
-    Raises
-    ------
-    InputFileError
-        The domain's `drawing.toml` is invalid.
-    """
-    if isinstance(task, State) and values is None:
-        values = task.values
-    return Artist(task).draw(values, width=width)

@@ -19,13 +19,16 @@ from numpy.typing import NDArray
 
 from planner import CostToGo, TransitionSystem, known_costs
 from planner.system.arrays import read_only
+from planner.system.errors import expected
 from planner.system.results import ByContent
 
+from ..declare.declared import sentences
 from ..people.decision import Floats
 from ..people.goals import prior_over
 from ..people.terms import Term, features
 from .joint_states import JointStates, looked_up
 from .log import Fault, Log, LogError, log_of
+from .method import Method
 from .observations import EvaluatedStates, Ints, Observations, UnknownGoals, observe
 from .replay import Recording, replay, situation
 
@@ -154,7 +157,11 @@ def replayed(
         A name in `drop` or `rename` does not exist, the tasks of goals differ in more than their goals, a goal cannot
         be reached, or the prior is no distribution.
     """
+    _require_known(reading)
     log = log_of(log, gaps=reading.get("gaps", False), columns=reading.get("columns"))
+    if tell is None:
+        for question in log.questions:
+            warnings.warn(f"{log.name}: {question}", stacklevel=_outside())
     strict = reading.get("strict", False)
     several = isinstance(task, Mapping)
     tasks = (
@@ -241,6 +248,14 @@ def evidence(task: Tasks | Evidence, log: Records | None, reading: Reading) -> E
     return found
 
 
+def _require_known(reading: Reading) -> None:
+    """Check that all options of reading a log exist."""
+    for name in reading.keys() - Reading.__annotations__.keys():
+        if name in sentences(Method):
+            raise TypeError(f"{name}: expected method=Method({name}=...)")
+        raise TypeError(f"{name}: a log has no such option; {expected(name, Reading.__annotations__)}")
+
+
 def warned(log: Log, faults: tuple[Fault, ...]) -> None:
     """Warn of the faults of a log."""
     others = f" (and {len(faults) - 1} more; see `faults`)" if len(faults) > 1 else ""
@@ -264,6 +279,7 @@ def require_actions(log: Log, recording: Recording, states: TransitionSystem) ->
     if not log.people:
         raise LogError(f"{log.name}: no recorded actions")
     if not log.entries:
-        raise LogError(f"{log.name}: no episode can be used")
+        why = f"; line {log.faults[0].line}: {log.faults[0]}" if log.faults else ""
+        raise LogError(f"{log.name}: no episode can be used{why}")
     place = states.task.instance
     raise LogError(f"{log.name}: no episode can be followed through {place}; is it the log of another instance?")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any, Literal, TypeAlias, Unpack
 
 import numpy as np
@@ -20,6 +21,7 @@ from ..people.misconception import Misconception
 from ..people.ranges import Population
 from ..people.terms import TERMS, Term
 from ..people.weighted_choice import Weighted
+from ..person.settings import Setting
 from .choosing import with_model
 from .diagnostics import check
 from .evidence import Evidence, Reading, Records, Tasks, evidence
@@ -130,7 +132,11 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
         family : str, optional
             Family of beta's distribution, as in `distribution`.
         """
-        found = self.distribution(family=family).population(self.sigma)
+        return self._like(self.distribution(family=family))
+
+    def _like(self, distribution: PopulationFit) -> Population:
+        """Return the population that a distribution of these people describes."""
+        found = distribution.population(self.sigma)
         if self.chooses is None:
             return found
         return Population.mixed(tuple(replace(part, chooses=self.chooses) for part in found.parts), found.shares)
@@ -151,16 +157,20 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
         ValueError
             Nobody's actions identify a parameter.
         """
-        mean: PopulationFit | None = None
+        return self._humans(theta, cache(partial(self.distribution, progress=False)))
+
+    def _humans(self, theta: float | None, distribution: Callable[[], PopulationFit]) -> list[Human]:
+        """Return people with the estimates; `distribution` is asked where somebody's actions do not identify one."""
 
         def known(name: str, own: float | None) -> float:
-            nonlocal mean
             if own is not None:
                 return own
-            mean = mean or self.distribution(progress=False)
-            margin: Margin | None = getattr(mean, name)
+            margin: Margin | None = getattr(distribution(), name)
             if margin is None:
-                raise ValueError("no suggestion in the log says anything about theta; expected humans(theta=0.8)")
+                raise ValueError(
+                    "no suggestion in the log says anything about theta; expected a log with suggestions (the column "
+                    "may have another name: columns={'suggestion': 'hint'}), or humans(theta=0.8)"
+                )
             return margin.mean
 
         found = []
@@ -173,6 +183,19 @@ class FittedPeople(Result, Mapping[str, PersonEstimate]):
             its = known("beta", beta), known("theta", theta if one.theta is None else one.theta)
             found.append(Human(*its, sigma, mistaken_about, chooses, one.person))
         return found
+
+    def simulated(self, setting: Setting) -> tuple[list[Human], Population, Setting]:
+        """Return what a simulation of these people needs, as `Pool.of` does: they, others like them, and a setting.
+
+        The setting has the estimated rate of trust, eta, and its unit, unless it has a trust rule or a rate other than
+        the default.
+        """
+        distribution = self.distribution(progress=False)
+        usual, eta = Setting(), distribution.eta
+        own = (setting.eta, setting.utility_scale) != (usual.eta, usual.utility_scale)
+        if eta is not None and not own and setting.trust in (None, "paper"):
+            setting = replace(setting, eta=eta, utility_scale=self.method.utility_scale)
+        return self._humans(None, lambda: distribution), self._like(distribution), setting
 
     @property
     def sigma(self) -> tuple[float, float]:
@@ -239,8 +262,9 @@ def fit(
     assert callable(progress)
     if not isinstance(task, Evidence):
         progress("evaluating states", 0, None)
-    ends = Deadline.after(time_limit)
-    seen, method = evidence(task, log, reading), method or Method()
+    if not isinstance(method := method or Method(), Method):
+        raise TypeError(f"a {type(method).__name__} where a Method was expected, such as Method(level=0.9)")
+    ends, seen = Deadline.after(time_limit), evidence(task, log, reading)
     if seen.goals and model is not None:
         raise ValueError("several goals, and misconceptions, terms or a choice model: expected one of them")
     terms = TERMS if model == "terms" else model if isinstance(model, Mapping) else None

@@ -29,6 +29,8 @@ from .log_steps import moment
 
 EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
 
+GAPS = "--set gaps=true (in Python gaps=True)"
+
 
 class LogError(ValueError):
     """No part of the log can be used, or, with `strict`, not all of it."""
@@ -114,6 +116,8 @@ class Log(Result):
         Name of the file.
     note : str
         How the file was interpreted, such as 'NA' as a missing value; empty for a plain file.
+    questions : tuple of str
+        A sentence, also in `note`, for each column that is not read and may have the suggestions.
     """
 
     entries: tuple[Entry, ...]
@@ -122,6 +126,7 @@ class Log(Result):
     called: frozenset[str] = frozenset()
     name: str = "log"
     note: str = ""
+    questions: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         episodes, faults = len({entry.names for entry in self.entries}), len(self.faults)
@@ -150,7 +155,7 @@ class Log(Result):
         """
         taken = Taken()
         rows = named_rows(list(enumerate(_records(records), start=1)), own_names(columns), name, taken)
-        return _log(tidy(rows, taken, gaps=gaps), gaps, name, str(taken))
+        return _log(tidy(rows, taken, gaps=gaps), gaps, name, taken)
 
 
 def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[str, str] | None = None) -> Log:
@@ -175,8 +180,8 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[
         `columns` has a name that a log does not have, or the file does not.
     """
     path = Path(file)
-    rows, note = read_records(path, own_names(columns), gaps=gaps)
-    return _log(rows, gaps, str(path), note)
+    rows, taken = read_records(path, own_names(columns), gaps=gaps)
+    return _log(rows, gaps, str(path), taken)
 
 
 def log_of(
@@ -239,8 +244,9 @@ def in_order(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name)]
 
 
-def _log(records: Iterable[Row], gaps: bool, name: str, note: str) -> Log:
+def _log(records: Iterable[Row], gaps: bool, name: str, taken: Taken) -> Log:
     """Return the log of rows that were read from a file: their entries, and the faults of unusable ones."""
+    note = str(taken)
     entries: list[Entry] = []
     faults: list[Fault] = []
     lost: list[int] = []  # lines whose episode is unknown
@@ -278,6 +284,7 @@ def _log(records: Iterable[Row], gaps: bool, name: str, note: str) -> Log:
     return Log(
         tuple(entry for entry in entries if entry.names not in incomplete),
         tuple(sorted(faults, key=lambda fault: fault.line)), frozenset(people), frozenset(called), name, note,
+        tuple(taken.asked),
     )  # fmt: skip
 
 
@@ -307,12 +314,12 @@ def _incomplete(entries: Sequence[Entry], lost: Sequence[int], gaps: bool, lowes
         rows = sorted(rows, key=lambda entry: entry.step)
         if rows[0].step != lowest:
             message = f"step {rows[0].step} is its first and {lowest} that of others, as if a line were missing"
-            found[names] = Fault(rows[0].line, *names, f"{message}; --set gaps=true if the log counts otherwise")
+            found[names] = Fault(rows[0].line, *names, f"{message}; {GAPS} if the log counts otherwise")
             continue
         for before, after in pairwise(rows):
             if after.step > before.step + 1:
                 message = f"step {after.step} comes after step {before.step}, as if a line were missing"
-                found[names] = Fault(after.line, *names, f"{message}; --set gaps=true if the log counts otherwise")
+                found[names] = Fault(after.line, *names, f"{message}; {GAPS} if the log counts otherwise")
                 break
     return found
 
@@ -343,7 +350,7 @@ def _fault(record: Any) -> str | None:
             return f"there is no '{key}'; expected {wanted}"
         value = record.get(key)
         if not isinstance(value, types) or isinstance(value, bool):
-            time = ", or --set gaps=true if steps are times" if key == "step" and moment(value) is not None else ""
+            time = f", or {GAPS} if steps are times" if key == "step" and moment(value) is not None else ""
             return f"'{key}' is {_short(value)}; expected {wanted}{time}"
         if isinstance(value, str) and is_hidden(value):
             return f"'{key}' is {json.dumps(value)}, which cannot be shown; expected {wanted}"

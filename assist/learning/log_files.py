@@ -75,7 +75,7 @@ class Taken:
         said = list(self.said)
         if self.missing:
             said.append(f"{' and '.join(map(repr, self.missing))} as a missing value")
-        if self.steps:
+        if self.steps and self.times is None:
             said.append(f"steps such as {self.steps[0]!r} as whole numbers")
         if self.times is not None:
             said.append(f"steps such as {self.times!r} as times, in whose order actions are numbered")
@@ -97,8 +97,8 @@ def _lines_as(lines: Sequence[int], which: str, what: str) -> list[str]:
     return [f"line {lines[0]}{others}, {which}, {what}"] if lines else []
 
 
-def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) -> tuple[list[Row], str]:
-    """Return a file's records, and a description of how it was interpreted, which is empty for a plain file.
+def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) -> tuple[list[Row], Taken]:
+    """Return a file's records, and how it was interpreted.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) 
     taken, data = Taken(), file.read_bytes()
     for mark, kind in BINARY.items():
         if data.startswith(mark):
-            return [(1, Broken(f"this is {kind}; expected a text file, CSV or JSON Lines"))], ""
+            return [(1, Broken(f"this is {kind}; expected a text file, CSV or JSON Lines"))], taken
     lines = _lines(data, taken)
     texts = [line for line in lines if isinstance(line, str) and line.strip()]
     head = texts[0].strip() if texts else ""
@@ -128,8 +128,7 @@ def read_records(file: Path, columns: Mapping[str, str], *, gaps: bool = False) 
         rows = named_rows(rows, columns, file, taken)
     else:
         rows = list(_table(lines, columns, file, taken))
-    rows = tidy(rows, taken, gaps=gaps)
-    return rows, str(taken)
+    return tidy(rows, taken, gaps=gaps), taken
 
 
 def own_names(columns: Mapping[str, str] | None) -> dict[str, str]:
@@ -145,7 +144,9 @@ def own_names(columns: Mapping[str, str] | None) -> dict[str, str]:
         key = name.strip().lower()
         if key not in COLUMNS:
             near = difflib.get_close_matches(key, COLUMNS, n=1)
+            turned = own.strip().lower()
             meant = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(COLUMNS)}"
+            meant = f"did you mean {turned}={name}?" if turned in COLUMNS else meant
             raise ValueError(f"columns {name}={own}: a log has no column '{name}'; {meant}")
         if own.strip().lower() in found.values():
             raise ValueError(f"columns {name}={own}: '{own}' stands for another column already")
@@ -325,7 +326,8 @@ def _asked(cells: Mapping[str, Sequence[Any]], actions: Sequence[Any]) -> list[s
         there = [value for value in column if value is not None and not _is_missing(value, Taken())]
         words = _first_words(there)
         if there and (plain(key).lower() in HINTS or (words and words <= called)):
-            asked.append(f"column '{key}' is not read; --columns suggestion={key} if it has suggestions")
+            how = f"--columns suggestion={key} (in Python columns={{'suggestion': '{key}'}})"
+            asked.append(f"column '{key}' is not read; {how} if it has suggestions")
     return asked
 
 

@@ -33,8 +33,9 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
         matplotlib is not installed.
     """
     require()
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
+
+    from .shown_figure import ShownFigure
 
     places = sorted({row["place"] for row in trace})
     steps = max(row["step"] for row in trace) + 1
@@ -51,7 +52,7 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
     )
     above = 0.55 + 0.2 * (title.count("\n") + 1)  # inches
     height = above + 1.15 + 1.9 * len(places)  # inches; 1.9 for each panel
-    figure = Figure(figsize=(PAGE_WIDTH, height))
+    figure = ShownFigure(figsize=(PAGE_WIDTH, height))
     axes = figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0]
     figure.subplots_adjust(left=0.08, right=0.78, top=1 - above / height, bottom=1.15 / height, hspace=0.35)
     figure.suptitle(title, fontsize=11, y=1 - 0.2 / height, va="top")

@@ -66,9 +66,9 @@ def comparison_figure(comparison: Comparison) -> Figure:
     ----------
     comparison : Comparison
     """
-    from matplotlib.figure import Figure
+    from .shown_figure import ShownFigure
 
-    figure = Figure(figsize=(9, 0.9 + 0.55 * len(comparison.scores)), layout="constrained")
+    figure = ShownFigure(figsize=(9, 0.9 + 0.55 * len(comparison.scores)), layout="constrained")
     means, people = figure.subplots(1, 2)
     reference, rows = comparison.scores[0], np.arange(len(comparison.scores))[::-1]
     for row, model in zip(rows, comparison.scores, strict=True):
@@ -89,9 +89,9 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
 
 def _figure(width: float, height: float) -> tuple[Figure, Axes]:
-    from matplotlib.figure import Figure
+    from .shown_figure import ShownFigure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = ShownFigure(figsize=(width, height), layout="constrained")
     axis = figure.subplots()
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(alpha=0.3)
@@ -130,13 +130,13 @@ def expertise_figure(people: People, most: int = 60) -> Figure:
         Largest number of people, each with a line; more cannot be read.
     """
     fits = people_of(people)
-    from matplotlib.figure import Figure
+    from .shown_figure import ShownFigure
 
     shown = sorted(fits, key=lambda f: (f.estimates["beta"].value, f.beta_interval[0]))
     if len(shown) > most:  # an even selection over the whole range
         shown = [shown[i] for i in np.linspace(0, len(shown) - 1, most).astype(int)]
     columns = 2 if any("theta" in f.estimates for f in shown) else 1
-    figure = Figure(figsize=(4.7 * columns + 1, 1.3 + 0.24 * max(len(shown), 4)), layout="constrained")
+    figure = ShownFigure(figsize=(4.7 * columns + 1, 1.3 + 0.24 * max(len(shown), 4)), layout="constrained")
     axes = figure.subplots(1, columns, sharey=True, squeeze=False)[0]
     rows = np.arange(len(shown))
     for axis, name, color in zip(axes, ("beta", "theta"), (BLUE, GREEN), strict=False):
@@ -200,8 +200,9 @@ def episodes_figure(people: People, most: int = 12) -> Figure:
         Largest number of people, each with a panel.
     """
     fits = people_of(people)
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
+
+    from .shown_figure import ShownFigure
 
     shown = fits
     if len(fits) > most:  # from the least to the most expert person
@@ -209,7 +210,7 @@ def episodes_figure(people: People, most: int = 12) -> Figure:
         shown = [order[i] for i in np.linspace(0, len(order) - 1, most).astype(int)]
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
-    figure = Figure(figsize=(3.6 * columns, 0.6 + 2.3 * rows), layout="constrained")
+    figure = ShownFigure(figsize=(3.6 * columns, 0.6 + 2.3 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
     for axis in axes[len(shown) :]:
         axis.set_visible(False)

@@ -35,13 +35,13 @@ def comparison_figure(comparison: Any) -> Figure:
     comparison : PolicyComparison
         What `assist.reports.compare` returns.
     """
-    from matplotlib.figure import Figure
+    from .shown_figure import ShownFigure
 
     rows = list(comparison)
     sizes, keys = list(dict.fromkeys(row.humans for row in rows)), list(dict.fromkeys(row.varied for row in rows))
     lines = sizes if len(keys) > 1 else [None]
     paired = len(sizes) == len(keys) == 1 < len(rows)
-    figure = Figure(figsize=(PAGE_WIDTH, 0.8 + 2.4 * (len(lines) + paired)), layout="constrained")
+    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.8 + 2.4 * (len(lines) + paired)), layout="constrained")
     panels = figure.subplots(len(lines) + paired, len(PANELS), squeeze=False)
     marks = looks(row.policy for row in rows)
     for line, size in enumerate(lines):

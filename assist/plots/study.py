@@ -302,9 +302,9 @@ def _panels(
     rows: Sequence[str], columns: Sequence[str], *, height: float, sharey: Any = False
 ) -> tuple[Figure, list[dict[str, Axes]]]:
     """Return a figure with panels for each row and column, with the name of each row above its first panel."""
-    from matplotlib.figure import Figure
+    from .shown_figure import ShownFigure
 
-    figure = Figure(figsize=(PAGE_WIDTH, 0.6 + height * len(rows)), layout="constrained")
+    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.6 + height * len(rows)), layout="constrained")
     axes = figure.subplots(len(rows), len(columns), sharex="col", sharey=sharey, squeeze=False)
     for name, axis in zip(rows, axes[:, 0], strict=True):
         axis.set_title(name, loc="left", fontweight="bold")
@@ -313,10 +313,10 @@ def _panels(
 
 def _grid(panels: int, columns: int, *, height: float) -> tuple[Figure, list[Axes]]:
     """Return a figure with the given number of panels, in rows."""
-    from matplotlib.figure import Figure
+    from .shown_figure import ShownFigure
 
     rows = -(-panels // columns)
-    figure = Figure(figsize=(PAGE_WIDTH, 0.6 + height * rows), layout="constrained")
+    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.6 + height * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes[panels:]:
         axis.set_visible(False)

@@ -102,11 +102,11 @@ def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], en
     ends : tuple of float
         Lower and upper end of the scale.
     """
-    from matplotlib.figure import Figure
+    from .shown_figure import ShownFigure
 
     items = list(dict.fromkeys(row["item"] for row in questionnaire["items"]))
     shown = looks(row["condition"] for row in questionnaire["items"])
-    figure = Figure(figsize=(PAGE_WIDTH, 0.9 + 0.55 * len(items)), layout="constrained")
+    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.9 + 0.55 * len(items)), layout="constrained")
     axis = figure.subplots()
     apart = np.linspace(0.27, -0.27, len(shown)) if len(shown) > 1 else np.zeros(1)
     for (name, look), shift in zip(shown.items(), apart, strict=True):
@@ -132,10 +132,11 @@ def flow_figure(flow: Rows, texts: Catalogue | None = None) -> Figure:
     texts : Catalogue, optional
     """
     texts = texts or catalogue()
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    figure = Figure(figsize=(PAGE_WIDTH, 0.7 + 0.36 * len(flow)), layout="constrained")
+    from .shown_figure import ShownFigure
+
+    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.7 + 0.36 * len(flow)), layout="constrained")
     axis = figure.subplots()
     for place, row in enumerate(flow):
         stay = row["reached"] - row["left"]
@@ -166,11 +167,11 @@ def _in_language(axis: Axis, texts: Catalogue | None) -> None:
 
 
 def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    from matplotlib.figure import Figure
+    from .shown_figure import ShownFigure
 
     columns = min(3, count)
     rows = -(-count // columns)
-    figure = Figure(figsize=(PAGE_WIDTH, 0.3 + height * rows), layout="constrained")
+    figure = ShownFigure(figsize=(PAGE_WIDTH, 0.3 + height * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     for axis in axes[count:]:
         axis.set_visible(False)

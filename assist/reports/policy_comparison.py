@@ -149,8 +149,8 @@ class PolicyComparison(Result):
 
         Columns are the name that `compare` was given for the pools' keys, `humans`, `policy`, `episodes`,
         `finished`, `cut_off`; for each of `MEASURES` the mean by its name, and the name with `_error` (standard error),
-        `_low` and `_high`; the same for the name with `_difference`, without an error; and `upper` and `gap_percent` of
-        certificates.
+        `_low` and `_high`; the same for the name with `_difference`, without an error; `costs` and `moves` with their
+        `_error`; and `upper` and `gap_percent` of certificates.
         """
         return [self._columns(row) for row in self.rows]
 
@@ -162,6 +162,8 @@ class PolicyComparison(Result):
         for name in MEASURES:
             found |= {**_parts(name, row.means[name]), f"{name}_error": getattr(row.summary, name)[1]}
             found |= _parts(f"{name}_difference", None if row.differences is None else row.differences[name])
+        for name in (name for name in SHOWN if name not in MEASURES):
+            found |= dict(zip((name, f"{name}_error"), getattr(row.summary, name), strict=True))
         if row.certificate is not None:
             found |= {"upper": row.certificate.upper, "gap_percent": row.certificate.gap_percent}
         return found
@@ -219,7 +221,8 @@ class PolicyComparison(Result):
         count = {row.summary.episodes for row in self.rows}
         if count == {1}:
             return "of one episode"
-        return f"mean ± standard error over {_range(count)} episodes"
+        cut = "; those cut off count until the step limit" if any(row.summary.cut_off for row in self.rows) else ""
+        return f"mean ± standard error over {_range(count)} episodes{cut}"
 
     def _condition_head(self) -> list[str]:
         several = len({row.humans for row in self.rows}) > 1

@@ -44,8 +44,8 @@ class WatchedEpisode(Result):
     alone : list of dict
         The same episode without a robot.
     gain : float array, shape (steps, K)
-        Expected gain in cost units of going to each person, by the robot that gains most; NaN for people who are not at
-        work, and while the policy does not choose.
+        Expected gain in cost units of going to each person, by the robot that gains most. It is NaN for people to whom
+        no suggestion is worth its cost or who are not at work, and while the policy does not choose.
     """
 
     episode: Episode
@@ -69,9 +69,18 @@ class WatchedEpisode(Result):
         ]  # fmt: skip
 
     def reasons(self) -> str:
-        """Return a paragraph for each suggestion: the step, the person, and why."""
+        """Return a paragraph for each suggestion: the step, from 0 as in the table, the person, and why."""
         said = [row for row in self.trace if _reason(row)]
-        return "\n".join(f"Step {row['step']}, {row['person']}: {_reason(row)}" for row in said)
+        return "\n".join(f"Step {row['step']}, {row['person']}: {_reason(row)}" for row in said) or self._silence()
+
+    def _silence(self) -> str:
+        """Return why the robot suggested nothing in the whole episode."""
+        told = "There was no suggestion in this episode."
+        if not np.isfinite(self.gain).any():
+            return f"{told} By Algorithm 1, none was worth its cost to anybody."
+        step, place = divmod(int(np.nanargmax(self.gain)), self.gain.shape[1])
+        where = f"{self.gain[step, place]:.2g} at step {step}, for {self.episode.people[place]}"
+        return f"{told} The largest gain that Algorithm 1 expected was {where}."
 
     def figure(self) -> Figure:
         """Return the figure: for each person the expected gain and the cost-to-go over time, and where the robot was.
@@ -103,7 +112,7 @@ class _Watching:
         """Keep the gains, and return the policy's choice."""
         scores = AttentionSwitching().scores(team)[1][0]
         best = scores.max(axis=0)
-        self.gains[team.step] = np.where(team.active[0], np.where(np.isfinite(best), best, 0.0), np.nan)
+        self.gains[team.step] = np.where(team.active[0] & np.isfinite(best), best, np.nan)
         return self.policy(team)
 
 
@@ -136,6 +145,8 @@ def watch(
         A parameter is out of its range.
     """
     require_pool(pool)
+    if isinstance(policy, list | tuple):
+        raise TypeError(f"policy {policy!r}: expected one policy, whose episode is watched")
     number, seed_number = whole("episode", episode), entropy(seed)
     ((name, given),) = by_name(policy).items()
     chosen = pool.policy(given) if isinstance(given, str) else given

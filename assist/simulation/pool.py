@@ -46,6 +46,15 @@ MAX_ENUMERATED = 200_000
 """Largest number of states of a task that is enumerated because a requested option requires it."""
 
 
+@runtime_checkable
+class Estimated(Protocol):
+    """People whose parameters were estimated, such as `assist.learning.FittedPeople`."""
+
+    def simulated(self, setting: Setting) -> tuple[list[Human], Population, Setting]:
+        """Return people whose true parameters are the estimates, the population like them, and their setting."""
+        ...
+
+
 def require_pool(pool: object) -> None:
     """Check that an argument is a pool.
 
@@ -55,21 +64,9 @@ def require_pool(pool: object) -> None:
         It is something else, such as a task.
     """
     if not isinstance(pool, Pool):
-        found, example = type(pool).__name__, "Pool.sample(task, 12, seed=1)"
+        found = type(pool).__name__
+        example = "Pool.of(task, people)" if isinstance(pool, Estimated) else "Pool.sample(task, 12, seed=1)"
         raise TypeError(f"pool: expected people at a task, a Pool, not what is a {found}; {example} is one")
-
-
-@runtime_checkable
-class Estimated(Protocol):
-    """People whose parameters were estimated, such as `assist.learning.FittedPeople`."""
-
-    def humans(self) -> list[Human]:
-        """Return people whose true parameters are the estimates."""
-        ...
-
-    def population(self) -> Population:
-        """Return the population from which they may have been drawn."""
-        ...
 
 
 def _all_human(people: Iterable[Any]) -> Iterator[Human]:
@@ -121,8 +118,11 @@ class Pool(Result):
 
     def __repr__(self) -> str:
         shown = ", ".join(self.names[:3]) + ", ..." * (len(self.people) > 3)
-        knows = "each person's misconceptions" if self.setting.knowledge == "own" else "nobody's misconceptions"
-        return f"<Pool of {len(self.people)} people: {shown}; the robot knows {knows}>"
+        own = "everybody" if self.setting.knowledge == "own" else "nobody"
+        knows = f"; the robot knows {own}'s misconceptions" if any(one.sigma for one in self.people) else ""
+        cut = [policy.ground.size for policy in self.policies[:1] if isinstance(policy, TruncatedPolicy)]
+        parts = f"; their problems are truncated to {cut[0]:,} states" if cut else ""
+        return f"<Pool of {len(self.people)} people: {shown}{knows}{parts}>"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -281,7 +281,8 @@ class Pool(Result):
             As in `sample`.
         people : iterable of Human, mapping of names to Human, or FittedPeople
             People as they are in truth, such as `{"ann": Human(beta=1.2, theta=0.7)}`; or what `fit` returned, whose
-            estimates are then taken for the truth (`FittedPeople.humans`).
+            estimates are then taken for the truth: those of each person (`FittedPeople.humans`), and the rate of trust
+            unless the setting has a trust rule or another `eta` than the default.
         prior : Population, optional
             The robot's prior; by default the paper's, or the population of fitted people.
         setting, solver, memory_limit_mb, states, region, time_limit, progress
@@ -295,7 +296,8 @@ class Pool(Result):
             As in `sample`; or two people have one name.
         """
         if isinstance(people, Estimated):
-            prior, people = prior or people.population(), people.humans()
+            people, population, setting = people.simulated(setting or Setting())
+            prior = prior or population
         if isinstance(people, Mapping):
             every = zip(people, _all_human(people.values()), strict=True)
             people = [replace(human, name=name) for name, human in every]
@@ -319,6 +321,8 @@ class Pool(Result):
         ends = Deadline.after(time_limit)
         table = table if isinstance(table, Choices | Goals) else known_costs(table)
         setting = setting or Setting()
+        if not isinstance(setting, Setting):
+            raise TypeError(f"a {type(setting).__name__} where a Setting was expected, such as Setting(c_suggest=0.5)")
         again = partial(cls._at, table, drawn, size, weights, prior=prior, **how)
         terms = (*weights, *prior.weights)
         solver, limit, region = how["solver"], how["memory_limit_mb"], how["region"]

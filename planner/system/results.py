@@ -98,7 +98,8 @@ def html_table(rows: Sequence[Mapping[Any, Any]], head: Sequence[str] = ()) -> s
 
     Columns without any entry are left out.
     """
-    columns = list(dict.fromkeys(name for row in rows for name, value in row.items() if head or value is not None))
+    filled = {name for row in rows for name, value in row.items() if head or value is not None}
+    columns = [name for name in dict.fromkeys(name for row in rows for name in row) if name in filled]
     top = "".join(f"<th>{html.escape(str(name))}</th>" for name in head or columns)
     body = "".join(f"<tr>{''.join(f'<td>{_cell(row.get(name))}</td>' for name in columns)}</tr>" for row in rows)
     return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"

@@ -43,5 +43,7 @@ def test_a_tutorial_runs_and_ends_with_a_picture(page: Path, tmp_path: Path, mon
         value = shown(cell, names, f"{page.name}, cell {number}")
         if "remove-cell" not in tags:
             values.append(value)
-    looks = ("_repr_svg_", "_repr_png_", "savefig", "_repr_html_")
-    assert any(hasattr(values[-1], look) for look in looks), f"{page.name} ends with {values[-1]!r}"
+    looks = ("_repr_svg_", "_repr_png_", "_repr_html_")
+    assert any(hasattr(value, look) and getattr(value, look)() for look in looks for value in values[-1:]), page.name
+    bare = [value for value in values if hasattr(value, "savefig") and not hasattr(value, "_repr_png_")]
+    assert not bare, f"{page.name}: a notebook would show {bare[0]!r} as a line of text"

@@ -13,7 +13,7 @@ import pytest
 from conftest import KITTING
 
 import planner
-from assist.drawing import notebook
+from assist.drawing import draw, notebook
 from planner import OnDemand, astar, cost_to_go, load
 from planner.system import results
 
@@ -41,6 +41,7 @@ def test_a_task_a_state_and_a_plan_are_pictures() -> None:
     plan = table.optimal_plan()
     assert plan is not None
     assert f"Step 1 of {len(plan)}" in texts(plan._repr_svg_())
+    assert draw(plan).svg == plan._repr_svg_()
     later = table.optimal_plan(goal)
     assert later == []
     assert "End" in texts(later._repr_svg_())

@@ -24,7 +24,7 @@ from scipy.stats import kstest
 
 from assist import Pool, fit, simulate
 from assist.cli import main
-from assist.learning import Log, misconception_fit
+from assist.learning import Log, LogError, misconception_fit
 from assist.learning.diagnostics import calibrate, check
 from assist.learning.likelihood import Method
 from assist.learning.likelihood_table import log_likelihood
@@ -39,6 +39,7 @@ from assist.people.decision import choice, influence, perceived_cost, perceived_
 from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.person.pomdp import AssistPOMDP
+from assist.person.settings import Setting
 from planner import Cache, LimitError, Table, Task, load
 from planner.costtogo import on_demand
 
@@ -493,7 +494,7 @@ def test_fitted_people_are_at_work_in_a_simulation(tiny: Table) -> None:
     rows = [{"person": who, "episode": "1", "step": n, "action": a} for who in ("ann", "ben")
             for n, a in enumerate(actions)]  # fmt: skip
     alone = fit(tiny, Log.of(rows))
-    with pytest.raises(ValueError, match=re.escape("theta; expected humans(theta=0.8)")):
+    with pytest.raises(ValueError, match=re.escape("or humans(theta=0.8)")):
         alone.humans()
     assert [one.theta for one in alone.humans(theta=0.6)] == [0.6, 0.6]
     rows[1]["suggestion"] = "place hammer slot-1"
@@ -504,3 +505,33 @@ def test_fitted_people_are_at_work_in_a_simulation(tiny: Table) -> None:
     assert (ann.beta, ann.theta) == (found["ann"].beta, found["ann"].theta)
     assert ben.theta == found.distribution().theta.mean  # type: ignore[union-attr]
     assert simulate(pool, "attention", humans=["ben", "ann"], episodes=2, seed=0)[0].people == ("ben", "ann")
+
+
+def test_fitted_people_are_simulated_with_their_rate_of_trust(paper: Table) -> None:
+    """Unless the setting has a rule or a rate of its own."""
+    trace: list[Any] = []
+    pool = Pool.sample(paper, 4, seed=5, setting=Setting(eta=0.0, c_suggest=0.1))
+    simulate(pool, "reactive", humans=4, episodes=5, seed=0, trace=trace)
+    found = fit(paper, trace, method=Method(eta=0.05, utility_scale=2.0))
+    setting = Pool.of(paper, found, setting=Setting(c_suggest=0.3)).setting
+    assert (setting.c_suggest, setting.eta, setting.utility_scale) == (0.3, 0.05, 2.0)
+    for own in (Setting(eta=0.4), Setting(trust="constant")):
+        assert Pool.of(paper, found, setting=own).setting == own
+
+
+def test_what_a_log_may_be_asked_is_checked(tiny: Table) -> None:
+    """Nothing is ignored: no misspelt option, and no column that seems to have the suggestions."""
+    row = {"person": "ann", "episode": "1", "step": 0, "action": "fetch box-a"}
+    with pytest.raises(TypeError, match=re.escape("level: expected method=Method(level=...)")):
+        fit(tiny, [row], level=0.9)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="gap: a log has no such option; did you mean 'gaps'"):
+        fit(tiny, [row], gap=True)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="a dict where a Method was expected"):
+        fit(tiny, [row], method={"level": 0.9})  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=re.escape("did you mean person=participant?")):
+        fit(tiny, [row], columns={"participant": "person"})
+    with pytest.warns(UserWarning, match=re.escape("'hint' is not read; --columns suggestion=hint (in Python")):
+        fit(tiny, [{**row, "hint": "fetch box-b"}])
+    needed = "no episode can be used; line 1: .*expected a whole number, or --set gaps=true .in Python gaps=True."
+    with pytest.raises(LogError, match=needed), pytest.warns(UserWarning, match="expected a whole number"):
+        fit(tiny, [{**row, "step": 6.5}])

@@ -422,7 +422,8 @@ def test_instructions_within_an_episode_are_no_actions(tmp_path: Path, tiny: Tab
 @pytest.mark.parametrize("column", ["Hint", "advice", "Suggested", "robot said"])
 def test_a_column_that_may_have_suggestions_is_asked_about(tmp_path: Path, column: str) -> None:
     """By its name, or since it has actions."""
-    asked = f"column '{column}' is not read; --columns suggestion={column} if it has suggestions"
+    how = f"--columns suggestion={column} (in Python columns={{'suggestion': '{column}'}})"
+    asked = f"column '{column}' is not read; {how} if it has suggestions"
     csv_file, json_file = tmp_path / "log.csv", tmp_path / "log.json"
     csv_file.write_text(HEAD.replace("suggestion", column) + ROWS)
     json_file.write_text(json.dumps([{k.replace("suggestion", column): v for k, v in row.items()} for row in BASE]))

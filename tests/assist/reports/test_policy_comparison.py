@@ -64,6 +64,8 @@ def test_the_frame_is_tidy(found: PolicyComparison) -> None:
     assert none.actions_difference.isna().all()
     assert (frame.actions_low < frame.actions).all()
     assert not {"upper", "varied"} & set(frame)
+    assert frame.moves.tolist() == [row.summary.moves[0] for row in found]
+    assert frame.costs_error.tolist() == [row.summary.costs[1] for row in found]
 
 
 def test_pools_are_conditions_and_have_a_column(pool: Pool) -> None:

@@ -51,6 +51,19 @@ def test_it_is_a_table_with_reasons_and_a_figure(watched: WatchedEpisode) -> Non
     assert frame.robot_here[frame.suggestion.notna()].all()
     assert [axis.get_title(loc="left") for axis in watched.figure().axes[::2]] == list(watched.episode.people)
     assert repr(watched).startswith("<episode 2 of human-")
+    assert watched.figure()._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+
+
+def test_an_episode_without_suggestions_says_why(pool: Pool) -> None:
+    dear = watch(pool.under(Setting(c_suggest=50.0)), humans=3, episode=2, seed=5)
+    assert np.isnan(dear.gain).all()
+    none = "There was no suggestion in this episode."
+    assert dear.reasons() == f"{none} By Algorithm 1, none was worth its cost to anybody."
+    far = watch(pool.under(Setting(c_suggest=0.1, c_move=50.0)), "none", humans=3, episode=2, seed=5)
+    assert f"expected was {np.nanmax(far.gain):.2g} at step" in far.reasons()
+    assert (far.gain[np.isfinite(far.gain)] != 0).all()
+    with pytest.raises(TypeError, match="expected one policy"):
+        watch(pool, ["none", "attention"])  # type: ignore[arg-type]
 
 
 def test_people_have_their_names() -> None:
@@ -77,7 +90,7 @@ def test_a_policy_of_ones_own_is_watched_as_well(pool: Pool) -> None:
 
     found = watch(pool, stays, humans=[0, 1], seed=1)
     assert found.episode.policy == "stays"
-    assert found.reasons() == ""
+    assert found.reasons().startswith("There was no suggestion in this episode. ")
     assert [row["action"] for row in found.trace] == [row["action"] for row in found.alone]
     with pytest.raises(TypeError, match="expected people at a task"):
         watch("kitting/tiny")  # type: ignore[arg-type]
