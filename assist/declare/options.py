@@ -78,7 +78,17 @@ class Given(Generic[T]):
 
     def __contains__(self, name: str) -> bool:
         """Whether a field, or a part of it, was given."""
-        return any(place[0] == name for place in self.sources)
+        return any(place[0] == name and not self._is_default(place) for place in self.sources)
+
+    def _is_default(self, place: Place) -> bool:
+        """Whether a file sets the value at a place to its default, as the file of `printed` does for every field."""
+        if not isinstance(self.sources[place][0], Path):
+            return False
+        value: Any = self.values
+        default: Any = default_of(self.kind, str(place[0]))
+        for number, part in enumerate(map(str, place)):
+            value, default = value[part], getattr(default, part, MISSING) if number else default
+        return default is not MISSING and bool(value == plain(default))
 
     def put(self, place: Place, value: Any, source: str | Path, table: str = "") -> None:
         """Set the value at a place; a table sets each of its fields."""
@@ -133,7 +143,7 @@ class Given(Generic[T]):
         }
 
     def refuse(self, names: Iterable[str], reason: str) -> None:
-        """Raise a usage error if one of these fields was given, as it has no effect.
+        """Raise a usage error if some of these fields were given, as they have no effect; it names all of them.
 
         Parameters
         ----------
@@ -141,12 +151,22 @@ class Given(Generic[T]):
         reason : str
             Why, such as "without several goals".
         """
+        faults = list[str]()
         for name in names:
-            for place, (source, _) in self.sources.items():
-                parts = tuple(name.split("."))
-                if place[: len(parts)] == parts:
-                    shown_as = f"{source}: {name}" if isinstance(source, Path) else source
-                    raise click.UsageError(f"{shown_as} has no effect {reason}")
+            parts = tuple(name.split("."))
+            for place in self.sources:
+                if place[: len(parts)] == parts and not self._is_default(place):
+                    faults.append(f"{self._told_by(place, name)} has no effect {reason}")
+        if faults:
+            raise click.UsageError("; ".join(faults))
+
+    def _told_by(self, place: Place, name: str) -> str:
+        """Return the source of the value at a place, and in a file its line and the name of the field."""
+        source, table = self.sources[place]
+        if not isinstance(source, Path):
+            return source
+        line = tables.line_of(source, f"{table}.{spelt(place)}".strip("."))
+        return f"{source}:{line}: {f'{table}.{name}'.strip('.')}"
 
     def read(self) -> T:
         """Return the object of the class.

@@ -341,3 +341,41 @@ def test_the_help_shows_an_example_and_every_option_in_a_group(name: str) -> Non
         assert option.help
         assert option.opts[0] in text
     assert text.count("\n") < 110
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("recorded") / "log.jsonl"
+    simulated = ("simulate", KITTING / "tiny.pddl", "--humans", 2, "--episodes", 2, "--c-suggest", 0, "--c-move", 0)
+    assert invoke(*simulated, "--trace", file).exit_code == 0
+    return file
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("simulate", "TINY", "--humans", 2, "--episodes", 1),
+        ("bound", "TINY", "--humans", 1, "--policy", "none", "--value-episodes", 2, "--gap", 1),
+        ("policy", "TINY", "--gap", 1),
+        ("export", "TINY", "--out", "NEW.pomdpx"),
+        ("fit", "TINY", "LOG"),
+        ("compare", "models", "TINY", "LOG", "--folds", 2),
+        ("compare", "rules", "TINY", "LOG", "--folds", 2),
+        ("infer", "TINY", "LOG"),
+        ("draw", "TINY", "--out", "NEW.svg"),
+    ],
+    ids=lambda command: str(command[0]),
+)
+def test_a_printed_setting_is_accepted_unedited(command: tuple[object, ...], recorded: Path, tmp_path: Path) -> None:
+    (file := tmp_path / "all.toml").write_text(invoke("settings", command[0]).stdout)
+    words = {"TINY": KITTING / "tiny.pddl", "LOG": recorded, "NEW.pomdpx": tmp_path / "a.pomdpx"}
+    words["NEW.svg"] = tmp_path / "a.svg"
+    result = invoke(*(words.get(str(one), one) for one in command), "--setting", file)
+    assert result.exit_code == 0, result.stderr
+
+
+def test_values_without_effect_in_a_file_are_named_with_their_lines(tmp_path: Path) -> None:
+    (file := tmp_path / "all.toml").write_text("gamma = 0.95\nmemory_limit = 1\nmax_states = 7\n")
+    result = invoke("export", KITTING / "tiny.pddl", "--out", tmp_path / "a.pomdpx", "--setting", file)
+    why = "has no effect on an export"
+    assert f"Error: {file}:3: max_states {why}; {file}:2: memory_limit {why}\n" in result.stderr

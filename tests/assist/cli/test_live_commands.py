@@ -20,6 +20,7 @@ from assist.people.memory import choices_of
 from assist.people.ranges import Population
 from assist.people.user_code import UserChoiceModel, _loaded
 from assist.people.weighted_choice import Weighted
+from assist.person.settings import Setting
 from assist.web import server
 from planner import Table
 
@@ -166,6 +167,16 @@ def test_people_are_drawn_from_a_file(begun: Begun, tmp_path: Path) -> None:
     (person,) = begun.plan.seats().people.values()
     assert (person.human.beta, person.theta, person.human.weights) == (2.0, 0.9, {"name": 9.0})
     assert np.frombuffer(session.beliefs()["simulated-1"]).size == 10  # beta is known
+
+
+def test_the_printed_setting_of_serve_is_accepted_unedited(begun: Begun, tmp_path: Path) -> None:
+    (file := tmp_path / "all.toml").write_text(invoke("settings", "serve").stdout)
+    begun(TINY, "--humans", 2, "--setting", file)
+    assert begun.plan.setting == Setting()
+    file.write_text(file.read_text().replace("pace = 3.0", "pace = 4.0").replace("max_steps = 500", "max_steps = 5"))
+    line = 1 + file.read_text().splitlines().index("pace = 4.0")
+    result = invoke("serve", TINY, "--humans", 2, "--port", 0, "--setting", file)
+    assert (result.exit_code, f"{file}:{line}: pace has no effect without --simulate" in result.stderr) == (2, True)
 
 
 @pytest.mark.parametrize(
