@@ -88,7 +88,8 @@ def _says_what_is_wrong(app: FastAPI) -> None:
     async def invalid(request: Request, error: RequestValidationError) -> Response:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"] if part != "body")
-        return says(request, 422, why=f"{where or 'request body'}: {first['msg']}")
+        whole = first["type"] == event_routes.SAID
+        return says(request, 422, why=first["msg"] if whole else f"{where or 'request body'}: {first['msg']}")
 
     @app.exception_handler(Refusal)
     async def refuses(request: Request, error: Refusal) -> Response:

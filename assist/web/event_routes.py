@@ -6,14 +6,19 @@ import inspect
 import json
 import re
 from collections.abc import Mapping
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Response
-from pydantic import BaseModel, create_model
+from pydantic import BaseModel, ValidationError, ValidatorFunctionWrapHandler, WrapValidator, create_model
+from pydantic_core import PydanticCustomError
 
-from ..live.event_base import Event, Recorded
+from ..live.event_base import Event, Recorded, fault_of
 from ..live.events import kinds
 from .authorization import WRITE, Desk, Operator, Own
+
+SAID = "said"
+"""Type of the errors whose message is a whole sentence."""
 
 
 def event_routes(base: type[Event], views: Mapping[str, type[BaseModel]]) -> APIRouter:
@@ -49,6 +54,16 @@ def inside_path(kind: type[Event]) -> list[str]:
     return re.findall(r"\{(\w+)\}", kind.path or "")
 
 
+def _said(body: type[BaseModel], given: Any, checked: ValidatorFunctionWrapHandler) -> Any:
+    """Return a body; a fault in it is told in the sentence that a bridge or a file would get, too."""
+    try:
+        return checked(given)
+    except ValidationError as error:
+        if not isinstance(given, dict):
+            raise
+        raise PydanticCustomError(SAID, "{why}", {"why": fault_of(body, error, given)}) from None
+
+
 def _add(router: APIRouter, kind: type[Event], view: type[BaseModel]) -> None:
     inside, body = inside_path(kind), body_of(kind)
 
@@ -69,7 +84,8 @@ def _add(router: APIRouter, kind: type[Event], view: type[BaseModel]) -> None:
     parameters = [parameter(name, parameter.KEYWORD_ONLY, annotation=one) for name, one in needed]
     required = any(field.is_required() for field in body.model_fields.values())
     whole = {} if required else {"default": None}
-    annotation: Any = body if required else body | None
+    checked: Any = Annotated[body, WrapValidator(partial(_said, body))]
+    annotation: Any = checked if required else checked | None
     parameters.append(parameter("body", parameter.KEYWORD_ONLY, annotation=annotation, **whole))
     take.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     take.__name__, take.__doc__ = kind.kind_name(), kind.__doc__

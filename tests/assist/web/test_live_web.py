@@ -233,6 +233,18 @@ def test_what_is_wrong_is_refused_in_one_sentence_and_disturbs_nobody(
     assert web.client.get("/api/health").json()["events"] == 2
 
 
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ({"acton": "(fetch box-a)"}, "acton: unknown; did you mean 'action'?"),
+        ({"action": "(fetch box-a)", "followed": "yes"}, "followed 'yes': expected true or false"),
+        ({"seq": -1}, "seq -1: expected a whole number of 0 or more"),
+    ],
+)
+def test_a_fault_in_a_report_is_told_as_a_fault_in_a_file_is(web: Web, body: dict[str, Any], said: str) -> None:
+    assert web.ask("POST", f"{ANN}/actions", "ann", json=body).json() == {"detail": said}
+
+
 def test_without_a_token_there_is_nothing_to_see(web: Web) -> None:
     for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": "Basic YTpi"}):
         for path in (ANN, "/api/people/nobody", "/api/team", "/api/nothing"):
