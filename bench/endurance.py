@@ -1,10 +1,11 @@
 """Is each action recorded once and in order while messages are repeated and reordered, and the broker is killed?
 
-    python bench/endurance.py [--through mqtt]... [--people 50] [--minutes 10] [--kills 5] [--record FILE]
+    python bench/endurance.py [--through mqtt|opcua|opcua-own]... [--people 50] [--minutes 10] [--kills 5] [--record F]
 
 People act at their own pace, and follow most suggestions. Their stations report each action, and a proxy between them
 and the broker repeats some reports and delays each by another time. The broker (of MQTT) or server (of OPC UA) is
-killed and started again at equal intervals, and has forgotten everything then. Afterwards, the log must have each
+killed and started again at equal intervals, and has forgotten everything then. (The server of the assistant's own is
+killed with its service.) Afterwards, the log must have each
 action of each person once and in order, and the same events are posted over HTTP to a second service: all beliefs and
 suggestions have to be equal to the last bit.
 
@@ -258,7 +259,6 @@ class OpcUaLine:
 
     def __init__(self, people: list[Person], port: int, rng: np.random.Generator) -> None:
         self.people, self.port, self.rng, self.counts = people, port, rng, Counter[str]()
-        self._shown = dict[str, dict[str, str]]()  # the last value of each person's nodes
         self._client: asyncua.Client | None = None
 
     def settings(self) -> str:
@@ -283,6 +283,14 @@ class OpcUaLine:
         self._process.kill()
         self._process.join()
 
+    @staticmethod
+    def node(name: str, what: str) -> str:
+        return f"ns=2;s={name}.{what}"
+
+    @staticmethod
+    def text(report: dict[str, Any]) -> str:
+        return json.dumps(report)
+
     async def run(self, until: float, every: float) -> None:
         client = asyncio.create_task(self._connected())
         await asyncio.gather(*(self._work(person, until, every) for person in self.people))
@@ -290,7 +298,7 @@ class OpcUaLine:
         await asyncio.gather(client, return_exceptions=True)
 
     async def _connected(self) -> None:
-        known = {f"ns=2;s={person.name}.{what}": (person, what) for person in self.people for what in NODES[2:]}
+        known = {self.node(person.name, what): (person, what) for person in self.people for what in NODES[2:]}
 
         class Seen:
             def datachange_notification(self, node: Any, value: str, _: Any) -> None:
@@ -342,15 +350,15 @@ class OpcUaLine:
         """Empty the node of a report, so that the same report is a change of its value again."""
         with suppress(OSError, ua.UaError):
             if self._client is not None:
-                await self._client.get_node(f"ns=2;s={person.name}.{kind(report)}").write_value("")
+                await self._client.get_node(self.node(person.name, kind(report))).write_value("")
 
     async def _show(self, person: Person, report: dict[str, Any], before: dict[str, Any] | None) -> None:
         """Write a report to its node, unless it is there; the proxy may write the one before once more."""
         with suppress(OSError, ua.UaError):
             if (client := self._client) is None:
                 return
-            node = client.get_node(f"ns=2;s={person.name}.{kind(report)}")
-            text = json.dumps(report)
+            node = client.get_node(self.node(person.name, kind(report)))
+            text = self.text(report)
             if await node.read_value() == text:
                 return
             self.counts["sent"] += 1
@@ -359,17 +367,43 @@ class OpcUaLine:
             if again and drawn < 0.15:  # the same value later, in the wrong order
                 await node.write_value(text)
             if again:
-                old = client.get_node(f"ns=2;s={person.name}.{kind(before)}")
+                old = client.get_node(self.node(person.name, kind(before)))
                 await old.write_value("")
-                await old.write_value(json.dumps(before))
+                await old.write_value(self.text(before))
                 self.counts["repeated" if drawn >= 0.15 else "reordered"] += 1
             if not again or drawn >= 0.15:
                 await node.write_value(text)
 
 
+class OwnServerLine(OpcUaLine):
+    """Stations that read and write the OPC UA server of the assistant, which is killed with its service."""
+
+    service: Service | None = None  # once it runs
+
+    def settings(self) -> str:
+        return f'[own_server]\nurl = "opc.tcp://127.0.0.1:{self.port}/"\naction = "{{action}}"\nid = "{{id}}"\n'
+
+    def start(self) -> None:
+        if self.service is not None:
+            self.service.start()
+
+    def kill(self) -> None:
+        if self.service is not None:
+            self.service.process.kill()
+            self.service.process.wait()
+
+    @staticmethod
+    def node(name: str, what: str) -> str:
+        return f"ns=2;s=People/{name}/{'Suggestion' if what == 'Advice' else what.capitalize()}"
+
+    @staticmethod
+    def text(report: dict[str, Any]) -> str:
+        return json.dumps(report) if "action" in report else str(report["id"])
+
+
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it reports each lost connection several times
 
-LINES: dict[str, Callable[..., Line]] = {"mqtt": MqttLine, "opcua": OpcUaLine}
+LINES: dict[str, Callable[..., Line]] = {"mqtt": MqttLine, "opcua": OpcUaLine, "opcua-own": OwnServerLine}
 
 
 @contextmanager
@@ -428,6 +462,8 @@ def endure(through: str, instance: Path, count: int, minutes: float, kills: int,
         file.write_text(line.settings())
         line.start()
         client = Client(service.start()["operator"], patience=120.0)
+        if isinstance(line, OwnServerLine):
+            line.service = service
 
         async def work() -> None:
             until = time.monotonic() + 60 * minutes
@@ -447,7 +483,7 @@ def endure(through: str, instance: Path, count: int, minutes: float, kills: int,
             found = compare(instance, people, client)
         finally:
             service.process.send_signal(signal.SIGTERM)
-            service.process.communicate()
+            service.process.wait()
             line.kill()
     return {
         "through": through, "people": count, "minutes": minutes, "kills": kills, "load": load_then,
@@ -455,8 +491,9 @@ def endure(through: str, instance: Path, count: int, minutes: float, kills: int,
     }  # fmt: skip
 
 
+NAMES = {"mqtt": "MQTT", "opcua": "OPC UA", "opcua-own": "OPC UA, own server"}
 COLUMNS: Columns = {
-    "through": lambda row: {"mqtt": "MQTT", "opcua": "OPC UA"}[row["through"]],
+    "through": lambda row: NAMES[row["through"]],
     "people": cell("people"),
     "minutes": cell("minutes", "g"),
     "kills": cell("kills"),
