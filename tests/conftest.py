@@ -14,7 +14,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from functools import cache
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,8 @@ from graphs import graph_task as graph_task
 from hypothesis import settings
 from numba.core import event
 
+from assist.certify import team_bound
+from assist.certify.options import BoundOptions
 from assist.cli import main
 from assist.cli.options import task
 from assist.cli.output import solve_progress
@@ -246,6 +248,12 @@ def draw_first_picture(patched: pytest.MonkeyPatch) -> None:
 def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """See `draw_first_picture`."""
     draw_first_picture(monkeypatch)
+
+
+@pytest.fixture
+def few_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let bounds optimise their prices in few rounds of few episodes, in this process: a bound holds at all prices."""
+    monkeypatch.setattr(team_bound, "BoundOptions", partial(BoundOptions, price_rounds=10, price_episodes=100))
 
 
 @pytest.fixture

@@ -13,7 +13,9 @@ from conftest import ROOT
 pytest.importorskip("matplotlib")
 
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
-SLOW = {"cluster", "compare", "person", "policy", "timed", "userstudy"}  # other processes, bounds, or larger tasks
+SLOW = {"cluster", "compare", "fit", "live", "person", "policy", "timed", "userstudy"}
+"""Those with other processes, bounds, fits or larger tasks, which building the documentation runs, too."""
+
 CELL = re.compile(r"^```\{code-cell\}\n(?::tags: ([^\n]*)\n)?\n?(.*?)^```$", re.M | re.S)
 
 

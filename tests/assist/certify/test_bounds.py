@@ -14,6 +14,7 @@ from conftest import KITTING, invoke
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from assist.certify.options import BoundOptions
 from assist.certify.relaxed_value import relaxed_value
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.people.choices import Choices
@@ -27,6 +28,8 @@ from assist.simulation.simulate import simulate
 from assist.team.policy_names import POLICIES
 from assist.team.state import NOBODY, TeamAction, TeamState
 
+FEW = BoundOptions(price_episodes=300)  # the tests hold for all prices
+
 
 @pytest.fixture(scope="module")
 def pool(tiny_choices: Choices) -> Pool:
@@ -35,7 +38,7 @@ def pool(tiny_choices: Choices) -> Pool:
 
 @pytest.fixture(scope="module")
 def together(pool: Pool) -> TeamBound:
-    return upper_bound(pool, gap=1e-3)
+    return upper_bound(pool, gap=1e-3, options=FEW)
 
 
 def root(visits: AttentionSubproblem) -> float:
@@ -127,7 +130,7 @@ def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
 @pytest.mark.parametrize(("time", "gap"), [(1.0, 1.53), (2.0, 1.36)])
 def test_the_bound_holds_where_the_way_takes_time(pool: Pool, together: TeamBound, time: float, gap: float) -> None:
     slow = replace(pool, setting=replace(pool.setting, travel_time=time))
-    found = upper_bound(slow, gap=1e-3)
+    found = upper_bound(slow, gap=1e-3, options=FEW)
     assert found.upper < together.upper  # travel time is taken into account
     for name in ("attention", "priority"):
         certificate = found.certify(slow.policy(name), name, episodes=4000)

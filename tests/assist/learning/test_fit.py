@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from math import exp, log
 from pathlib import Path
@@ -40,7 +36,7 @@ from assist.people.human import HumanModel
 from assist.people.ranges import Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.settings import Setting
-from planner import Cache, LimitError, Table, Task, load
+from planner import LimitError, Table, Task
 from planner.costtogo import on_demand
 
 
@@ -425,30 +421,6 @@ def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) 
     other = run(*team, "--population", trace)
     assert other.exit_code == 2
     assert f"{trace}" in other.stderr
-
-
-@pytest.mark.slow
-def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
-    """Only states that were visited, and their successors, are evaluated; a kill loses none of them."""
-    huge = KITTING / "ladder-4x10.pddl"
-    actions = [FETCH, "(place hammer slot-3 box-a)", "(remove hammer)"]
-    file = write_log(tmp_path / "log.jsonl", lines(*actions))
-    command = ["fit", huge, file, "--set", "max_states=1000", "--set", f"cache={tmp_path / 'cache'}", "--json"]
-    program = [str(Path(sys.executable).with_name("kitassist")), *map(str, command)]
-    process = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    task = load(huge)
-    known = dict[bytes, float]()
-    while process.poll() is None and len(known) < 10:
-        known = Cache(task, tmp_path / "cache").read()
-        time.sleep(0.05)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert len(known) >= 10
-    result = CliRunner().invoke(main, [str(argument) for argument in command])
-    assert result.exit_code == 0
-    (record,) = json.loads(result.stdout)
-    assert (record["actions"], record["suboptimal_actions"]) == (3, 1)
-    assert Cache(task, tmp_path / "cache").read().items() >= known.items()
 
 
 def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

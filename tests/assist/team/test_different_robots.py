@@ -148,7 +148,7 @@ def situations(draw: st.DrawFn) -> tuple[Travel, np.ndarray, np.ndarray, np.ndar
     return Travel.of(3, c_move=moves, distance=distance), np.array([at]), np.array([free]), np.array([worth])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(situations())
 def test_the_assignment_is_the_best_of_all(found: tuple[Travel, np.ndarray, np.ndarray, np.ndarray]) -> None:
     travel, location, free, worth = found

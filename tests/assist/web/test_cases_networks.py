@@ -203,8 +203,11 @@ def test_a_half_open_connection_is_noticed_and_replaced_and_nothing_is_lost(
 @behind_nginx
 @pytest.mark.parametrize(
     ("more", "ping"),
-    [("", PING), ("proxy_buffering on; proxy_read_timeout 4s;", PING), ("proxy_read_timeout 4s;", 60.0)],
-    ids=["plain", "buffering", "closing"],
+    [
+        pytest.param("", PING, id="plain", marks=pytest.mark.slow),
+        pytest.param("proxy_buffering on; proxy_read_timeout 4s;", PING, id="buffering"),
+        pytest.param("proxy_read_timeout 4s;", 60.0, id="closing", marks=pytest.mark.slow),
+    ],
 )
 def test_pages_behind_nginx_with_tls_and_a_path_are_told_of_everything(
     chromium: Any, tiny: Table, tmp_path: Path, more: str, ping: float

@@ -76,7 +76,7 @@ def test_a_tab_that_was_left_behind_does_nothing_twice_and_catches_up(
     assert len(actions) == 1
 
 
-@pytest.mark.parametrize("ends", ["thanks", "withdrew"])
+@pytest.mark.parametrize("ends", [pytest.param("thanks", marks=pytest.mark.slow), "withdrew"])
 def test_nothing_that_somebody_typed_stays_in_the_browser_for_the_next_person(
     chromium: Any, tiny: Table, tmp_path: Path, ends: str
 ) -> None:
