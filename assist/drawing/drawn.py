@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isinf
 from typing import TYPE_CHECKING
 
 from planner import Plan, State
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 def draw(task: AnyTask | State | Plan, values: Sequence[int] | None = None, *, width: float = WIDTH) -> Picture:
     """Draw a state of a task, or a plan as a strip of its states.
+
+    Of a `State`, the picture says whether it is a dead end.
 
     Parameters
     ----------
@@ -34,5 +37,5 @@ def draw(task: AnyTask | State | Plan, values: Sequence[int] | None = None, *, w
         artist = Artist(task.task)
         return draw_strip(artist, plan_frames(artist, task, task.start), width=width)
     if isinstance(task, State) and values is None:
-        values = task.values
+        return Artist(task.task).draw(task.values, width=width, lost=isinf(task.h))
     return Artist(task).draw(values, width=width)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from planner import Plan, State, Task
 
-from .frames import draw_strip, plan_frames
-from .picture import Artist
+from .drawn import draw
+from .subject import Subject
 
 MOST_OBJECTS = 200
 """Objects of a task that is drawn unasked, which takes less than a second; `draw` has no limit."""
@@ -23,13 +23,8 @@ def svg_of(thing: object) -> str | None:
         return None
     task = thing if isinstance(thing, Task) else thing.task
     try:
-        artist = Artist(task)
-        if len(artist.subject.objects) > MOST_OBJECTS:
+        if len(Subject.of(task).objects) > MOST_OBJECTS or (isinstance(thing, Plan) and len(thing) >= MOST_FRAMES):
             return None
-        if isinstance(thing, Plan):
-            if len(thing) >= MOST_FRAMES:
-                return None
-            return draw_strip(artist, plan_frames(artist, thing, thing.start)).svg
-        return artist.draw(thing.values if isinstance(thing, State) else None).svg
+        return draw(thing).svg
     except ValueError:
         return None

@@ -118,6 +118,7 @@ class Artist:
         acted: Collection[str] = (),
         hint: Collection[str] = (),
         goal: bool = True,
+        lost: bool = False,
         theme: svg.Theme | None = "auto",
     ) -> Picture:
         """Draw a state.
@@ -132,13 +133,15 @@ class Artist:
             Objects to highlight: those of an action, and those of a suggestion.
         goal : bool
             Whether the goal is listed below the drawing.
+        lost : bool
+            Whether the list says that the goal can no longer be reached.
         theme : "auto", "light", "dark" or None
             The colours; None omits the style sheet, for pages that include it.
         """
         scene, layout = self._placed(tuple(self.subject.initial if values is None else values), width - 2 * MARGIN)
         across = max(layout.width, min(width, 320.0))
         parts = svg.draw_layout(layout, MARGIN, MARGIN, acted, hint)
-        below, high = self._below(scene, across, MARGIN + layout.height + 2 * GAP, goal)
+        below, high = self._below(scene, across, MARGIN + layout.height + 2 * GAP, goal, lost)
         parts += below
         description = self.text(scene)
         title = self.profile.texts.texts["drawing.title"].format(task=self.subject.task.name)
@@ -184,12 +187,12 @@ class Artist:
         scene = self.scene(values)
         return scene, self._arranger.layouts([scene], width)[0]
 
-    def _below(self, scene: Scene, width: float, top: float, goal: bool) -> tuple[list[str], float]:
+    def _below(self, scene: Scene, width: float, top: float, goal: bool, lost: bool) -> tuple[list[str], float]:
         """Return the elements of the list of the goal's parts below the boxes, and the y coordinate of their end."""
         if not (goal and scene.goal):
             return [], top - 2 * GAP
         done = sum(so for _, so in scene.goal)
-        title = self.profile.texts("drawing.goal", done=str(done), all=str(len(scene.goal)))
+        title = self.profile.texts("drawing.lost" if lost else "drawing.goal", done=str(done), all=str(len(scene.goal)))
         labels = [label(text, so, width) for text, so in scene.goal]
         _, high = label_rows(labels, width, MARGIN, top + 20)
         parts = [svg.text(MARGIN, top + 12, title, "ka-title")]

@@ -375,4 +375,5 @@ def _person(say: Catalogue, why: WhyPerson, suggests: bool) -> Iterator[str]:
         yield say("person.others_nothing", left=left)
     else:
         key = "person.others_less" if best <= mine.score else "person.others_more"
+        key = "person.others_alike" if math.isclose(best, mine.score, abs_tol=1e-9) else key
         yield say(key, left=left, other=say.about(best), rule=why.rule)

@@ -228,9 +228,12 @@ class Task(Pictured):
         return in_unit(whole, self.unit)
 
     def facts(self, values: Sequence[int]) -> list[str]:
-        """Return the PDDL atoms that hold in a state, among those that can change, sorted."""
+        """Return the PDDL atoms that hold in a state, among those that can change, sorted.
+
+        Atoms that the translator invents for quantified conditions are none of them.
+        """
         facts = (variable.facts[value] for variable, value in zip(self.variables, values, strict=True))
-        return sorted(fact.removeprefix("Atom ") for fact in facts if fact.startswith("Atom "))
+        return sorted(fact.removeprefix("Atom ") for fact in facts if re.match(r"Atom (?!new-axiom@)", fact))
 
 
 @overload

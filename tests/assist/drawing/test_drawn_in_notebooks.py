@@ -58,6 +58,13 @@ def test_every_plan_is_a_list_that_knows_its_task(how: Any) -> None:
     assert again._repr_svg_() == plan._repr_svg_() is not None
 
 
+def test_a_dead_end_says_so() -> None:
+    sealed = cost_to_go("kitting/sealed")
+    lost, open_ = sealed.state(int(sealed.h.argmax())), sealed.state()
+    assert "It can no longer be reached." in texts(lost._repr_svg_())
+    assert "It can no longer be reached." not in texts(open_._repr_svg_())
+
+
 def test_a_state_says_its_facts_and_cost() -> None:
     table = cost_to_go("kitting/tiny")
     state = table.state()

@@ -557,7 +557,7 @@ def explanations() -> list[Explanation]:
     for moving, here in ((0.0, False), (0.0, True), (0.5, False)):
         for worth in (0.0, 0.001, 2.0):
             mine = Prospect("ann", "(a)", worth, 0.1, moving)
-            for other in (None, 0.0, 0.4, 9.0):
+            for other in (None, 0.0, 0.4, 2.0, 9.0):
                 others = () if other is None else (Prospect("ben", "(b)", other, 0.1, 0.0),)
                 for rule in ("attention", "priority", "reactive"):
                     for arrived in (True, False):
