@@ -29,6 +29,7 @@ from .transport import Answer, Drove, Faulty, Located, Message, Output, Reported
 LOG = logging.getLogger(__name__)
 
 ABSENT = 404  # status of a report about nobody
+REMEMBERED = 1000  # numbers of a person whose ids are known, the latest
 MOST = 100_000
 """Largest number of contents that wait to be sent, besides those that are kept: some tens of megabytes."""
 
@@ -40,6 +41,7 @@ class _Sender:
         self.order = InOrder[Reported]()
         self.queue = asyncio.Queue[Reported]()
         self.answered = 0  # the highest number of an answered report
+        self.ids = dict[int, str]()  # of the latest numbers
         self.timer: asyncio.TimerHandle | None = None
         self.task: asyncio.Task[None] | None = None
 
@@ -233,6 +235,7 @@ class Bridge:
                 return
             case Resumed():
                 sender = self._senders.setdefault(message.person, _Sender())
+                sender.answered = max(sender.answered, message.next - 1)
                 self._hand_over(message.person, sender.order.resume(message.next))
             case Drove() if self._errands is not None:
                 self._errands.drove(message)
@@ -246,17 +249,18 @@ class Bridge:
             return
         message.done()  # before it is recorded: a broker sends only so many messages ahead, and one of them is missing
         order, number = sender.order, report.number
-        before = order.held.get(number)
+        known = order.held[number].report.id if number in order.held else sender.ids.get(number, report.id)
         why = None
         if order.late(number):
             why = "later actions were recorded before it arrived"
-        elif before is not None and before.report.id != report.id:
-            why = f"the number {number} belongs to the id {before.report.id!r}; expected one id for each"
+        elif known != report.id:
+            why = f"the number {number} belongs to the id {known!r}; expected one id for each"
         elif order.jumps(number):
             missing = order.missing(number)
             why = f"number {number}: the numbers {missing[0]} to {missing[-1]} did not arrive; expected {missing[0]}"
         if why is not None:
-            self._answer(Answer(report.person, report.id, "refused", why, origin=message.origin), message)
+            refused = Answer(report.person, report.id, "refused", why, origin=message.origin)
+            self._answer(replace(refused, number=number, next=sender.answered + 1), message)
         else:
             self._hand_over(report.person, order.take(number, message))
 
@@ -265,6 +269,10 @@ class Bridge:
         sender = self._senders[person]
         for message in messages:
             sender.queue.put_nowait(message)
+            if message.report.number is not None:
+                sender.ids[message.report.number] = message.report.id
+                if len(sender.ids) > REMEMBERED:
+                    del sender.ids[next(iter(sender.ids))]
         if messages and (sender.task is None or sender.task.done()):
             sender.task = self._tasks.start(self._deliver(person, sender))
         if messages or not sender.order.held:

@@ -9,6 +9,7 @@ Advice is published retained, and again after each reconnection, since a broker 
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 import re
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 
 ONLINE, OFFLINE = b"online", b"offline"
+QUIET = 0.3
+"""Seconds without a message after which a broker has sent all that it keeps."""
 WILD = re.compile(r"[/+#\0]")  # characters that a level of a topic cannot have
 
 
@@ -99,6 +102,7 @@ class Mqtt(Transport):
             self._broker, self._open = broker, Acknowledgements(broker._client.ack)
             for topic in self._topics():
                 await broker.subscribe(topic, qos=1)
+            self._resumed = await self._last_answers()
             if settings.status is not None:
                 await broker.publish(settings.status.topic.text, ONLINE, qos=1, retain=True)
             try:
@@ -113,27 +117,51 @@ class Mqtt(Transport):
         settings, will = self.settings, None
         if settings.status is not None:
             will = self._mqtt.Will(settings.status.topic.text, OFFLINE, qos=1, retain=True)
-        client: aiomqtt.Client = self._mqtt.Client(
-            settings.broker.host, settings.port, username=settings.broker.username, password=settings.password(),
-            identifier=settings.broker.client, clean_session=False, will=will, tls_context=self._context, keepalive=15,
-            socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
-        )  # fmt: skip
+        client = self._named(settings.broker.client, clean_session=False, will=will)
         client._client.manual_ack_set(True)  # aiomqtt itself would acknowledge what has not been recorded
         return client
+
+    def _named(self, name: str, **options: Any) -> aiomqtt.Client:
+        settings = self.settings
+        client: aiomqtt.Client = self._mqtt.Client(
+            settings.broker.host, settings.port, username=settings.broker.username, password=settings.password(),
+            identifier=name, tls_context=self._context, keepalive=15,
+            socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)], **options,
+        )  # fmt: skip
+        return client
+
+    async def _last_answers(self) -> list[Resumed]:
+        """Return where each person's numbers go on, after the last answers in this session, which the broker keeps.
+
+        Some brokers send what they keep to new subscribers only, so that a client of its own asks for it.
+        """
+        answers, found = self.settings.answers, list[Resumed]()
+        if answers is None or all(source.number is None for source in self.settings.sources):
+            return found
+        try:
+            async with self._named(f"{self.settings.broker.client}-answers", clean_session=True) as reader:
+                await reader.subscribe(answers.topic.filter, qos=1)
+                with suppress(TimeoutError):
+                    while True:
+                        message = await asyncio.wait_for(anext(reader.messages), QUIET)
+                        resumed = self._after(str(message.topic), message.payload)
+                        found += [] if resumed is None else [resumed]
+        except self.lost as error:
+            LOG.warning("MQTT: the last answers cannot be read, so that numbers begin at 1 again: %s", error)
+        return found
 
     def _topics(self) -> list[str]:
         settings = self.settings
         topics = [source.topic.filter for source in settings.sources]
-        topics += [settings.arrived.topic.filter] if settings.arrived is not None else []
-        if settings.answers is not None and any(source.number is not None for source in settings.sources):
-            topics.insert(0, settings.answers.topic.filter)  # the last answers say which number comes next
-        return topics
+        return topics + ([settings.arrived.topic.filter] if settings.arrived is not None else [])
 
     async def messages(self) -> AsyncIterator[Message]:
         """Yield what the broker delivers."""
+        for resumed in self._resumed:
+            yield resumed
         async for message in self._broker.messages:
             done = self._open.expect(message.mid, message.qos)
-            yield self.message(str(message.topic), message.payload, done, retained=message.retain)
+            yield self.message(str(message.topic), message.payload, done)
 
     async def send(self, key: str, content: tuple[bytes, bool]) -> None:
         """Publish a payload, retained or not."""
@@ -143,12 +171,9 @@ class Mqtt(Transport):
 
     # What messages mean.
 
-    def message(self, topic: str, payload: bytes, done: Any, *, retained: bool = False) -> Message:
+    def message(self, topic: str, payload: bytes, done: Any) -> Message:
         """Return what a message reports."""
-        answers, arrived = self.settings.answers, self.settings.arrived
-        own = None if answers is None else answers.topic.fields(topic)
-        if own is not None:
-            return self._resumed(own["person"], payload, done) if retained else Message(done=done)
+        arrived = self.settings.arrived
         if arrived is not None and (fields := arrived.topic.fields(topic)) is not None:
             return self._located(fields.get("robot", "1"), payload, done)
         source = next((one for one in self.settings.sources if one.topic.fields(topic) is not None), None)
@@ -161,13 +186,15 @@ class Mqtt(Transport):
         except MessageError as error:
             return Faulty(str(error), fields.get("person"), fields.get("id"), done=done)
 
-    def _resumed(self, person: str, payload: bytes, done: Any) -> Message:
-        """Return where reports continue after the last answer in this session, which the broker has kept."""
+    def _after(self, topic: str, payload: bytes) -> Resumed | None:
+        """Return where reports go on after an answer that the broker has kept, if it was given in this session."""
+        answers = self.settings.answers
+        own = None if answers is None else answers.topic.fields(topic)
         with suppress(MessageError, ValueError):
             fields = fields_of(payload)
-            if fields.get("session") == self.session and "next" in fields:
-                return Resumed(person, int(fields["next"]), done=done)
-        return Message(done=done)
+            if own is not None and fields.get("session") == self.session and "next" in fields:
+                return Resumed(own["person"], int(fields["next"]))
+        return None
 
     def _located(self, robot: str, payload: bytes, done: Any) -> Message:
         try:

@@ -609,6 +609,27 @@ def test_reports_that_wait_for_a_missing_number_are_said(tmp_path: Path) -> None
     ]
 
 
+def test_numbers_go_on_after_the_service_has_started_again(broker: Broker, tmp_path: Path) -> None:
+    """The broker keeps the subscriptions of the bridge, and this one sends what it keeps to new subscribers only."""
+    file = settings_file(tmp_path, broker)
+    for number, action in enumerate(("(fetch box-a)", "(return box-a)"), start=1):
+        here = Here(tmp_path / "session", ["ann"] if number == 1 else [])
+
+        async def work(number: int = number, action: str = action, here: Here = here) -> None:
+            while not here.bridge.connected:
+                await asyncio.sleep(0.01)
+            async with broker.client() as client:
+                await client.subscribe("line/ann/answers", qos=1)
+                report = {"action": action, "id": str(number), "n": number}
+                await client.publish("line/ann/action", json.dumps(report), qos=1)
+                answer: dict[str, Any] = {}
+                while answer.get("id") != str(number):  # first comes the last one of before, which the broker keeps
+                    answer = json.loads((await asyncio.wait_for(anext(client.messages), 5)).payload)
+                assert (answer["status"], answer["next"]) == ("recorded", number + 1)
+
+        here.run(file, work)
+
+
 def test_a_number_can_be_enormous() -> None:
     order = InOrder[str]()
     assert order.take(10**15, "last") == []

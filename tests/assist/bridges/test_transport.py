@@ -6,6 +6,7 @@ import asyncio
 import sys
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,27 @@ def test_reports_are_recorded_once_in_order_and_answered(tmp_path: Path) -> None
     here = served(tmp_path, work)
     assert [row["action"] for row in here.session.log()] == ["(fetch box-a)", "(place hammer slot-1 box-a)"]
     assert done == ["b"]
+
+
+def test_a_number_has_one_id_also_when_it_was_recorded_or_refused(tmp_path: Path) -> None:
+    async def work(_: Here, queues: Queues, __: Bridge) -> None:
+        put, answers = queues.inbox.put_nowait, partial(queues.of, "answers/ann")
+        for number, (id, action) in enumerate(
+            [("1", "(fetch box-a)"), ("2", "(fly)"), ("1b", "(return box-a)"), ("2b", "(return box-a)")]
+        ):
+            put(act("ann", action, id, number % 2 + 1))
+            await until(lambda told=number + 1: len(answers()) == told)
+        assert [one["status"] for one in answers()] == ["recorded", "refused", "refused", "refused"]
+        for number, told in enumerate(answers()[2:], start=1):
+            assert told["detail"] == f"the number {number} belongs to the id '{number}'; expected one id for each"
+            assert (told["number"], told["next"]) == (number, 3)
+        put(act("ann", "(fetch box-a)", "1", 1))  # a repetition gets the first answer
+        put(act("ann", "(return box-a)", "3", 3))
+        await until(lambda: len(answers()) == 6)
+        assert [one["status"] for one in answers()[4:]] == ["recorded", "recorded"]
+
+    here = served(tmp_path, work)
+    assert [row["action"] for row in here.session.log()] == ["(fetch box-a)", "(return box-a)"]
 
 
 def test_advice_is_sent_again_after_a_connection_was_lost_and_removed_when_somebody_leaves(tmp_path: Path) -> None:
