@@ -12,13 +12,11 @@ from rich.table import Column, Table
 from planner.batch.results_folder import versions
 from planner.system.progress import stages
 
-from ..declare.options import Given
-from .options.common import gap_option, instance_argument, jobs_option, json_option, time_limit_option
-from .options.goals import check_questions, goals_option, several_goals
+from .options.common import gap_option, jobs_option, json_option, time_limit_option
+from .options.goals import check_questions
 from .options.help import command
-from .options.policies import policies_of, policy_errors, policy_option
-from .options.settings import TeamSetting
-from .options.team import team_of, team_options
+from .options.policies import policies_of, policy_errors
+from .options.team import TeamOptions, team_of, team_options
 from .terminal.console import end_after_showing, kept_if_interrupted, print_json, print_table
 
 if TYPE_CHECKING:
@@ -26,8 +24,6 @@ if TYPE_CHECKING:
 
 
 @command("bound kitting/paper --humans 4 --policy priority")
-@instance_argument
-@policy_option(several=True)
 @click.option(
     "--value-episodes", type=click.IntRange(2, 10**8), default=20_000, show_default=True,
     help="Simulated episodes that estimate each policy's value.",
@@ -40,12 +36,10 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @jobs_option
 @team_options
-@goals_option
 @json_option
 def bound(
-    instance: str, policy: tuple[str, ...], value_episodes: int, gap: float, time_limit: float, samples: int,
-    jobs: int | None, as_json: bool, problems: tuple[str, ...], humans: int, seed: int, domain: str | None,
-    setting: TeamSetting, given: Given[TeamSetting],
+    team: TeamOptions, value_episodes: int, gap: float, time_limit: float, samples: int, jobs: int | None,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
     from ..certify.comparison import Comparison
@@ -55,14 +49,15 @@ def bound(
     from .output.person_bounds import show_samples
 
     start = time.perf_counter()
-    check_questions(setting, given, problems)
-    given.refuse(("goal_knowledge", "max_steps", "observation", "c_ask", "ask_error"), "on a bound")
-    if samples and problems:
+    setting, seed = team.setting, team.seed
+    check_questions(setting, team.given, team.problems)
+    team.given.refuse(("goal_knowledge", "max_steps", "observation", "c_ask", "ask_error"), "on a bound")
+    if samples and team.problems:
         raise click.UsageError("--samples with --goals: expected people whose goal is known")
     with policy_errors():
-        policies = policies_of(policy)
-        goals = several_goals(instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states)
-        made = team_of(instance, setting, given, humans=humans, size=humans, seed=seed, domain=domain, goals=goals)
+        policies = policies_of(team.policy)
+        goals = team.goals()
+        made = team_of(team, team.humans, goals)
         try:
             with stages() as show:
                 compared = Comparison.of(

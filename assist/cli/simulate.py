@@ -2,47 +2,73 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
 from planner.batch.results_folder import versions
-from planner.system import files
+from planner.system.files import write_records
 from planner.system.limits import processors
 from planner.system.progress import stages
 
-from ..declare.options import Given
-from .options.common import OUTPUT_FILE, instance_argument, jobs_option, json_option, out_option, separate_files
-from .options.goals import check_questions, goals_option, several_goals
+from .options.common import OUTPUT_FILE, jobs_option, json_option, out_option, separate_files, together
+from .options.goals import check_questions
 from .options.help import command
-from .options.policies import policies_of, policy_errors, policy_option
-from .options.settings import TeamSetting
-from .options.team import team_of, team_options
+from .options.policies import policies_of, policy_errors
+from .options.team import TeamOptions, team_of, team_options
 from .terminal.console import kept_if_interrupted, print_json
 
 
+class Written(NamedTuple):
+    """What is written, and where."""
+
+    out: Path | None
+    trace: Path | None
+    reasons: bool
+    figure: Path | None
+
+    def require(self, inputs: Mapping[str, Path | None]) -> None:
+        """Refuse files that are not apart from each other and the inputs, and options that lack another."""
+        from ..plots import style
+
+        separate_files({"--out": self.out, "--trace": self.trace, "--figure": self.figure}, inputs)
+        if self.reasons and self.trace is None:
+            raise click.UsageError("--reasons: expected --trace, too")
+        if self.figure:
+            style.require()
+            if self.figure.suffix not in style.FORMATS:
+                formats = ", ".join(style.FORMATS)
+                raise click.UsageError(f"--figure {self.figure}: expected a name that ends in {formats}")
+
+
+written_options = together(
+    "files", Written,
+    (
+        out_option("one record per episode (JSON Lines)"),
+        click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines)."),
+        click.option("--reasons", is_flag=True, help="Explain each suggestion in the trace."),
+        click.option(
+            "--figure", type=OUTPUT_FILE, help="Plot an episode that the last policy shortened (.png, .svg)."
+        ),
+    ),
+)  # fmt: skip
+
+
 @command("simulate kitting/paper --humans 4 --policy none --policy attention")
-@instance_argument
-@policy_option(several=True)
 @click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True, help="Number of episodes.")
 @click.option(
     "--pool", "size", type=click.IntRange(min=1),
     help="Number of people from whom teams are drawn.  [default: 12, or K if larger]",
 )  # fmt: skip
-@out_option("one record per episode (JSON Lines)")
-@click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines).")
-@click.option("--reasons", is_flag=True, help="Explain each suggestion in the trace.")
-@click.option("--figure", type=OUTPUT_FILE, help="Plot an episode that the last policy shortened (.png, .svg).")
+@written_options
 @jobs_option
 @team_options
-@goals_option
 @json_option
 def simulate(
-    instance: str, policy: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
-    reasons: bool, figure: Path | None, jobs: int | None, as_json: bool, problems: tuple[str, ...], humans: int,
-    seed: int, domain: str | None, setting: TeamSetting, given: Given[TeamSetting],
-) -> None:  # fmt: skip
+    team: TeamOptions, files: Written, episodes: int, size: int | None, jobs: int | None, as_json: bool
+) -> None:
     """Simulate a team of people and a robot that assists them, and compare policies."""
     from ..declare.declared import plain
     from ..live.trace_reasons import TraceReasons
@@ -56,35 +82,28 @@ def simulate(
     from ..team.policies import UserPolicy
     from .output.episode_summaries import show_comparison
 
-    check_questions(setting, given, problems)
+    setting, humans, seed = team.setting, team.humans, team.seed
+    check_questions(setting, team.given, team.problems)
     size = size or max(12, humans)
     if setting.observation is not None:
         unclear = "with observation: expected actions that are all seen as they are"
         if setting.c_ask is not None:
             raise click.UsageError(f"c_ask {unclear}")
-        if "rollout" in policy:
+        if "rollout" in team.policy:
             raise click.UsageError(f"--policy rollout {unclear}, or another policy, such as priority")
-        if problems and setting.goal_knowledge == "likeliest":
+        if team.problems and setting.goal_knowledge == "likeliest":
             raise click.UsageError("goal_knowledge likeliest with observation: expected inferred or known")
-    separate_files({"--out": out, "--trace": trace, "--figure": figure}, given.files())
-    if reasons and trace is None:
-        raise click.UsageError("--reasons: expected --trace, too")
-    if figure:
-        style.require()
-        if figure.suffix not in style.FORMATS:
-            raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(style.FORMATS)}")
+    files.require(team.given.files())
     with policy_errors():
-        policies, results = policies_of(policy), list[Episodes]()
-        goals = several_goals(
-            instance, problems, setting.goal_prior, domain=domain, max_states=setting.max_states
-        )  # fmt: skip
-        made = team_of(instance, setting, given, humans=humans, size=size, seed=seed, domain=domain, goals=goals)
+        policies, results = policies_of(team.policy), list[Episodes]()
+        goals = team.goals()
+        made = team_of(team, size, goals)
         options: dict[str, Any] = {
             "humans": humans, "seed": seed, "travel": made.travel, "goals": setting.goal_knowledge,
         }  # fmt: skip
         steps: list[Any] = []
-        kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": setting.memory_limit}
-        kept["reasons"] = TraceReasons(made.pool.policies, made.known) if reasons else None
+        kept: dict[str, Any] = {"trace": steps if files.trace else None, "memory_limit_mb": setting.memory_limit}
+        kept["reasons"] = TraceReasons(made.pool.policies, made.known) if files.reasons else None
         ready = {name: made.prepared(one) for name, one in policies.items()}
         with kept_if_interrupted(lambda: results):
             for name, one in ready.items():
@@ -98,14 +117,14 @@ def simulate(
                 except KeyboardInterrupt:
                     del steps[written:]  # of a policy that is not shown
                     raise
-            if figure:
+            if files.figure:
                 shown = Illustration.of(made.pool, one, results[-1], **options)
                 alone = None if name == "none" else shown.alone
-                style.save(episode_figure(shown.episode, shown.trace, alone), figure)
-    if out:
-        files.write_records(out, (episode.record() for result in results for episode in result))
-    if trace:
-        files.write_records(trace, steps)
+                style.save(episode_figure(shown.episode, shown.trace, alone), files.figure)
+    if files.out:
+        write_records(files.out, (episode.record() for result in results for episode in result))
+    if files.trace:
+        write_records(files.trace, steps)
     summaries, drawn = [result.summary() for result in results], len(set(results[0].people.ravel().tolist()))
     if as_json:
         print_json({

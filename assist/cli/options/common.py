@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -103,6 +104,27 @@ def with_options(command: Command, options: Sequence[Option[Any]]) -> Command:
     for option in reversed(options):
         command = option(command)
     return command
+
+
+def together(name: str, kind: type[Any], options: Sequence[Option[Any]]) -> Option[Any]:
+    """Return a decorator that adds options; the command's function gets their values as one object of this name.
+
+    Parameters
+    ----------
+    name : str
+    kind : type
+        A named tuple, whose fields are the names of the values.
+    options : sequence of decorators
+    """
+
+    def add(function: Command) -> Command:
+        def run(**parameters: Any) -> Any:
+            values = {field: parameters.pop(field) for field in kind._fields}
+            return function(**{name: kind(**values)}, **parameters)
+
+        return with_options(update_wrapper(run, function), options)  # type: ignore[return-value]
+
+    return add
 
 
 def apart(options: Mapping[str, object]) -> None:

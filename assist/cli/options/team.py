@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -10,7 +10,9 @@ from planner import Instance, LimitError
 
 from ...declare.options import Given, setting_options
 from ..terminal.console import ExitCode, fail
-from .common import Command, Option, domain_option, humans_option, seed_option, with_options
+from .common import domain_option, humans_option, instance_argument, seed_option, together
+from .goals import goals_option, several_goals
+from .policies import policy_option
 from .population import chosen_setting
 from .settings import REGION_STATES, TeamSetting
 from .task import costs_of, one_instance
@@ -26,15 +28,31 @@ if TYPE_CHECKING:
     from ...team.state import TeamPolicy
 
 
-def team_options(command: Command) -> Command:
-    """Add the options that describe a team, with those of its setting. `team_of` takes their values."""
-    options: tuple[Option[Any], ...] = (
-        humans_option(required=True),
-        seed_option,
-        domain_option,
-        setting_options(TeamSetting),
-    )
-    return with_options(command, options)
+class TeamOptions(NamedTuple):
+    """The task, the policies, and the values of the options that describe a team, with its setting."""
+
+    instance: str
+    policy: tuple[str, ...]
+    humans: int
+    seed: int
+    domain: str | None
+    problems: tuple[str, ...]
+    setting: TeamSetting
+    given: Given[TeamSetting]
+
+    def goals(self) -> Goals | None:
+        """Return the goals of the task and of further problems; None if there is one only."""
+        prior, most = self.setting.goal_prior, self.setting.max_states
+        return several_goals(self.instance, self.problems, prior, domain=self.domain, max_states=most)
+
+
+team_options = together(
+    "team", TeamOptions,
+    (
+        instance_argument, policy_option(several=True), humans_option(required=True), seed_option, domain_option,
+        goals_option, setting_options(TeamSetting),
+    ),
+)  # fmt: skip
 
 
 class TeamSetup(NamedTuple):
@@ -58,28 +76,26 @@ class TeamSetup(NamedTuple):
             fail(f"{self.instance}: {error}{hint}", ExitCode.FAILED)
 
 
-def team_of(
-    instance: str, setting: TeamSetting, given: Given[TeamSetting], *, humans: int, size: int, seed: int,
-    domain: str | None, goals: Goals | None = None,
-) -> TeamSetup:  # fmt: skip
+def team_of(team: TeamOptions, size: int, goals: Goals | None = None) -> TeamSetup:
     """Draw a pool of `size` people, of whom each pursues one of some goals if there are several.
 
     Expected errors end the command in one line.
     """
     from ...simulation.pool import Pool
 
-    if humans > size:
-        raise click.UsageError(f"--humans {humans} is more than --pool {size}")
-    found = one_instance(instance, domain)
-    chosen = chosen_setting(setting, given, rate=True)
+    setting = team.setting
+    if team.humans > size:
+        raise click.UsageError(f"--humans {team.humans} is more than --pool {size}")
+    found = one_instance(team.instance, team.domain)
+    chosen = chosen_setting(setting, team.given, rate=True)
     if not chosen.fleet.executes:
-        given.refuse(["c_execute"], "without execute")
+        team.given.refuse(["c_execute"], "without execute")
     known = goals or costs_of(found, max_states=setting.max_states, memory_limit_mb=None)
     states = setting.region_states or REGION_STATES
     try:
-        travel = travel_of(chosen, humans, setting.distances)
+        travel = travel_of(chosen, team.humans, setting.distances)
         pool = Pool.sample(
-            known, size, seed=seed, setting=chosen, population=setting.population, prior=setting.prior,
+            known, size, seed=team.seed, setting=chosen, population=setting.population, prior=setting.prior,
             memory_limit_mb=setting.memory_limit, states=states,
             region=states if (goals is None and known.method == "sweep") or setting.region_states else None,
         )  # fmt: skip
