@@ -8,11 +8,9 @@ import click
 
 import planner
 
-from ..declare.options import Given
-from .options.common import MEGABYTES, instance_argument, json_option, out_option
+from .options.common import MEGABYTES, json_option, out_option
 from .options.help import command
-from .options.person import person_options, person_problem
-from .options.settings import PersonSetting
+from .options.person import PersonOptions, person_options, person_problem
 from .options.task import table_of
 from .terminal.console import ExitCode, fail, one_line_errors, print_json
 
@@ -20,7 +18,6 @@ FORMATS = ("pomdpx", "pomdp")
 
 
 @command("export kitting/tiny --out tiny.pomdpx")
-@instance_argument
 @click.option(
     "--format", "form", type=click.Choice(FORMATS),
     help="POMDPX with mixed observability, or the flat POMDP format for small tasks.  [default: by the name of --out]",
@@ -32,10 +29,7 @@ FORMATS = ("pomdpx", "pomdp")
 )  # fmt: skip
 @person_options
 @json_option
-def export(
-    instance: str, form: str | None, out: Path, size_limit: float, as_json: bool, seed: int, domain: str | None,
-    setting: PersonSetting, given: Given[PersonSetting],
-) -> None:  # fmt: skip
+def export(person: PersonOptions, form: str | None, out: Path, size_limit: float, as_json: bool) -> None:
     """Write the POMDP of assisting one person to a file for other solvers."""
     from ..interop import pomdp as flat
     from ..interop import pomdpx as mixed
@@ -44,9 +38,10 @@ def export(
     named = out.suffix.removeprefix(".")
     if named not in ((form,) if form else FORMATS):  # solvers choose the parser by the suffix
         raise click.UsageError(f"--out {out}: expected a name that ends in .{form or ' or .'.join(FORMATS)}")
+    given = person.given
     given.refuse(("goal_prior", "max_states", "region_states", "memory_limit"), "on an export")
     with one_line_errors():
-        found, problem = person_problem(instance, table_of, setting, given, states=None, domain=domain, seed=seed)
+        found, problem = person_problem(person, table_of, states=None)
         pomdp = problem.pomdp
         if pomdp.followed_low is not None:
             whose = "--trust" if "trust" in given else f"--population {given.values['population']}"

@@ -11,12 +11,11 @@ from planner import Instance
 from planner.batch.results_folder import versions
 from planner.system.progress import status_line
 
-from ..declare.options import Given
-from .options.common import gap_option, instance_argument, json_option, out_option, time_limit_option
+from .options.common import gap_option, json_option, out_option, time_limit_option
 from .options.goals import goals_option, several_goals
 from .options.help import command
-from .options.person import person_options, person_problem
-from .options.settings import REGION_STATES, PersonSetting
+from .options.person import PersonOptions, person_options, person_problem
+from .options.settings import REGION_STATES
 from .options.task import costs_of
 from .output.person_bounds import line_of, show_bounds
 from .terminal.console import kept_if_interrupted, one_line_errors, print_json
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
 
 
 @command("policy kitting/tiny --gap 0.01")
-@instance_argument
 @gap_option
 @time_limit_option
 @out_option("policy and bounds (.npz)")
@@ -36,16 +34,16 @@ if TYPE_CHECKING:
 @goals_option
 @json_option
 def policy(
-    instance: str, gap: float, time_limit: float, out: Path | None, as_json: bool, problems: tuple[str, ...],
-    seed: int, domain: str | None, setting: PersonSetting, given: Given[PersonSetting],
+    person: PersonOptions, gap: float, time_limit: float, out: Path | None, as_json: bool, problems: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Solve the POMDP of assisting one person, with a lower and an upper bound on the optimal value."""
     from ..people.goals import first_of
     from ..person.policy import not_worth_its_cost
     from ..person.solver import Solution, solve
 
+    instance, setting, domain = person.instance, person.setting, person.domain
     if not problems:
-        given.refuse(["goal_prior"], "without --goals")
+        person.given.refuse(["goal_prior"], "without --goals")
     if out is not None and out.suffix != ".npz":
         raise click.UsageError(f"--out {out}: expected a name that ends in .npz")
 
@@ -54,16 +52,8 @@ def policy(
         return goals or costs_of(found, max_states=setting.max_states, memory_limit_mb=setting.memory_limit)
 
     with one_line_errors():
-        found, problem = person_problem(
-            instance,
-            known_of,
-            setting,
-            given,
-            states=setting.region_states or REGION_STATES,
-            domain=domain,
-            seed=seed,
-            time_limit=time_limit,
-        )
+        states = setting.region_states or REGION_STATES
+        found, problem = person_problem(person, known_of, states=states, time_limit=time_limit)
         reached, solved = list[float](), list[Solution]()
         with kept_if_interrupted(lambda: reached), status_line("first bounds") as show:
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -12,7 +12,7 @@ from planner import Instance
 from planner.system.progress import progress_bar
 
 from ...declare.options import Given, setting_options
-from .common import Command, Option, domain_option, seed_option, with_options
+from .common import domain_option, instance_argument, seed_option, together
 from .population import chosen_setting
 from .settings import PersonSetting
 from .task import one_instance
@@ -30,43 +30,46 @@ if TYPE_CHECKING:
     from ...person.person_problem import PersonProblem
 
 
-def person_options(command: Command) -> Command:
-    """Add the options that describe one person's problem. `person_problem` takes their values."""
-    options: tuple[Option[Any], ...] = (
-        seed_option,
-        domain_option,
-        setting_options(PersonSetting, without=("c_move", "robots")),
-    )
-    return with_options(command, options)
+class PersonOptions(NamedTuple):
+    """The task, and the values of the options that describe one person's problem, with its setting."""
+
+    instance: str
+    seed: int
+    domain: str | None
+    setting: PersonSetting
+    given: Given[PersonSetting]
+
+
+person_options = together(
+    "person", PersonOptions,
+    (instance_argument, seed_option, domain_option, setting_options(PersonSetting, without=("c_move", "robots"))),
+)  # fmt: skip
 
 
 def person_problem(
-    instance: str, known_of: Callable[[Instance], CostToGo | Goals], setting: PersonSetting,
-    given: Given[PersonSetting], *, states: int | None, domain: str | None, seed: int, time_limit: float | None = None,
+    person: PersonOptions, known_of: Callable[[Instance], CostToGo | Goals], *, states: int | None,
+    time_limit: float | None = None,
 ) -> tuple[Instance, PersonProblem]:  # fmt: skip
-    """Build one person's problem from the values of `person_options`. Invalid options raise usage errors.
+    """Build one person's problem. Invalid options raise usage errors.
 
     Parameters
     ----------
+    person : PersonOptions
     known_of : callable
         Reads and solves the task, or the tasks of several goals.
-    setting : PersonSetting
-    given : Given
-        What of the setting was given.
     states : int or None
         Largest number of states in the problem; a larger task is truncated to it. None: all states of the task.
-    domain : str or None
-    seed : int
     time_limit : float, optional
         Seconds for choosing the states of a truncated problem.
     """
     from ...people.goals import each_of
     from ...person.person_problem import PersonProblem, is_whole
 
+    setting, given = person.setting, person.given
     given.refuse(OF_TEAMS, "on the problem of one person")
     if not setting.execute:
         given.refuse(["c_execute"], "without execute")
-    found = one_instance(instance, domain)
+    found = one_instance(person.instance, person.domain)
     chosen = chosen_setting(setting, given, rate=True)
     known = known_of(found)
     if states is None:
@@ -79,8 +82,8 @@ def person_problem(
     try:
         with nullcontext() if whole else progress_bar("collecting states", states) as advance:
             problem = PersonProblem.of(
-                known, setting=chosen, population=setting.population, states=states, sigma=setting.sigma, seed=seed,
-                time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance,
+                known, setting=chosen, population=setting.population, states=states, sigma=setting.sigma,
+                seed=person.seed, time_limit=time_limit, memory_limit_mb=memory_limit, progress=advance,
             )  # fmt: skip
     except ValueError as error:
         raise click.UsageError(str(error)) from None
