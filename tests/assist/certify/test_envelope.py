@@ -1,0 +1,144 @@
+"""Bounds with neighbours who see each other: against brute force on tiny tasks, and against simulated policies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from solved import by_hand
+
+from assist.certify import upper_bound
+from assist.certify.envelope import Envelope
+from assist.people.choices import Choices
+from assist.people.neighbours import Neighbours, SeenEvent, SeenFollowed, SeenOutcome, SeenRule, SeenSteps
+from assist.people.ranges import Population
+from assist.person.settings import Setting
+from assist.simulation.pool import Pool
+from planner.costtogo.table import Table
+
+# A way back at each step; and a longer one.
+TASKS = {
+    "two steps": by_hand([[1, 0], [2, 0], []], [2.0, 1.0, 0.0]),
+    "three steps": by_hand([[1, 0], [2, 0], [3, 1], []], [3.0, 2.0, 1.0, 0.0]),
+}
+RULES = {"outcome": SeenOutcome(0.3), "followed": SeenFollowed(0.2, 0.1), "steps": SeenSteps(1.0, 1.5)}
+
+
+def pool_of(task: Choices | Table, rule: SeenRule, **fields: object) -> Pool:
+    given = {"c_suggest": 0.2, "c_move": 0.1, "gamma": 0.9, "knowledge": "exact"} | fields
+    setting = Setting(neighbours=Neighbours(rule=rule, matrix=((0, 0.9), (0.6, 0))), **given)  # type: ignore[arg-type]
+    return Pool.sample(task, 2, seed=1, setting=setting, population=Population(beta=(0.6, 0.6), theta=(0.3, 0.8)))
+
+
+def informed_optimum(pool: Pool) -> float:
+    """The optimum of two people whose theta the robot sees, by value iteration over both together."""
+    pomdp, seen = pool.policies[0].pomdp, pool.setting.neighbourhood(2)
+    assert seen is not None
+    assert len(pomdp.hidden) == 1
+    choices, theta, costs = pomdp.model.choices, pomdp.grid.theta, pomdp.model.choices.costs
+    n, size, move = len(choices), len(theta), pool.setting.c_move
+
+    def map_of(low: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        found = np.zeros((size, size))
+        np.add.at(found, (np.arange(size), low), 1 - weight)
+        np.add.at(found, (np.arange(size), low + 1), weight)
+        return found
+
+    def acts(x: int, robot: int) -> list[tuple[int, np.ndarray, np.ndarray, float, bool]]:
+        """Successor, probability by theta, map of theta, cost, and whether it follows, of each choice."""
+        if choices.goal[x]:
+            return [(x, np.ones(size), np.eye(size), 0.0, False)]
+        found, suggested = [], pomdp.suggested[x, robot]
+        own = np.eye(size) if suggested < 0 else map_of(pomdp.low[x, robot, 0], pomdp.weight[x, robot, 0])
+        for slot in range(int(choices.applicable[x].sum())):
+            p = pomdp.likelihood(np.array([x]), np.array([robot]), np.array([slot]))[0, 0]
+            found.append((int(choices.targets[x, slot]), p, own, float(costs[x, slot]), bool(slot == suggested)))
+        return found
+
+    def sees(i: int, x: int, y: int, followed: bool) -> np.ndarray:
+        gain = choices.h[x] - choices.h[y]
+        event = SeenEvent(np.array(gain), np.array(followed), seen.sees[i, 1 - i])
+        return map_of(*pomdp.grid.shares(seen.rule.update(theta, event)))
+
+    value = np.zeros((n, n, 3, size, size))
+    for _ in range(2000):
+        new = np.empty_like(value)
+        for x in range(n):
+            for z in range(n):
+                for at in range(3):
+                    best = np.full((size, size), -np.inf)
+                    sends = [(0, 0, 0.0)] + [
+                        (k, r, move * (at != k + 1) + pool.setting.c_suggest)
+                        for k, here in enumerate((x, z)) if not choices.goal[here]
+                        for r in range(1, int(pomdp.robot_actions[here]))
+                    ]  # fmt: skip
+                    for k, r, paid in sends:
+                        then, q = (at if r == 0 else k + 1), np.full((size, size), -paid)
+                        for y1, p1, m1, c1, f1 in acts(x, r if k == 0 else 0):
+                            for y2, p2, m2, c2, f2 in acts(z, r if k == 1 else 0):
+                                one, two = m1, m2
+                                if r and k == 1 and not choices.goal[y1]:
+                                    one = m1 @ sees(0, z, y2, f2)
+                                if r and k == 0 and not choices.goal[y2]:
+                                    two = m2 @ sees(1, x, y1, f1)
+                                future = one @ value[y1, y2, then] @ two.T
+                                q += np.multiply.outer(p1, p2) * (pool.setting.gamma * future - c1 - c2)
+                        best = np.maximum(best, q)
+                    new[x, z, at] = best
+        change, value = np.abs(new - value).max(), new
+        if change < 1e-7:
+            break
+    prior, start = pomdp.prior[0], choices.initial
+    return float(prior @ value[start, start, 0] @ prior)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_bound_is_at_least_the_optimum_with_theta_in_sight(task: str) -> None:
+    pool = pool_of(TASKS[task], SeenOutcome(0.5), c_suggest=0.05, c_move=0.02, eta=0.0)
+    optimum, bound = informed_optimum(pool), upper_bound(pool, [0, 1], time_limit=2)
+    assert optimum - 1e-6 <= bound.upper <= optimum + 0.1 * abs(optimum)
+    # A bound without what they see would be too low: the test can fail.
+    people = Population(beta=(0.6, 0.6), theta=(0.3, 0.8))
+    alone = Pool.sample(TASKS[task], 2, seed=1, setting=replace(pool.setting, neighbours=None), population=people)
+    assert upper_bound(alone, [0, 1], time_limit=2).upper_seen < optimum
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("robots", [1, 2])
+def test_no_simulated_policy_exceeds_the_bound(tiny: Table, rule: str, robots: int) -> None:
+    pool = pool_of(tiny, RULES[rule], robots=robots)
+    bound = upper_bound(pool, [0, 1], time_limit=2)
+    for name in ("attention", "attention-outlook", "priority"):
+        found = bound.certify(name, episodes=1000)
+        assert found.value - 3 * found.value_stderr <= bound.upper
+
+
+def test_values_are_lifted_to_the_largest_within_the_envelope(tiny: Table) -> None:
+    pool = pool_of(tiny, SeenFollowed(0.2, 0.1), robots=2)
+    envelope = Envelope.of(pool, (0, 1), (0,))
+    assert envelope is not None
+    theta, value = envelope.grid.theta, np.random.default_rng(1).normal(size=(3, 2, 10))
+    np.testing.assert_allclose(envelope.high[2], np.clip(theta + 0.36, 0, 1))
+    np.testing.assert_allclose(envelope.low[1], np.clip(theta - 0.09, 0, 1))
+    fine = np.linspace(0, 1, 1801)
+    for events in range(3):
+        lifted = envelope.lifted(value, events)
+        for x, h, t in np.ndindex(value.shape):
+            within = fine[(fine >= envelope.low[events, t] - 1e-9) & (fine <= envelope.high[events, t] + 1e-9)]
+            assert lifted[x, h, t] == pytest.approx(np.interp(within, theta, value[x, h]).max(), abs=1e-9)
+
+
+@dataclass(frozen=True)
+class Boundless:
+    """A rule that does not say how far theta can come."""
+
+    def update(self, theta: np.ndarray, event: SeenEvent) -> np.ndarray:
+        return np.clip(theta + event.weight * event.gain, 0, 1)
+
+
+def test_refusals(tiny: Table) -> None:
+    with pytest.raises(ValueError, match="Boundless does not say how far theta can come; a bound expects a rule"):
+        upper_bound(pool_of(tiny, Boundless()), [0, 1], time_limit=3)
+    with pytest.raises(ValueError, match="paths 4: expected 0, as sample paths do not have what people see"):
+        upper_bound(pool_of(tiny, SeenFollowed()), [0, 1], time_limit=3, paths=4)
