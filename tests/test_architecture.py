@@ -44,8 +44,8 @@ ROOMS = {
         attention_subproblem truncated_task state_cache closed_problem growing_problem leaf_estimates backups
         compliance_relaxation truncated_bound truncated_policy person_problem""",
     "assist.learning": """method statistics log_steps log_json log_files log comparison intervals advice_log
-        advice_rules advice_model advice_fit replay observations joint_states evidence likelihood choosing
-        likelihood_table likelihood_arrays first_estimates person_estimate profiles maximum_likelihood
+        advice_rules advice_model advice_fit replay observations joint_states evidence neighbours likelihood
+        choosing likelihood_table likelihood_arrays first_estimates person_estimate profiles maximum_likelihood
         logit_likelihood hierarchy misconception_fit
         diagnostics population fit goals model_comparison rule_families posterior_sample influence_population
         rule_search trust_fit rule_comparison""",

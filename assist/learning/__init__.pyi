@@ -27,6 +27,8 @@ from .log import read_log as read_log
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
 from .misconception_fit import fit_misconception as fit_misconception
 from .model_comparison import compare_models as compare_models
+from .neighbours import places_of as places_of
+from .neighbours import with_neighbours as with_neighbours
 from .observations import EvaluatedStates as EvaluatedStates
 from .observations import Observations as Observations
 from .observations import UnknownGoals as UnknownGoals
@@ -42,6 +44,7 @@ from .replay import Recording as Recording
 from .replay import replay as replay
 from .rule_comparison import compare_rules as compare_rules
 from .rule_families import RuleFamily as RuleFamily
+from .rule_families import seen_families as seen_families
 from .trust_fit import Influence as Influence
 from .trust_fit import InfluenceFit as InfluenceFit
 from .trust_fit import fit_influence as fit_influence

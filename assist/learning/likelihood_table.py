@@ -15,7 +15,8 @@ from planner.system.arrays import read_only
 from planner.system.jit import njit
 from planner.system.results import ByContent
 
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
+from ..people.neighbours import SeenEvent, SeenRule
 from ..people.perceived_suggestions import PerceivedSuggestions, moved
 from ..people.trust_rules import LEAST, EquationSeven, Event, TrustRule
 from .likelihood import Data, Method, alone, largest_beta, with_trust
@@ -63,6 +64,9 @@ class LikelihoodTable(ByContent):
         Arrays of shape (K, H).
     beta, theta : float arrays, shapes (B,), (T,)
         Nodes.
+    seen : float array, shape (K, H + 1, E, 4)
+        Up to E events that each person saw of neighbours before each suggestion, and after the last: the gain, whether
+        it was followed, the weight (0 for none), and whether it was in the episode of this suggestion.
     """
 
     people: tuple[str, ...]
@@ -76,6 +80,7 @@ class LikelihoodTable(ByContent):
     suggestions: PerceivedSuggestions
     beta: Floats
     theta: Floats
+    seen: Floats
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -122,6 +127,7 @@ class LikelihoodTable(ByContent):
         return cls(
             tuple(o.person for o in observations), np.array([len(o) for o in observations]), heard, anew, followed,
             tuple(every), tuple(silent), tuple(chances), PerceivedSuggestions(gain, agrees, optimal), beta, theta,
+            _seen(observations, shape[1]),
         )  # fmt: skip
 
     @classmethod
@@ -175,14 +181,28 @@ class LikelihoodTable(ByContent):
         theta, before = start, np.empty((*self.followed.shape, len(self.theta)))
         none = count = np.zeros((len(self.people), 1), dtype=np.int64)
         for h in range(self.followed.shape[1]):
+            theta = self._moved(rule, theta, h, now=False)
             if not carry:
                 theta = np.where(self.anew[:, h, None], start, theta)
                 count = np.where(self.anew[:, h, None], none, count)
-            before[:, h] = theta
+            before[:, h] = theta = self._moved(rule, theta, h, now=True)
             # What fills up the arrays comes after a person's last suggestion, so that it may move the count.
             after, count = moved(rule, theta, count, Event(**{name: array[:, h, None] for name, array in seen.items()}))
             theta = np.where(h < self.heard[:, None], after, theta)
+        for now in (False, True):
+            theta = self._moved(rule, theta, -1, now=now)
         return before, theta
+
+    def _moved(self, rule: TrustRule, theta: Floats, h: int, *, now: bool) -> Floats:
+        """Return theta, shape (K, T), after what was seen before a suggestion, in its episode or in earlier ones."""
+        seen: SeenRule | None = getattr(rule, "seen", None)
+        for e in range(self.seen.shape[2] if seen is not None else 0):
+            gain, followed, weight, current = self.seen[:, h, e, :, None].swapaxes(0, 1)
+            moves = (weight > 0) & ((current > 0) == now)
+            if moves.any():
+                assert seen is not None
+                theta = np.where(moves, seen.update(theta, SeenEvent(gain, followed > 0, weight)), theta)
+        return theta
 
     def log_likelihood(self, rule: TrustRule, *, carry: bool = True) -> Floats:
         """Return the log likelihood of each person's choices, shape (K, B, T); parameters as for `thetas`."""
@@ -191,6 +211,25 @@ class LikelihoodTable(ByContent):
         for k, data in enumerate(self.data):
             _fill(found[k], data, self.silent[k], self.chances[k], before[k, : self.heard[k]])
         return found
+
+
+def _seen(observations: Sequence[Observations], most: int) -> Floats:
+    """Return `LikelihoodTable.seen` of people with at most so many suggestions; what came last stands at the end."""
+    each: list[list[list[tuple[float, ...]]]] = []
+    for o in observations:
+        of_person: list[list[tuple[float, ...]]] = [[] for _ in range(most + 1)]
+        if o.seen is not None:
+            last = int((o.suggested != NOTHING).sum())
+            columns = (o.seen.before, o.seen.gain, o.seen.followed, o.seen.weight, o.seen.now)
+            for before, *event in zip(*(column.tolist() for column in columns), strict=True):
+                of_person[before if before < last else -1].append(tuple(map(float, event)))
+        each.append(of_person)
+    width = max((len(events) for of_person in each for events in of_person), default=0)
+    found = np.zeros((len(each), most + 1, width, 4))
+    for k, of_person in enumerate(each):
+        for h, events in enumerate(of_person):
+            found[k, h, : len(events)] = np.reshape(events, (len(events), 4))
+    return found
 
 
 @njit(nogil=True)

@@ -102,6 +102,31 @@ class EvaluatedStates(ByContent):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class Seen(ByContent):
+    """What a person saw of suggestions to neighbours, in order of time; E events.
+
+    Attributes
+    ----------
+    before : int array, shape (E,)
+        Number of suggestions to the person until then, in all episodes.
+    now : bool array, shape (E,)
+        Whether it was in the episode of the next suggestion to the person.
+    gain, weight : float arrays, shape (E,)
+    followed : bool array, shape (E,)
+        As in `people.neighbours.SeenEvent`.
+    """
+
+    before: Ints
+    now: NDArray[np.bool_]
+    gain: Floats
+    followed: NDArray[np.bool_]
+    weight: Floats
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Observations(Result):
     """One person's recorded choices; N steps of up to A choices.
 
@@ -141,6 +166,8 @@ class Observations(Result):
     goals : UnknownGoals, optional
         The choices with each possible goal; None if the goal is known. What depends on the goal in other fields then
         belongs to one goal for each episode.
+    seen : Seen, optional
+        What the person saw of suggestions to neighbours (`neighbours.with_neighbours`).
     """
 
     person: str
@@ -161,6 +188,7 @@ class Observations(Result):
     features: Floats
     own: Chances | None = None
     goals: UnknownGoals | None = None
+    seen: Seen | None = None
 
     def __post_init__(self) -> None:
         read_only(self)

@@ -31,7 +31,7 @@ Rules: TypeAlias = Mapping[str, Any]
 
 def compare_rules(
     people: Evidence | Sequence[Observations] | AdviceLog, method: Method | None = None, *,
-    rules: Rules | None = None, folds: int = FOLDS, carry: bool = True,
+    rules: Rules | None = None, reference: str = REFERENCE, folds: int = FOLDS, carry: bool = True,
     time_limit: float | None = None, progress: Callable[[int], None] | None = None,
 ) -> Comparison:  # fmt: skip
     """Return a comparison of trust rules by the log probability of the choices of held-out people.
@@ -45,8 +45,10 @@ def compare_rules(
     method : Method, optional
         As for `fit_influence`; of advice, only the level of the intervals is used.
     rules : mapping of str to RuleFamily, or to Rule or None
-        The rules; "constant" is among them. Those of `families` unless given. Of advice, those of `COMPARED`; None
+        The rules; the reference is among them. Those of `families` unless given. Of advice, those of `COMPARED`; None
         stands for base rates.
+    reference : str
+        The rule with which the others are compared.
     folds : int
         Groups of people that are left out in turn.
     carry : bool
@@ -61,14 +63,14 @@ def compare_rules(
     LogError
         Nothing was ever suggested, or there are fewer than two people.
     ValueError
-        There are fewer than two folds, or "constant" is missing, or the likelihood is not finite.
+        There are fewer than two folds, or the reference is missing, or the likelihood is not finite.
     """
     method = method or Method()
     people = people if isinstance(people, AdviceLog) else observations_of(people)
     rules = rules_of(people, method) if rules is None else rules
     fits: dict[str, FitTo[Any]]
-    if REFERENCE not in rules:
-        raise ValueError(f"rules {', '.join(rules)}: expected '{REFERENCE}' among them")
+    if reference not in rules:
+        raise ValueError(f"rules {', '.join(rules)}: expected '{reference}' among them")
     if isinstance(people, AdviceLog):
         names, choices = tuple(people.people), people.counts
         folds_of(len(names), folds)
@@ -82,7 +84,7 @@ def compare_rules(
         names, choices = log.people, log.counts
         fits = {name: partial(_fit_to, log, family, carry) for name, family in rules.items()}
     return compared(
-        fits, names, choices, REFERENCE, fold=fold, level=method.level, time_limit=time_limit, progress=progress
+        fits, names, choices, reference, fold=fold, level=method.level, time_limit=time_limit, progress=progress
     )
 
 

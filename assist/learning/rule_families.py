@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
+from ..people.neighbours import SeenFollowed, SeenNothing, SeenOutcome, SeenRule, SeenSteps, WithSeen
 from ..people.trust_rules import EquationSeven, Reliability, TrustRule, constant, outcome, outcome_at_disagreement
 from .intervals import Interval
 from .likelihood import Method
@@ -83,4 +84,43 @@ def families(method: Method) -> dict[str, RuleFamily]:
 
 def parameters_of(rule: TrustRule) -> dict[str, float]:
     """Return the numbers that a rule has, by name."""
-    return {name: float(value) for name, value in vars(rule).items() if type(value) in (int, float)}
+    parts = [rule.own, rule.seen] if isinstance(rule, WithSeen) else [rule]
+    numbers = [(name, value) for part in parts for name, value in vars(part).items()]
+    return {name: float(value) for name, value in numbers if type(value) in (int, float)}
+
+
+def seen_families(own: TrustRule | RuleFamily) -> dict[str, RuleFamily]:
+    """Return the rules by which theta moves by what is seen of neighbours, by name, beside a rule of one's own.
+
+    "none" is the person's own rule alone.
+
+    Parameters
+    ----------
+    own : TrustRule or RuleFamily
+        How theta moves by suggestions to oneself: a rule, or a family whose parameters are estimated as well.
+    """
+    mine = own if isinstance(own, RuleFamily) else RuleFamily.of(own)
+    kinds: dict[str, tuple[Callable[..., SeenRule], dict[str, Interval], tuple[tuple[float, ...], ...]]] = {
+        "none": (SeenNothing, {}, ((),)),
+        "outcome": (SeenOutcome, {"eta_seen": (0.0, 1.0)}, ((0.03,), (0.1,), (0.3,))),
+        "followed": (SeenFollowed, {"rise": (0.0, 1.0), "fall": (0.0, 1.0)}, ((0.03, 0.03), (0.1, 0.1))),
+        "steps": (
+            lambda seen_gain, seen_loss: SeenSteps(seen_gain, seen_loss),
+            {"seen_gain": (0.0, LARGEST_STEP), "seen_loss": (0.0, LARGEST_STEP)}, ((0.1, 0.2), (0.4, 0.4)),
+        ),
+    }  # fmt: skip
+
+    def made(seen: Callable[..., SeenRule], names: Mapping[str, Interval]) -> Callable[..., TrustRule]:
+        def make(**values: float) -> TrustRule:
+            of_seen = {name: values.pop(name) for name in names}
+            return WithSeen(mine.make(**values), seen(**of_seen))
+
+        return make
+
+    return {
+        name: RuleFamily(
+            made(seen, ranges), {**mine.ranges, **ranges},
+            tuple((*one, *other) for one in mine.tried for other in tried), mine.logarithms,
+        )
+        for name, (seen, ranges, tried) in kinds.items()
+    }  # fmt: skip

@@ -131,8 +131,8 @@ class InfluenceFit(Result):
 
 
 def fit_influence(
-    observations: Evidence | Sequence[Observations], rule: str | TrustRule, method: Method | None = None, *,
-    carry: bool = True,
+    observations: Evidence | Sequence[Observations], rule: str | TrustRule | RuleFamily, method: Method | None = None,
+    *, carry: bool = True,
 ) -> InfluenceFit:  # fmt: skip
     """Return each person's influence under a trust rule.
 
@@ -142,8 +142,8 @@ def fit_influence(
     ----------
     observations : Evidence, or sequence of Observations
         A log that was replayed; or one for each person.
-    rule : str or TrustRule
-        The name of a shipped rule, whose parameters are estimated; or a rule, taken unchanged.
+    rule : str, TrustRule or RuleFamily
+        The name of a shipped rule, whose parameters are estimated; or a rule, taken unchanged; or a family of rules.
     method : Method, optional
         Level of the intervals, lapse, and what is known beforehand.
     carry : bool
@@ -160,7 +160,8 @@ def fit_influence(
     known = families(method)
     if isinstance(rule, str) and rule not in known:
         raise ValueError(f"trust '{rule}': expected one of {', '.join(known)}, or a rule")
-    family = known[rule] if isinstance(rule, str) else RuleFamily.of(rule)
+    of_name = known[rule] if isinstance(rule, str) else rule
+    family = of_name if isinstance(of_name, RuleFamily) else RuleFamily.of(of_name)
     log = LikelihoodTable.of_advised(observations_of(observations), method, carry=carry)
     search = RuleSearch(log, family, carry)
     values, intervals = search.best(), {}
@@ -201,6 +202,7 @@ def fit_influence(
         ),
     )  # fmt: skip
     chosen = family.rule(values)
+    name = type(chosen).__name__ if isinstance(rule, RuleFamily) else name
     return InfluenceFit(
         name, parameters_of(chosen), intervals, population, value, carry, tuple(people), chosen, margins
     )

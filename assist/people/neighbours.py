@@ -28,7 +28,7 @@ from pydantic import BeforeValidator, Field, PlainValidator
 from planner.system.errors import expected
 
 from ..declare.declared import MOST, DeclarationError, Expected, Number, Truth, declared
-from .trust_rules import LEAST
+from .trust_rules import LEAST, Event, Feedback, TrustRule, counts_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -156,6 +156,40 @@ def _event(gain: float, followed: bool, weight: float) -> SeenEvent:
     import numpy as np
 
     return SeenEvent(np.array(gain), np.array(followed), np.array(weight))
+
+
+@dataclass(frozen=True)
+class WithSeen:
+    """A trust rule of people who also see their neighbours helped, for estimates from logs.
+
+    Attributes
+    ----------
+    own : TrustRule
+        How theta moves by suggestions to oneself.
+    seen : SeenRule
+    """
+
+    own: TrustRule
+    seen: SeenRule
+
+    @property
+    def uses_answer(self) -> bool:
+        """As in the person's own rule."""
+        return self.own.uses_answer
+
+    @property
+    def feedback(self) -> Feedback:
+        """As in the person's own rule."""
+        return self.own.feedback
+
+    @property
+    def counts(self) -> int:
+        """As in the person's own rule."""
+        return counts_of(self.own)
+
+    def update(self, theta: Floats, event: Event, *count: Any) -> Floats:
+        """Return theta after a suggestion to oneself."""
+        return self.own.update(theta, event, *count)
 
 
 ShippedSeen: TypeAlias = SeenNothing | SeenOutcome | SeenFollowed | SeenSteps
