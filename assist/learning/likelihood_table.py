@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from typing import Any
@@ -180,29 +180,37 @@ class LikelihoodTable(ByContent):
         start = np.broadcast_to(self.theta, (len(self.people), len(self.theta)))
         theta, before = start, np.empty((*self.followed.shape, len(self.theta)))
         none = count = np.zeros((len(self.people), 1), dtype=np.int64)
+        see = self._moves(rule)
         for h in range(self.followed.shape[1]):
-            theta = self._moved(rule, theta, h, now=False)
+            theta = see(theta, h, False)
             if not carry:
                 theta = np.where(self.anew[:, h, None], start, theta)
                 count = np.where(self.anew[:, h, None], none, count)
-            before[:, h] = theta = self._moved(rule, theta, h, now=True)
+            before[:, h] = theta = see(theta, h, True)
             # What fills up the arrays comes after a person's last suggestion, so that it may move the count.
             after, count = moved(rule, theta, count, Event(**{name: array[:, h, None] for name, array in seen.items()}))
             theta = np.where(h < self.heard[:, None], after, theta)
-        for now in (False, True):
-            theta = self._moved(rule, theta, -1, now=now)
-        return before, theta
+        return before, see(see(theta, -1, False), -1, True)
 
-    def _moved(self, rule: TrustRule, theta: Floats, h: int, *, now: bool) -> Floats:
-        """Return theta, shape (K, T), after what was seen before a suggestion, in its episode or in earlier ones."""
+    def _moves(self, rule: TrustRule) -> Callable[[Floats, int, bool], Floats]:
+        """Return a function of theta, shape (K, T), a suggestion, and whether what was seen was in its episode.
+
+        It returns theta after what was seen then, which is theta itself for rules without neighbours.
+        """
         seen: SeenRule | None = getattr(rule, "seen", None)
-        for e in range(self.seen.shape[2] if seen is not None else 0):
-            gain, followed, weight, current = self.seen[:, h, e, :, None].swapaxes(0, 1)
-            moves = (weight > 0) & ((current > 0) == now)
-            if moves.any():
-                assert seen is not None
-                theta = np.where(moves, seen.update(theta, SeenEvent(gain, followed > 0, weight)), theta)
-        return theta
+        if seen is None or not self.seen.shape[2]:
+            return lambda theta, _h, _now: theta
+        update, (gain, followed, weight, current) = seen.update, np.moveaxis(self.seen, 3, 0)[..., None]
+        moves = [(weight > 0) & (current == now) for now in (False, True)]
+        some = [[np.flatnonzero(row) for row in one.any(axis=(0, 3))] for one in moves]
+
+        def moved(theta: Floats, h: int, now: bool) -> Floats:
+            for e in some[now][h].tolist():
+                event = SeenEvent(gain[:, h, e], followed[:, h, e] > 0, weight[:, h, e])
+                theta = np.where(moves[now][:, h, e], update(theta, event), theta)
+            return theta
+
+        return moved
 
     def log_likelihood(self, rule: TrustRule, *, carry: bool = True) -> Floats:
         """Return the log likelihood of each person's choices, shape (K, B, T); parameters as for `thetas`."""
