@@ -86,7 +86,7 @@ def bounds(settings: int, instance: str, record: Path | None) -> None:
         bound = upper_bound(pool, time_limit=0.6, jobs=1)
         found = [bound.certify(policy, episodes=512, seed=number) for policy in POLICIES]
         best = max(found, key=lambda one: one.value)
-        alone = upper_bound(pool.under(neighbours=None), time_limit=0.3, jobs=1).upper_seen
+        alone = upper_bound(pool.under(replace(setting, neighbours=None)), time_limit=0.3, jobs=1).upper_seen
         rows.append({
             "rule": rule["rule"], "errors": (best.value - bound.upper) / best.value_stderr,
             "gap": 100 * (bound.upper - best.value) / abs(best.value),
@@ -151,7 +151,8 @@ def policies(
 def _differences(pool: Pool, people: int, episodes: int) -> dict[str, Any]:
     """Return what policies gain over attention, in return per person, with standard errors."""
     blind = Blind(Priority.of(pool.policies, pool.setting.travel(people)))
-    ignorant = pool.under(neighbours=replace(pool.setting.neighbours, known=False))  # type: ignore[type-var]
+    seen = replace(pool.setting.neighbours, known=False)  # type: ignore[type-var]
+    ignorant = pool.under(replace(pool.setting, neighbours=seen))
     found = {
         name: simulate(one, policy, humans=people, episodes=episodes, seed=0)
         for name, one, policy in (
