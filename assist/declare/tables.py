@@ -136,8 +136,11 @@ def told(file: Path, place: str = "") -> Iterator[None]:
 
 
 def label(mapping: Mapping[str, Any]) -> str:
-    """Return the label of a setting: its keys and values in their order."""
-    return ", ".join(
-        f"{key} {value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else f"{key} {value}"
-        for key, value in mapping.items()
-    )
+    """Return the label of a setting: its keys and values in their order, those of a table in parentheses."""
+
+    def said(value: Any) -> str:
+        if isinstance(value, Mapping):
+            return f"({label(value)})"
+        return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+
+    return ", ".join(f"{key} {said(value)}" for key, value in mapping.items())

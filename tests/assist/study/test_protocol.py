@@ -189,3 +189,17 @@ def test_the_shipped_example_is_of_another_domain() -> None:
     study = read(ROOT / "docs" / "examples" / "lockers.toml")
     assert all(DOMAINS / "lockers" in files.problem.resolve().parents for _, files in study.instances)
     assert study.focus == "furthest_first"
+
+
+def test_who_sees_whom_is_a_factor_of_the_shipped_study() -> None:
+    study = read("neighbours")
+    labels = [label for label, _ in study.conditions[0].settings]
+    assert labels[1] == "neighbours (rule (rule outcome, eta_seen 0.02), sees next)"
+    graphs = {
+        (one.neighbours.sees, one.neighbours.rule.eta_seen) for _, one in study.conditions[0].settings if one.neighbours
+    }  # type: ignore[attr-defined]
+    assert graphs == {(sees, rate) for sees in ("next", "everybody") for rate in (0.02, 0.1)}
+    assert study.record()["conditions"][0]["settings"][2][1]["neighbours"]["rule"] == {
+        "rule": "outcome", "eta_seen": 0.02, "utility_scale": 1.0
+    }  # fmt: skip
+    assert study.fingerprint() == read("neighbours").fingerprint() != read("trust").fingerprint()
