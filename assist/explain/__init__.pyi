@@ -3,6 +3,7 @@ from .contrast import Contrast as Contrast
 from .contrast import contrast as contrast
 from .explanation import Explanation as Explanation
 from .explanation import Prospect as Prospect
+from .explanation import Sight as Sight
 from .explanation import WhyNothing as WhyNothing
 from .explanation import WhyPerson as WhyPerson
 from .explanation import WhyQuestion as WhyQuestion

@@ -63,6 +63,8 @@ class Prospect:
         Cost of the suggestion, in cost units.
     moving : float
         Cost of the robot's way to the person, in cost units.
+    seen : float
+        By how much it is expected to lower the cost of those who see it, in cost units, if the policy considers them.
     """
 
     person: str | None
@@ -70,16 +72,35 @@ class Prospect:
     worth: float
     cost: float
     moving: float
+    seen: float = 0.0
 
     @property
     def score(self) -> float:
         """The score of Algorithm 1: the expected saving minus the costs of the suggestion and of the way."""
-        return self.worth - self.cost - self.moving
+        return self.worth + self.seen - self.cost - self.moving
 
     @property
     def threshold(self) -> float:
         """The cost of this suggestion at which its score would be 0, if later ones kept their cost."""
-        return self.worth - self.moving
+        return self.worth + self.seen - self.moving
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a person saw last of a suggestion to a neighbour, in their present task.
+
+    Attributes
+    ----------
+    person : str
+    neighbour : str or None
+        None where it is not said who it is.
+    followed : bool
+        Whether the neighbour followed the suggestion.
+    """
+
+    person: str
+    neighbour: str | None
+    followed: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +118,8 @@ class WhyPerson:
         The other people who could be helped, the largest score first.
     rule : str
         Name of the team's policy.
+    saw : Sight or None
+        What the person saw last of a neighbour.
     """
 
     prospect: Prospect
@@ -104,6 +127,7 @@ class WhyPerson:
     arrived: bool
     others: tuple[Prospect, ...]
     rule: str
+    saw: Sight | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +242,8 @@ class Explanation:
             del plain["step"]["goal"], plain["step"]["goal_probability"]
         if self.nothing is not None and self.nothing.question is None:
             del plain["nothing"]["question"]
+        if self.now is not None and self.now.saw is None:
+            del plain["now"]["saw"]
         if self.state_probability < 1:
             plain["state_probability"] = self.state_probability
         for one in (plain["against"], (plain["step"] or {}).get("likely")):
@@ -251,7 +277,8 @@ class Explanation:
         if self.now is None:
             return self
         others = tuple(replace(other, person=None, action=None) for other in self.now.others)
-        return replace(self, now=replace(self.now, others=others))
+        saw = None if self.now.saw is None else replace(self.now.saw, neighbour=None)
+        return replace(self, now=replace(self.now, others=others, saw=saw))
 
     def _sentences(self, say: Catalogue) -> Iterator[str]:
         if self.step is not None:
@@ -365,8 +392,14 @@ def _person(say: Catalogue, why: WhyPerson, suggests: bool) -> Iterator[str]:
     if why.rule == "reactive":
         yield say("person.mistake")
         return
+    if why.saw is not None:
+        key = "person.saw_followed" if why.saw.followed else "person.saw_declined"
+        neighbour = say.texts["somebody"] if why.saw.neighbour is None else why.saw.neighbour
+        yield say(key, neighbour=neighbour)
     if suggests or not why.arrived:
         yield _brings(say, "person", mine, here=why.here)
+    if mine.seen:
+        yield say("person.seen" if mine.seen > 0 else "person.seen_harm", worth=say.about(abs(mine.seen)))
     left = say.about(mine.score) if mine.score > 0 else say.texts["nought"]
     best = why.others[0].score if why.others else 0.0
     if not why.others:

@@ -7,7 +7,7 @@ little while a decision is made, and all else is computed only on request.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeVar
 
@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 from planner import CostToGo
 
 from ..explain.contrast import Contrast, contrast
-from ..explain.explanation import Cause, Explanation, Prospect, WhyNothing, WhyPerson, WhyQuestion, WhyStep
+from ..explain.explanation import Cause, Explanation, Prospect, Sight, WhyNothing, WhyPerson, WhyQuestion, WhyStep
 from ..people.choices import Choices
 from ..people.decision import Floats, same_cost
+from ..people.neighbourhood import Neighbourhood
 from ..person.beliefs import Beliefs
 from ..person.joint_belief import is_certain
 from ..person.policy import Policy
+from ..person.settings import Setting
 from ..person.ties import first_best
-from ..team.state import by_model, worth_of_actions
+from ..team.outlook import outlook
+from ..team.state import BASE, TeamState, by_model, worth_of_actions
 from ..texts.refusals import InapplicableError
 from .advice import Question
 from .live_task import LiveTask
@@ -59,6 +62,10 @@ class DecisionPoint:
         Name of the team's policy.
     extra : float
         What a suggestion by this robot costs more than in people's problems, in cost units.
+    neighbours : Neighbourhood or None
+        Who sees whom, if it moves theta and the robots know of it.
+    saw : mapping of int to Sight
+        What people saw last of a neighbour in their present task, by place.
     """
 
     names: tuple[str, ...]
@@ -74,10 +81,19 @@ class DecisionPoint:
     moving: Floats
     rule: str
     extra: float = 0.0
+    neighbours: Neighbourhood | None = None
+    saw: Mapping[int, Sight] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, team: Roster, here: int, moving: Floats, rule: str, extra: float, asked: Question | None = None
+        cls,
+        team: Roster,
+        here: int,
+        moving: Floats,
+        rule: str,
+        extra: float,
+        asked: Question | None = None,
+        neighbours: Neighbourhood | None = None,
     ) -> DecisionPoint:
         """Return a copy of the present state of a team, in which a question is asked as well.
 
@@ -95,7 +111,11 @@ class DecisionPoint:
             tuple(team.by_name), tuple(team.problems), policies, team.beliefs.of(np.arange(count)),
             copy(team.model), copy(team.robot), copy(team.present), copy(team.ended),
             {k: _why(one) for k, one in sorted(questions.items())},
-            here, moving[:count], rule, extra,
+            here, moving[:count], rule, extra, neighbours,
+            {
+                k: Sight(one.name, one.saw[-1].neighbour, one.saw[-1].followed)
+                for k, one in enumerate(team.records) if one.saw
+            },
         )  # fmt: skip
         for number, rows in by_model(point.model, np.arange(count), len(policies)):
             policies[number].hold(point, point.beliefs.x[rows])
@@ -281,7 +301,7 @@ class DecisionPoint:
         if self.rule != "reactive":  # which does not compare people
             others = [one for other, one in self._prospects.items() if other != place]
         others.sort(key=lambda one: -one.score)
-        return WhyPerson(mine, self.here == place, arrived, tuple(others), self.rule)
+        return WhyPerson(mine, self.here == place, arrived, tuple(others), self.rule, self.saw.get(place))
 
     def _prospect(self, place: int, robot: int) -> Prospect:
         """Return the prospect of one robot action, or of the best suggestion for 0."""
@@ -294,8 +314,29 @@ class DecisionPoint:
         cost = float(policy.pomdp.robot_costs[row, robot])
         return Prospect(
             self.names[place], policy.pomdp.suggestion(row, robot), float(q[robot] - q[0]) + cost,
-            cost + self.extra, float(self.moving[place]),
+            cost + self.extra, float(self.moving[place]), self._seen_by_others(place, robot),
         )  # fmt: skip
+
+    def _seen_by_others(self, place: int, robot: int) -> float:
+        """Return what a suggestion is worth for those who see it, if the policy considers them."""
+        if self.neighbours is None or self.rule != "attention-outlook" or not robot:
+            return 0.0
+        return float(self._outlook[place, robot])
+
+    @cached_property
+    def _outlook(self) -> Floats:
+        """What the robot actions towards each person are worth for those who see it, shape (P, R)."""
+        active = self.present & ~self.ended
+        travel = Setting().travel(len(self.names))
+        actions = max(policy.pomdp.suggested.shape[1] for policy in self.policies)
+        known = self.beliefs.of(np.arange(len(self.names)))
+        assert self.neighbours is not None
+        size = len(self.names)
+        seen = Neighbourhood(self.neighbours.rule, self.neighbours.sees[:size, :size])
+        team = TeamState(
+            0, active[None], np.full((1, 1), BASE), self.model[None], known, self.policies, travel, neighbours=seen
+        )
+        return outlook(team, actions, Policy.value)[0]
 
     def _values(self, policy: Policy, places: NDArray[np.int64]) -> Floats:
         """Return the Q-values of the robot actions towards some people of one policy, expected over task states."""

@@ -88,7 +88,8 @@ class Decisions:
         rule = policy if isinstance(policy, str) else getattr(policy, "name", getattr(policy, "__name__", "your own"))
         location = self._places.at[number]
         moving = self._places.cost(number, location)
-        return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number), asked)
+        seen = neighbourhood(self._team, self._setting)
+        return DecisionPoint.of(self._team, location, moving, str(rule), self._extra(number), asked, seen)
 
     def _extra(self, number: int) -> float:
         """Return what a suggestion by a robot costs more than in people's problems."""

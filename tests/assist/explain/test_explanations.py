@@ -17,6 +17,7 @@ from assist.explain import (
     Contrast,
     Explanation,
     Prospect,
+    Sight,
     WhyNothing,
     WhyPerson,
     WhyQuestion,
@@ -574,6 +575,10 @@ def explanations() -> list[Explanation]:
     found.append(Explanation(WhyStep("(a)", 0.6, some, "kit-a", 0.8)))
     now = WhyPerson(Prospect("ann", "(a)", 2.0, 0.1, 0.0), True, True, (), "attention")
     found.append(Explanation(WhyStep("(a)", 0.5, Contrast("(a)", "(b)", 0.0, "actions", None, 0.5)), now))
+    for seen, followed in ((0.5, True), (-0.5, False)):
+        mine, sight = Prospect("ann", "(a)", 0.2, 0.1, 0.0, seen), Sight("ann", "Ben", followed)
+        found.append(Explanation(now=WhyPerson(mine, True, False, (), "attention-outlook", sight)))
+        found.append(found[-1].without_names())
     found.append(Explanation(WhyStep("(a)", 0.6, some)).in_state(0.8))
     for reason in get_args(Cause):
         if reason in ("cost", "asked"):

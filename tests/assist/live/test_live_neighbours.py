@@ -160,3 +160,29 @@ def test_an_erased_neighbour_changes_nothing_for_the_others(tiny: Table, tmp_pat
     assert left.beliefs() == erased.beliefs()
     left.close()
     erased.close()
+
+
+def test_an_explanation_says_what_was_seen_and_what_those_who_see_it_gain(tiny: Table) -> None:
+    neighbours = Neighbours(rule=SeenOutcome(0.3), sees="next")
+    team = Assistant(
+        tiny, list(NAMES), setting=Setting(c_suggest=0.05, c_move=0.0, neighbours=neighbours), policy="attention-outlook"
+    )  # fmt: skip
+    advice = team.recommend()
+    now = advice.explanation.now
+    assert now is not None
+    assert now.saw is None
+    assert now.prospect.seen > 0  # nobody's own theta moves by it, so that the suggestion pays for those who see it
+    assert now.prospect.worth - now.prospect.cost < now.prospect.score
+    assert any("Those who see it should save" in one for one in advice.explanation.sentences())
+    assert advice.person is not None
+    team.observe(advice.person, advice.suggestion)
+    other = "ann" if advice.person == "ben" else "ben"
+    tell(team, other, team.person(other).applicable[0])
+    told = team.explain(other)
+    assert told.now is not None
+    assert (told.now.saw.person, told.now.saw.neighbour, told.now.saw.followed) == (other, advice.person, True)  # type: ignore[union-attr]
+    assert f"You saw {advice.person} follow a hint." in told.sentences()
+    assert f"Sie haben gesehen, dass {advice.person} einem Hinweis folgte." in told.sentences("de")
+    assert "You saw somebody follow a hint." in told.without_names().sentences()
+    assert told.as_dict()["now"]["saw"]["neighbour"] == advice.person
+    assert "saw" not in advice.explanation.as_dict()["now"]
