@@ -165,7 +165,8 @@ def test_an_erased_neighbour_changes_nothing_for_the_others(tiny: Table, tmp_pat
 def test_an_explanation_says_what_was_seen_and_what_those_who_see_it_gain(tiny: Table) -> None:
     neighbours = Neighbours(rule=SeenOutcome(0.3), sees="next")
     team = Assistant(
-        tiny, list(NAMES), setting=Setting(c_suggest=0.05, c_move=0.0, neighbours=neighbours), policy="attention-outlook"
+        tiny, list(NAMES), policy="attention-outlook",
+        setting=Setting(c_suggest=0.05, c_move=0.0, neighbours=neighbours),
     )  # fmt: skip
     advice = team.recommend()
     now = advice.explanation.now
