@@ -154,7 +154,7 @@ def named(instance: Instance) -> str:
 def no_line_comes_between() -> None:
     """Make the output of commands in this process independent of their speed and of compiled code."""
     progress.BETWEEN_LINES = 1e6  # seconds
-    task.compiling_line = solve_progress.compiling_line = lambda: lambda _: None
+    task.compiling_line = solve_progress.compiling_line = lambda *_: lambda _: None
 
 
 @pytest.fixture(scope="session")

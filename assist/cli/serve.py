@@ -18,7 +18,8 @@ from .options.help import command
 from .options.live import bridge_of, changed_settings, live_options, plan_of
 from .options.policies import policy_errors
 from .options.settings import LiveSetting
-from .user_study import PORT, conduct, listen, live_server, note, public_url_option, trusted_proxy_option
+from .terminal.console import note
+from .user_study import PORT, conduct, listen, live_server, public_url_option, trusted_proxy_option
 
 if TYPE_CHECKING:
     from ..web.request_limits import Networks
@@ -58,7 +59,6 @@ def serve(
 
     If several tasks are given, people are assigned to them in turn.
     """
-    server = live_server()
     from ..web.log_lines import write_log
 
     write_log("json" if log_format == "json" else "text")
@@ -72,6 +72,8 @@ def serve(
         raise click.UsageError(
             f"{' and '.join(missing)}: missing; expected INSTANCE and --humans K, or --study FILE.toml"
         )
+    note("preparing the session; its links follow")
+    server = live_server()
     beside = None if bridge is None else bridge_of(bridge, len(setting.robots))
     with policy_errors():
         plan = replace(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import tempfile
 from pathlib import Path
 from types import ModuleType
@@ -17,7 +16,7 @@ from planner.system.errors import MissingExtraError
 from ..declare.options import Given
 from .options.common import is_given
 from .options.task import costs_of
-from .terminal.console import ExitCode, fail
+from .terminal.console import ExitCode, fail, note
 
 if TYPE_CHECKING:
     import socket
@@ -99,15 +98,6 @@ def listen(host: str, port: int | None, public_url: str | None) -> socket.socket
     if public_url is not None:
         note(f"listening at {server.address(found)} for a proxy that serves {public_url}")
     return found
-
-
-def note(text: str) -> None:
-    """Print a line to stderr, or log it where the log is JSON."""
-    log = logging.getLogger(__name__)
-    if log.isEnabledFor(logging.INFO):
-        log.info(text)
-    else:
-        click.echo(text, err=True)
 
 
 def new_folder() -> Path:

@@ -30,6 +30,7 @@ from .live_task import LiveTask
 from .neighbours import neighbourhood
 from .robot_places import RobotPlaces
 from .roster import Roster
+from .uncertain_actions import prepare_uncertain
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Decisions:
             self._problems[key] = made = LiveTask(task, self._setting, population)
             if self._setting.observation is not None:
                 self._setting.observation.evidence(made.choices, 0)  # raises an error if unsuitable
+                prepare_uncertain(made)
             self.renew()
             self._asks = None
         return self._problems[key]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,14 @@ def seen_of(
         raise Refusal("other", why="likelihoods: expected finite numbers of 0 or more, one of them positive")
     most = max(each.values())  # so that sums and products of large numbers stay finite, and small ones positive
     return {"likelihoods": {name: p / most for name, p in each.items()}}
+
+
+def prepare_uncertain(problem: LiveTask) -> None:
+    """Update a belief over task states once, so that nobody waits later for what is compiled for it."""
+    place = problem.place(problem.row(problem.initial))
+    at_first = JointBelief.at(place, problem.policy.pomdp.prior)
+    with suppress(ImpossibleObservationError):  # who has reached the goal already does nothing
+        at_first.after(Evidence.none(problem.choices), NOTHING, problem.policy)
 
 
 def glimpse_of(problem: LiveTask, choices: Choices, step: Step, model: ObservationModel | None) -> Glimpse:

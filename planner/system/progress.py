@@ -186,14 +186,18 @@ def _notebook() -> Callable[..., Any] | None:
     return ipython.display.display if ipython is not None and hasattr(shell, "kernel") else None
 
 
-def compiling_line() -> Callable[[str], None]:
-    """Return a function that prints a line on stderr about what is compiled, once for each purpose."""
+def _on_stderr(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def compiling_line(tell: Callable[[str], None] = _on_stderr) -> Callable[[str], None]:
+    """Return a function that tells, on stderr by default, what is compiled, once for each purpose."""
     said: set[str] = set()
 
     def say(purpose: str) -> None:
         if purpose not in said:
             said.add(purpose)
-            print(COMPILING_LINE.format(purpose=purpose), file=sys.stderr, flush=True)
+            tell(COMPILING_LINE.format(purpose=purpose))
 
     return say
 

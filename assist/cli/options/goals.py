@@ -17,7 +17,7 @@ from planner.system.progress import stages
 from planner.system.threads import on_threads
 
 from ...declare.options import Given
-from ..terminal.console import ExitCode, fail
+from ..terminal.console import ExitCode, fail, note
 from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def goals_of(
     except LimitError as error:
         if tables:
             raise
-        click.echo(f"evaluating states on demand: {error}", err=True)
+        note(f"evaluating states on demand: {error}")
         limits = Limits(seconds=time_limit)
         every = [planner.OnDemand(task, cache=planner.Cache(task, cache), jobs=jobs, limits=limits) for task in tasks]
     for costs in every:

@@ -11,7 +11,7 @@ from planner import Instance, InstanceError, find_instances
 from planner.system.compiling import compiling
 from planner.system.progress import compiling_line, stages
 
-from ..terminal.console import ExitCode, fail
+from ..terminal.console import ExitCode, fail, note
 
 if TYPE_CHECKING:
     from planner import CostToGo, Table, Task
@@ -30,13 +30,13 @@ def tell_of_compiling() -> None:
     """Make the running command announce compilation, if any function is compiled before the command ends."""
     context = click.get_current_context(silent=True)
     if context is not None:
-        context.with_resource(compiling(compiling_line()))
+        context.with_resource(compiling(compiling_line(note)))
 
 
 def tell_note(task: Task) -> None:
-    """Print the reader's note on a task to stderr, if there is one."""
+    """Tell the reader's note on a task, if there is one."""
     if task.note:
-        click.echo(f"{task.instance}: {task.note}", err=True)
+        note(f"{task.instance}: {task.note}")
 
 
 def table_of(instance: Instance) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 from codecs import lookup
 from collections.abc import Callable, Iterator
@@ -35,6 +36,15 @@ def fail(message: str, exit_code: int) -> NoReturn:
     """Print one line on stderr and exit."""
     click.echo(message, err=True)
     sys.exit(exit_code)
+
+
+def note(text: str) -> None:
+    """Print a line to stderr, or log it where the log has one object a line (`serve --log-format json`)."""
+    log = logging.getLogger("assist.cli")
+    if log.isEnabledFor(logging.INFO):
+        log.info(text)
+    else:
+        click.echo(text, err=True)
 
 
 @contextmanager

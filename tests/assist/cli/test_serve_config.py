@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import shutil
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from serving import TINY, served
 from test_live_web import Web
 
 from assist.cli import main
+from assist.cli.options import task
 from assist.cli.options.config import read_config
 from assist.cli.options.settings import LiveSetting
 from assist.cli.serve import serve
@@ -25,7 +27,9 @@ from assist.declare.declared import names_of
 from assist.declare.options import FieldOption, Given, printed
 from assist.live import Session
 from assist.person.settings import Setting
+from planner.system.compiling import announce
 from planner.system.errors import ResultsExistError
+from planner.system.progress import compiling_line
 
 FAR = [[0.0, 5.0, 1.0], [5.0, 0.0, 5.0], [1.0, 5.0, 0.0]]
 NEAR = [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]
@@ -152,7 +156,8 @@ person-1 = "tiny"
         assert (refused.status_code, "person-9" in refused.json()["detail"]) == (422, True)
         code, said = service.end(signal.SIGTERM)
         assert code == 0
-    lines = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
+    lines = [json.loads(line) for line in said.splitlines()]
+    assert {line["logger"] for line in lines} == {"assist.cli", "assist.web.server", "assist.web.reports"}
     assert any(line["message"] == "reloaded" and line["changes"] == 2 for line in lines)
     reports = [(line["event"], line["outcome"]) for line in lines if line["message"] == "report"]
     assert ("rearranged", "recorded") in reports
@@ -160,6 +165,20 @@ person-1 = "tiny"
     file.write_text(config)
     with served(*options, instance=None) as service:  # with the distances that are in force
         assert service.ask("GET", "/api/people/person-1").json()["task"] == "own"
+
+
+@pytest.mark.parametrize("level", [logging.INFO, logging.WARNING])
+def test_what_is_compiled_is_a_line_of_the_log_where_the_log_has_objects(
+    level: int, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(task, "compiling_line", compiling_line)
+    with caplog.at_level(level, "assist"), click.Context(serve):
+        task.tell_of_compiling()
+        announce("doubled numbers: a second")
+    said = "compiling doubled numbers: a second; once after an installation"
+    logged = [(record.name, record.getMessage()) for record in caplog.records]
+    told = [("assist.cli", said)], ""
+    assert (logged, capsys.readouterr().err) == (told if level == logging.INFO else ([], f"{said}\n"))
 
 
 def test_changed_distances_are_restored_and_required(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from test_unreliable_observations import by_enumeration, problem
 from assist.live import Assistant, Session
 from assist.live.uncertain_actions import after_answers
 from assist.people.real_people import advice_takers
-from assist.person import QMDP, ObservationModel, Setting, qmdp
+from assist.person import QMDP, ObservationModel, Setting, joint_belief, qmdp
 from assist.person.assumptions import Assumptions
 from assist.person.truncated_policy import SharedTask, TruncatedPolicy
 from assist.texts import InapplicableError
@@ -49,6 +49,17 @@ def test_a_certain_likelihood_is_an_action() -> None:
         assert (one.state, one.applicable, one.steps) == (other.state, other.applicable, other.steps)
         np.testing.assert_allclose(other.belief, one.belief, rtol=0, atol=1e-12)
     assert [row["action"] for row in plain.log()] == [row["action"] for row in given.log()]
+
+
+def test_what_an_update_needs_is_compiled_before_anybody_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, advance = list[int](), joint_belief._advance
+    monkeypatch.setattr(joint_belief, "_advance", lambda *given: calls.append(1) or advance(*given))
+    team = desk()
+    assert calls == [1]
+    team.join("bob")
+    assert calls == [1]
+    desk(SURE)
+    assert calls == [1]  # without an observation model, actions are seen as they are
 
 
 def test_actions_that_were_missed_before_one_that_was_seen_are_enumerated() -> None:
