@@ -7,7 +7,7 @@ has it. A new kind is a new class here.
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, WithJsonSchema
 
@@ -15,13 +15,10 @@ from ..declare.declared import Expected
 from ..live.event_base import INTERNAL, Action, Event, Name, Seq
 from ..live.names import LONGEST_REASON
 from ..texts.refusals import InapplicableError, Refusal
-from .participant_team import ParticipantTeam, Subs, own_action
+from .participant_team import Subs, own_action
 from .participants import DECLINED, DONE, FULL, GONE, HERE, UNMATCHED, WITHDREW, Participant
-from .plan import WAITING, Stage, UserStudy
-from .questionnaires import Item
-
-Facts = dict[str, Any]
-"""Fields of the record of an event, beside its number and time."""
+from .plan import WAITING
+from .teams import Facts, Teams
 
 Reason = Annotated[str, Field(min_length=1, max_length=LONGEST_REASON), Expected(f"1 to {LONGEST_REASON} characters")]
 
@@ -34,44 +31,6 @@ GivenAnswer = Annotated[
     }),
 ]  # fmt: skip
 """An answer; the questionnaire checks it, with clearer messages than those of a type that is a union."""
-
-
-class Cohort(Protocol):
-    """What events need of the participants of a study; `assist.userstudy.cohort.Cohort` has it."""
-
-    study: UserStudy
-    stages: tuple[Stage, ...]
-    participants: dict[str, Participant]
-
-    def known(self, person: str | None) -> Participant:
-        """Return the participant with this code."""
-
-    def is_free_for(self, person: Participant | None = None) -> bool:
-        """Whether there is a free place, or the returning participant still has one."""
-
-    def is_at_task(self, person: Participant) -> bool:
-        """Whether a participant is at a task, or at practice."""
-
-    def is_over(self, person: Participant) -> bool:
-        """Whether the participant's task is over."""
-
-    def items(self, person: Participant) -> tuple[Item, ...]:
-        """Return the questions at the participant's stage."""
-
-    def enters_next(self, person: Participant, n: int, time: float) -> Facts:
-        """Return what follows when a participant enters the next stage."""
-
-    def team_of(self, person: Participant) -> ParticipantTeam:
-        """Return the team of a participant who is at a task."""
-
-    def part(self, person: Participant, n: int, time: float) -> Subs:
-        """Remove a participant from their group's team."""
-
-    def rejoin(self, person: Participant, n: int, time: float) -> Subs:
-        """Let a participant return to their group's team."""
-
-    def completion(self) -> str:
-        """Return a completion code."""
 
 
 class StudyEvent(Event):
@@ -89,7 +48,7 @@ class StudyEvent(Event):
     comes_back: ClassVar[bool] = False
     """Whether a participant who was gone is back by it."""
 
-    def facts(self, cohort: Cohort, n: int, time: float) -> Facts | None:
+    def facts(self, cohort: Teams, n: int, time: float) -> Facts | None:
         """Apply the event to the participant's team; return the fields of its record, or None if nothing has changed.
 
         Raises
@@ -104,7 +63,7 @@ class StudyEvent(Event):
         found = self.happens(cohort, who, n, time)
         return None if found is None else facts | found
 
-    def happens(self, cohort: Cohort, who: Participant, n: int, time: float) -> Facts | None:
+    def happens(self, cohort: Teams, who: Participant, n: int, time: float) -> Facts | None:
         """Return what follows for a participant who takes part."""
         raise NotImplementedError
 
@@ -112,12 +71,12 @@ class StudyEvent(Event):
         """Whether a record of the participant's team agrees with it."""
         return True
 
-    def refused(self, cohort: Cohort, who: Participant) -> InapplicableError:
+    def refused(self, cohort: Teams, who: Participant) -> InapplicableError:
         """Return the refusal of an event that is impossible at the participant's stage."""
         return InapplicableError("not_here", what=self.kind, here=cohort.stages[who.at].name)
 
 
-def back(cohort: Cohort, who: Participant) -> Facts:
+def back(cohort: Teams, who: Participant) -> Facts:
     """Return that a participant who was gone is back; nothing if they were not gone.
 
     Raises
@@ -150,7 +109,7 @@ class Visited(StudyEvent):
     by_hand: ClassVar[bool] = True
     takes_place: ClassVar[bool] = True
 
-    def facts(self, cohort: Cohort, n: int, time: float) -> Facts:  # noqa: ARG002
+    def facts(self, cohort: Teams, n: int, time: float) -> Facts:  # noqa: ARG002
         """Admit the participant."""
         if self.person in cohort.participants:
             raise InapplicableError("other", why="this code is taken; try again")
@@ -175,7 +134,7 @@ class Onward(StudyEvent):
     takes_place: ClassVar[bool] = True
     comes_back: ClassVar[bool] = True
 
-    def happens(self, cohort: Cohort, who: Participant, n: int, time: float) -> Facts:
+    def happens(self, cohort: Teams, who: Participant, n: int, time: float) -> Facts:
         """Check the answers, and begin the task of the next stage if it has one."""
         stage = cohort.stages[who.at]
         if self.stage != stage.name:
@@ -223,7 +182,7 @@ class Acted(StudyEvent):
         """Whether the team's record has this action."""
         return own_action(team, self.person).action == self.action
 
-    def happens(self, cohort: Cohort, who: Participant, n: int, time: float) -> Facts:
+    def happens(self, cohort: Teams, who: Participant, n: int, time: float) -> Facts:
         """Let the participant act, and then the simulated people of the team."""
         stage = cohort.stages[who.at]
         if self.stage is not None and self.stage != stage.name:
@@ -241,7 +200,7 @@ class Elapsed(StudyEvent):
 
     kind: Literal["elapsed"] = "elapsed"
 
-    def facts(self, cohort: Cohort, n: int, time: float) -> Facts | None:
+    def facts(self, cohort: Teams, n: int, time: float) -> Facts | None:
         """Let the robot of the participant's team decide again."""
         who = cohort.known(self.person)
         idle = who.status == HERE and cohort.is_at_task(who) and not cohort.is_over(who)
@@ -255,7 +214,7 @@ class Expired(StudyEvent):
     kind: Literal["expired"] = "expired"
     is_tabled: ClassVar[bool] = True
 
-    def happens(self, cohort: Cohort, who: Participant, n: int, time: float) -> Facts:
+    def happens(self, cohort: Teams, who: Participant, n: int, time: float) -> Facts:
         """End the task, or the waiting."""
         stage = cohort.stages[who.at]
         if stage.kind == "task" and not cohort.is_over(who):
@@ -277,7 +236,7 @@ class Withdrew(StudyEvent):
     by_operator: ClassVar[bool] = False
     is_tabled: ClassVar[bool] = True
 
-    def facts(self, cohort: Cohort, n: int, time: float) -> Facts | None:
+    def facts(self, cohort: Teams, n: int, time: float) -> Facts | None:
         """End the participant's part; a repetition changes nothing."""
         who = cohort.known(self.person)
         if who.status in (WITHDREW, DECLINED):
@@ -297,7 +256,7 @@ class Left(StudyEvent):
     path: ClassVar[str | None] = "/api/people/{person}/leave"
     is_tabled: ClassVar[bool] = True
 
-    def happens(self, cohort: Cohort, who: Participant, n: int, time: float) -> Facts:
+    def happens(self, cohort: Teams, who: Participant, n: int, time: float) -> Facts:
         """Remove the participant from their team."""
         return {"status": GONE, "team": cohort.part(who, n, time)}
 
@@ -313,7 +272,7 @@ class Returned(StudyEvent):
     by_hand: ClassVar[bool] = True
     takes_place: ClassVar[bool] = True
 
-    def facts(self, cohort: Cohort, n: int, time: float) -> Facts:
+    def facts(self, cohort: Teams, n: int, time: float) -> Facts:
         """Let the participant return to their place and team."""
         who = cohort.known(self.person)
         if who.status not in (GONE, FULL):
@@ -332,7 +291,7 @@ class Excluded(StudyEvent):
 
     path: ClassVar[str | None] = "/api/study/participants/{person}/exclude"
 
-    def facts(self, cohort: Cohort, n: int, time: float) -> Facts:  # noqa: ARG002
+    def facts(self, cohort: Teams, n: int, time: float) -> Facts:  # noqa: ARG002
         """Check that there are data to exclude."""
         who = cohort.known(self.person)
         if who.status in (DECLINED, WITHDREW):
@@ -343,7 +302,7 @@ class Excluded(StudyEvent):
 class Kept(StudyEvent):
     """What is kept of an event whose participant's records were erased."""
 
-    def facts(self, cohort: Cohort, n: int, time: float) -> Facts | None:  # noqa: ARG002
+    def facts(self, cohort: Teams, n: int, time: float) -> Facts | None:  # noqa: ARG002
         """Refuse it: nobody reports it."""
         raise InapplicableError("not_in_study")
 

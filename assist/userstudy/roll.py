@@ -6,26 +6,18 @@ The participants of a running study and the tables of its data follow from the s
 from __future__ import annotations
 
 from .events import Erased, Excluded, Onward, Vacant, Visited
-from .groups import Group, Groups
+from .groups import Group
 from .participants import DONE, HERE, Participant
-from .plan import Stage, UserStudy
+from .places import Places
+from .plan import UserStudy
 from .record import StudyRecord
 
 
-class Roll:
-    """The participants of a study.
-
-    Parameters
-    ----------
-    study : UserStudy
+class Roll(Places):
+    """The participants of a study, as its records change them; parameters and attributes as in `Places`.
 
     Attributes
     ----------
-    participants : dict of str to Participant
-        By code, in the order of arrival.
-    groups : Groups
-    begun : int
-        Number of conditions that were drawn.
     changed : set of str
         The participants whose views the last event has changed.
     entered : list of str
@@ -33,38 +25,8 @@ class Roll:
     """
 
     def __init__(self, study: UserStudy) -> None:
-        self.study, self.stages = study, study.stages
-        self.participants: dict[str, Participant] = {}
-        self.groups = Groups(study, self.participants)
-        self.begun = 0
+        super().__init__(study)
         self.changed, self.entered = set[str](), list[str]()
-
-    def stage(self, person: Participant) -> Stage:
-        """Return the stage of a participant."""
-        return self.stages[person.at]
-
-    @property
-    def taken(self) -> int:
-        """Number of places taken."""
-        return sum(map(self._takes_place, self.participants.values()))
-
-    def is_free_for(self, person: Participant | None = None) -> bool:
-        """Whether there is a free place, or the returning participant still has one."""
-        most = self.study.participants
-        return most is None or (person is not None and self._takes_place(person)) or self.taken < most
-
-    def by_condition(self) -> dict[str, int]:
-        """Return, for each condition or order, the number of its participants, or groups, that take a place."""
-        counts, groups = dict.fromkeys(self.study.orders, 0), set[str]()
-        for person in self.participants.values():
-            if person.condition is not None and person.group not in groups and self._takes_place(person):
-                counts[person.condition] += 1
-                groups |= set() if person.group is None else {person.group}
-        return counts
-
-    def _takes_place(self, person: Participant) -> bool:
-        """Whether a participant is here or done; or has begun a task, unless the study replaces dropouts."""
-        return person.status in (HERE, DONE) or (person.condition is not None and not self.study.replace)
 
     def note(self, record: StudyRecord) -> None:
         """Update the participants after an event."""
